@@ -234,6 +234,6 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_the_helper_doubts_enough_closures_for_all_that_judges_them_to_be_compiled():
-    found = warm_up.doubt_closures()
+    found = warm_up.reject_false_closures()
     assert len(found.rejections) > robust_backend.FEW_REFUSED  # fewer are not weighed from the start
     assert not found.accepted[-warm_up.FALSE :].any() and found.accepted[: -warm_up.FALSE].all()

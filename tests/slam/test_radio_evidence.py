@@ -40,11 +40,11 @@ def test_slopes_are_those_of_the_evidence(travel_m):
 def test_slopes_by_places_are_those_of_the_evidence():
     evidence = FieldEvidence(HEARD)
     logs = np.log([0.7, 0.2, 12.0, 4.0, 0.1])
-    slopes, _ = evidence.slopes(PLACES, logs)
+    slopes, _ = evidence.gradient(PLACES, logs)
     for place, axis in ((3, 0), (40, 1)):
         step = np.zeros_like(PLACES)
         step[place, axis] = 1e-4
-        ahead, behind = (evidence.under(PLACES + sign * step, logs) for sign in (1, -1))
+        ahead, behind = (evidence.evidence_with(PLACES + sign * step, logs) for sign in (1, -1))
         assert slopes[place, axis] == pytest.approx((ahead - behind) / 2e-4, rel=1e-3)
 
 
@@ -53,12 +53,12 @@ def test_the_information_is_the_spread_of_slopes_over_what_may_be_heard():
     places = PLACES[:12]
     squared = ((places[:, None] - places) ** 2).sum(axis=2)
     root = np.linalg.cholesky(FieldEvidence(HEARD[:12])._covariance(logs, squared)[0])
-    _, information = FieldEvidence(HEARD[:12]).slopes(places, logs)
+    _, information = FieldEvidence(HEARD[:12]).gradient(places, logs)
     random, slopes = np.random.default_rng(2), []
     for _ in range(3000):
         evidence = FieldEvidence(HEARD[:12])
         heard = root @ random.normal(size=len(root))
         evidence._likeness = np.outer(heard, heard)
-        slopes.append(evidence.slopes(places, logs)[0].ravel())
+        slopes.append(evidence.gradient(places, logs)[0].ravel())
     found, expected = np.cov(np.transpose(slopes)), information.reshape(24, 24)
     assert np.linalg.norm(found - expected) < 0.1 * np.linalg.norm(expected)

@@ -61,7 +61,7 @@ def test_at_the_end_the_way_is_what_radio_slam_makes_of_the_log(log_and_truth):
         own.add(keyframe)
     own.solve(is_last=True)
     solved = radio_slam.solve(log, RadioSlamConfig())
-    assert own.is_righted
+    assert own.is_corrected
     assert poses_along(own.motions) == pytest.approx(solved.poses, abs=1e-6)
 
 
@@ -87,7 +87,7 @@ def test_where_nothing_is_heard_odometry_stays_as_it_is(log_and_truth):
     for keyframe in keyframes(silent):
         own.add(keyframe)
     own.solve()
-    assert not own.is_righted and own.motions == pytest.approx(log.motions, abs=1e-9)
+    assert not own.is_corrected and own.motions == pytest.approx(log.motions, abs=1e-9)
 
 
 def test_beyond_a_kilometre_only_the_end_is_solved(log_and_truth):

@@ -6,7 +6,7 @@ from twc_env.metrics.trajectory import absolute_trajectory_error_m
 from twc_env.slam.building_axes import BuildingAxes
 from twc_env.slam.odometry_calibration import Motions
 from twc_env.slam.radio_evidence import FieldEvidence
-from twc_env.slam.radio_refinement import _View, jacobian, refined
+from twc_env.slam.radio_refinement import _QuadraticModel, jacobian, refined
 
 RANDOM = np.random.default_rng(4)
 ANGLES = np.linspace(0.0, 4 * np.pi, 80)
@@ -35,12 +35,12 @@ def test_the_view_of_a_path_is_a_gaussian_in_closed_form(noise):
     variance, causes = random.uniform(0.5, 2.0, (motions, 3)), random.normal(size=(2, motions, 3))
     by_place, root = random.normal(size=(places, 2)), random.normal(size=(10, 10))
     told = root @ root.T + np.eye(10)
-    view = _View(slopes, missed, variance, causes, by_place, told.reshape(places, 2, places, 2))
+    view = _QuadraticModel(slopes, missed, variance, causes, by_place, told.reshape(places, 2, places, 2))
     slopes, causes = slopes.reshape(10, 12), causes.reshape(2, 12)
     before = np.diag(noise**2 * variance.ravel()) + causes.T @ causes
     pull = slopes.T @ (told @ slopes @ missed.ravel() + by_place.ravel())
     likeliest = np.linalg.solve(slopes.T @ told @ slopes + np.linalg.inv(before), pull)
-    assert view.likeliest(noise).ravel() == pytest.approx(likeliest, rel=1e-5, abs=1e-6)
+    assert view.maximum(noise).ravel() == pytest.approx(likeliest, rel=1e-5, abs=1e-6)
     both = np.eye(10) + told @ slopes @ before @ slopes.T
     assert view.volume(noise) == pytest.approx(0.5 * np.linalg.slogdet(both)[1], rel=1e-6)
 

@@ -228,7 +228,7 @@ def test_what_a_difference_of_strengths_is_worth_does_not_depend_on_their_unit()
     random = np.random.default_rng(3)
     places = np.column_stack([np.linspace(0.0, 40.0, 80), np.zeros(80)])
     feature = 50.0 + places @ random.normal(0.0, 1.0, (2, 12)) + random.normal(0.0, 2.0, (80, 12))
-    told, tenfold = (radio_field.learn_worth(scale * feature, places, places[:, 0], 6.0) for scale in (1.0, 10.0))
+    told, tenfold = (radio_field.learn_weight(scale * feature, places, places[:, 0], 6.0) for scale in (1.0, 10.0))
     assert told == pytest.approx(100.0 * tenfold, rel=1e-3) and 0.01 < told < 1.0
 
 
@@ -237,9 +237,9 @@ def test_a_path_is_believed_only_where_what_was_heard_prefers_it_to_the_odometry
     right = between(truth[:-1], truth[1:])
     solver = _Solver(dataclasses.replace(log, motions=right, turned_rad=right[:, 2]), RadioSlamConfig(), ("wifi",))
     bent = poses_along(right + [0.0, 0.0, 0.002])[solver._places]
-    assert solver._order(bent) > ORDER_MIN and not solver._betters_odometry(bent)
+    assert solver._rank_agreement(bent) > ORDER_MIN and not solver._improves_on_odometry(bent)
     drifted = _Solver(log, RadioSlamConfig(), ("wifi",))
-    assert drifted._betters_odometry(between(truth[0], truth)[drifted._places])
+    assert drifted._improves_on_odometry(between(truth[0], truth)[drifted._places])
 
 
 def test_fields_of_strength_find_a_displacement_and_its_direction():
@@ -250,7 +250,7 @@ def test_fields_of_strength_find_a_displacement_and_its_direction():
     shifted = grid.copy()
     shifted[27] += (1.0, -0.5)  # believed to be there
     travel = 100.0 * np.arange(len(grid))
-    found = radio_field.ties(feature, shifted, travel, 4.0, 30.0, 0.1)
+    found = radio_field.field_constraints(feature, shifted, travel, 4.0, 30.0, 0.1)
     mine = found.pairs[:, 1] == 27
     target = shifted[found.pairs[mine, 0]] + found.offset_m[mine]
     assert target == pytest.approx(np.tile(grid[27], (mine.sum(), 1)), abs=0.35)

@@ -67,7 +67,7 @@ def frame(time_s, turned_rad=0.0, turn_rate_rad_s=0.0) -> SensorFrame:
 def test_a_gap_that_agrees_with_the_gyro_is_time_that_passed():
     clocks = RobotClocks(EnvConfig(), 1)
     given = [frame(5.0), frame(5.1, 0.1, 1.0), frame(7.1, 2.0, 1.0)]
-    told = [clocks.told(each, k == 0) for k, each in enumerate(given)]
+    told = [clocks.corrected(each, k == 0) for k, each in enumerate(given)]
     assert [each.time_s for each in told] == pytest.approx([0.0, 0.1, 2.1])
     assert [each.turn_rate_rad_s for each in told] == [0.0, 1.0, 1.0]
 
@@ -75,7 +75,7 @@ def test_a_gap_that_agrees_with_the_gyro_is_time_that_passed():
 def test_a_gap_that_contradicts_the_gyro_counts_as_one_step_in_which_odometry_turned():
     clocks = RobotClocks(EnvConfig(), 1)
     given = [frame(5.0), frame(5.2, 0.1, 0.5), frame(3605.2, 0.3, 0.5), frame(3605.4, 0.1, 0.5)]
-    told = [clocks.told(each, k == 0) for k, each in enumerate(given)]
+    told = [clocks.corrected(each, k == 0) for k, each in enumerate(given)]
     assert [each.time_s for each in told] == pytest.approx([0.0, 0.2, 0.4, 0.6])
     assert [each.turn_rate_rad_s for each in told] == pytest.approx([0.0, 0.5, 1.5, 0.5])
 
@@ -83,4 +83,4 @@ def test_a_gap_that_contradicts_the_gyro_counts_as_one_step_in_which_odometry_tu
 def test_a_stream_of_another_pace_has_no_gaps():
     clocks = RobotClocks(EnvConfig(), 1)
     given = [frame(float(k), 0.5, 0.5) for k in range(5)]
-    assert [clocks.told(each, k == 0) for k, each in enumerate(given)] == given
+    assert [clocks.corrected(each, k == 0) for k, each in enumerate(given)] == given

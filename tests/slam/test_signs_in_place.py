@@ -8,7 +8,7 @@ import pytest
 
 from twc_env.config import EnvConfig, override
 from twc_env.messages import LoopCandidate, LoopClosure, SignObservation
-from twc_env.slam.signs_in_place import SignsRead, count_shared, hang_apart
+from twc_env.slam.signs_in_place import SignsRead, count_shared, found_apart
 from twc_env.slam.team import TeamMapper
 
 DOORS_M = 3.0
@@ -63,8 +63,8 @@ def test_a_text_hangs_apart_where_one_map_has_it_at_two_places():
     exit_, lab = 0, 1
     texts, maps = np.array([exit_, lab, exit_, lab, lab]), np.array([0, 0, 0, 1, 0])
     places_m = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 5.0], [9.0, 9.0], [3.1, 0.2]])
-    assert hang_apart(texts, places_m, maps).tolist() == [True, False]
-    assert hang_apart(texts, places_m, np.zeros(5, int)).tolist() == [True, True]
+    assert found_apart(texts, places_m, maps).tolist() == [True, False]
+    assert found_apart(texts, places_m, np.zeros(5, int)).tolist() == [True, True]
 
 
 NAMES, WING_B = ["A101 LAB", "A102 MAIL", "A103 PRINT", "A104 LAB"], ["B101 LAB", "B102 MAIL", "B103 PRINT", "B104 LAB"]

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from twc_env.slam.text_similarity import AlikeTexts, normalise, text_similarity
+from twc_env.slam.text_similarity import SimilarTexts, normalise, text_similarity
 
 texts = st.text("ABE3O0 I1", max_size=12)
 
@@ -27,7 +27,7 @@ def test_similarity_is_one_minus_the_edit_distance_over_the_longer_length(a, b):
 @given(texts, st.lists(texts, max_size=5), st.sampled_from([-1.0, 0.505, 0.757]))
 @example("EXIT", ["EXAM", "EXIT", ""], 0.505)
 def test_alike_texts_are_those_that_a_comparison_with_all_would_find(text, others, minimum):
-    alike = AlikeTexts(minimum)
+    alike = SimilarTexts(minimum)
     for other in others:
         alike.number_of(other)
     expected = [(k, text_similarity(text, other)) for k, other in enumerate(dict.fromkeys(others))]
@@ -46,7 +46,7 @@ def test_normalising_twice_changes_nothing(text):
 
 def test_texts_that_are_kept_are_numbered_anew_and_alike_as_before():
     texts, kept = ["ROOM 101", "ROOM 102", "TOILET", "R00M 101", "EXIT"], ["ROOM 102", "R00M 101", "EXIT"]
-    alike, fresh = AlikeTexts(0.7), AlikeTexts(0.7)
+    alike, fresh = SimilarTexts(0.7), SimilarTexts(0.7)
     for text in texts:
         alike.number_of(text)
     for text in kept:
@@ -57,7 +57,7 @@ def test_texts_that_are_kept_are_numbered_anew_and_alike_as_before():
 
 
 def test_a_similarity_that_equals_the_minimum_meets_it():
-    alike = AlikeTexts(0.8)
+    alike = SimilarTexts(0.8)
     for text in ("A1013", "ENTRANCE 1"):
         alike.number_of(text)
     assert alike.alike("A1018") == [(0, pytest.approx(0.8))]

@@ -6,7 +6,7 @@ from twc_env.errors import DataError
 from twc_env.geometry import align_rigidly, compose, transform_points
 from twc_env.messages import Fingerprint
 from twc_env.slam.distance_factor import Distances
-from twc_env.slam.radio_field import Ties
+from twc_env.slam.radio_field import FieldConstraints
 from twc_env.slam.trace_joining import Trace, _Joiner, join
 
 BOXES = np.random.default_rng(0).uniform(-10, 70, (120, 2))
@@ -48,7 +48,9 @@ def test_slopes_by_where_walks_lie_are_those_of_finite_differences(weighting):
     root = random.normal(size=(len(pairs), 2, 2))
     pulls = [
         Distances(pairs, random.uniform(1.0, 9.0, len(pairs)), random.uniform(1.0, 9.0, len(pairs))),
-        Ties(pairs, random.normal(0.0, 3.0, (len(pairs), 2)), root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(2)),
+        FieldConstraints(
+            pairs, random.normal(0.0, 3.0, (len(pairs), 2)), root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(2)
+        ),
     ]
     poses = np.column_stack([random.normal(0.0, 4.0, (4, 2)), random.normal(0.0, 0.3, 4)])
     for pull in pulls:

@@ -57,7 +57,7 @@ def main() -> None:
     gc.disable()  # of what numba makes nearly all lives until the end
     warm_up.main()
     play()
-    warm_up.doubt_closures()
+    warm_up.reject_false_closures()
 
 
 if __name__ == "__main__":

@@ -101,10 +101,10 @@ class RadioEquations(NormalEquations):
         )  # fmt: skip
         return diagonal, blocks, gradient
 
-    def _go(self, poses: Array, weight: Array, damping: float) -> tuple[bool, Array, float, float]:
-        return self._go_in_parts(poses, weight, damping)
+    def _solve_step(self, poses: Array, weight: Array, damping: float) -> tuple[bool, Array, float, float]:
+        return self._solve_step_in_parts(poses, weight, damping)
 
-    def _heard(self, weight: Array) -> tuple[NormalEquations, Array]:
+    def _active_equations(self, weight: Array) -> tuple[NormalEquations, Array]:
         return self, weight
 
 

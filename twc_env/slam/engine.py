@@ -187,7 +187,7 @@ class CooperativeSlam(CopiedWhole):
         self._beliefs = None
         if not isinstance(frames, TeamFrames):
             check_frames(frames, self._clocks.times_s, self._beam_count)
-            frames = [self._clocks.told(frame, len(self._latest_scans[1][frame.robot]) == 0) for frame in frames]
+            frames = [self._clocks.corrected(frame, len(self._latest_scans[1][frame.robot]) == 0) for frame in frames]
         if self._cues is not None:
             frames = [cues.restricted_frame(frame, self._cues) for frame in frames]
         if isinstance(frames, TeamFrames):

@@ -27,7 +27,7 @@ def frame_covariances(poses: Array, graph: Graph, robot_of: Array) -> Array:
         moves[robot][:, own] = np.array([[1.0, 0.0, -left], [0.0, 1.0, ahead], [0.0, 0.0, 1.0]])[:, None] / len(own)
     moves[:, :, 0] = 0.0  # the fixed pose
     flat = moves.reshape(3 * count, -1)
-    joint = flat @ equations.answers(poses, moves.reshape(3 * count, -1, 3)).reshape(3 * count, -1).T
+    joint = flat @ equations.solve_right_sides(poses, moves.reshape(3 * count, -1, 3)).reshape(3 * count, -1).T
     joint = joint.reshape(count, 3, count, 3).transpose(0, 2, 1, 3)
     own, cross = joint[np.arange(count), np.arange(count)], joint + np.swapaxes(joint, 2, 3)
     return own[:, None] + own[None] - cross

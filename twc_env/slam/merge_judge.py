@@ -20,7 +20,7 @@ from twc_env.slam.map_merging import MergeProposal, Weight
 from twc_env.slam.meeting_recogniser import MEETING
 from twc_env.slam.robot_sightings import RobotSightings
 from twc_env.slam.sign_table import MISSING_AFTER_S
-from twc_env.slam.signs_in_place import SignsRead, count_shared, hang_apart
+from twc_env.slam.signs_in_place import SignsRead, count_shared, found_apart
 from twc_env.slam.team_graph import TeamGraph
 
 DISAGREEING_WEIGHT = 2
@@ -184,7 +184,7 @@ class MergeJudge:
         """Whether enough places that the merge brings together have one name that was read nowhere else."""
         robots, texts, places = self._read_by(range(len(self._graph.keyframes)), self._poses_with(b, pose_a_b))
         are_tried = np.isin(robots, (*a, *b))
-        are_told = are_tried & ~hang_apart(texts, places[:, :2], np.where(are_tried, 0, robots + 1))[texts]
+        are_told = are_tried & ~found_apart(texts, places[:, :2], np.where(are_tried, 0, robots + 1))[texts]
         same, _ = count_shared(texts[are_told], places[are_told], np.isin(robots[are_told], b))
         return same >= self._rule.signs_read_alike_min
 

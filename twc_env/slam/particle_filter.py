@@ -1,9 +1,9 @@
-"""Rao-Blackwellised particle filter with a grid map per particle, in the manner of GMapping: only a baseline.
+"""Rao-Blackwellised particle filter with a grid map per particle, similar to GMapping; a baseline only.
 
-Each particle moves by odometry and noise, climbs to the best match of the scan with its own map, and draws its pose
-among samples around that match by the likelihood of scan and motion (the improved proposal of Grisetti, Stachniss,
-Burgard 2007, IEEE T-RO 23(1), with the draw in place of its Gaussian). Particles are drawn anew when the effective
-sample size falls below half (their Eq. 20). The answer is the path and the map of the heaviest particle at the end.
+Each particle moves by odometry and noise, is aligned to its own map by scan matching, and draws its pose among samples
+around the match by the likelihood of scan and motion (improved proposal of Grisetti, Stachniss, Burgard 2007, IEEE T-RO
+23(1), with a draw in place of its Gaussian). Particles are resampled when the effective sample size falls below half
+(their Eq. 20). The result is the path and the map of the particle with the largest weight at the end.
 """
 
 from __future__ import annotations
@@ -20,37 +20,37 @@ from twc_env.kernels import kernel
 from twc_env.messages import GridMap, SensorFrame
 
 OCCUPIED_SHARE = 0.25
-"""A cell is wall when at least this share of the beams that came to it ended in it."""
+"""A cell is a wall if at least this share of the beams that reached it ended in it."""
 VISITS_MAX = 32_767
-"""Beams counted in a cell: as many as its 16 bits hold."""
+"""Maximum beam count per cell (16 bits)."""
 NO_WALL_CELLS = 1.5
-"""A beam that ends near no wall counts as one this many cells away from it."""
+"""A beam that ends near no wall gets this distance [cells]."""
 CLIMB_STEP_M, CLIMB_STEP_RAD, CLIMB_HALVINGS = 0.1, 0.05, 5
 SAMPLE_STD = (0.02, 0.02, 0.005)
-"""Spread of the samples around a match [m, m, rad]."""
+"""Standard deviation of the samples around a match [m, m, rad]."""
 MATCHED_SHARE_MIN = 0.2
-"""With fewer of the beams near walls of its map a particle follows odometry alone."""
+"""With a smaller share of beams near mapped walls, the particle follows odometry alone."""
 
 AWAY_MAX = 18.0
-"""Squared distance from odometry, in standard deviations, beyond which a match is no less likely: wheels may slip."""
+"""Upper bound of the squared normalised distance from odometry, since wheels may slip."""
 HIT_STD_M = 0.075
-"""Distance of a beam's end from its wall."""
+"""Standard deviation of a beam's end from its wall."""
 STD_PER_M, STD_PER_RAD, STD_MIN = (0.1, 0.05), (0.1, 0.1), 1e-3
-"""Of a motion [m] and its turn [rad], per metre and per radian of them, as in GMapping; and their least."""
+"""Standard deviation of a motion [m] and its turn [rad], per metre and per radian, as in GMapping; and the minimum."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticleFilterSettings:
-    """Settings of the filter."""
+    """Parameters of the filter."""
 
     particles: int = 20
     samples: int = 20
-    """Poses tried around each particle's match."""
+    """Poses sampled around each particle's match."""
     size_m: float = 80.0
-    """Side of the square maps; the robot starts in the middle."""
+    """Side length of the square maps; the robot starts in the centre."""
     cell_m: float = 0.1
     correlation: float = 20.0
-    """So many beams of a scan count as one."""
+    """Number of correlated beams that count as one."""
 
 
 @kernel
@@ -60,7 +60,7 @@ def _is_wall(hits, visits, row, column):
 
 @kernel
 def _misfit(hits, visits, ends, inverse_m, points, n, x, y, heading):
-    """Sum of the beams' squared distances from walls [cells^2], and how many ended near one."""
+    """Sum of the beams' squared distances from walls [cells^2], and how many beams ended near one."""
     rows, columns = hits.shape
     c, s = math.cos(heading), math.sin(heading)
     total, near = 0.0, 0
@@ -87,7 +87,8 @@ def _misfit(hits, visits, ends, inverse_m, points, n, x, y, heading):
 
 @kernel
 def _climb(hits, visits, ends, inverse_m, points, n, pose):
-    """Move pose (3,) to the nearest minimum of the misfit; gives that, and how many beams end near walls."""
+    """Coordinate descent of pose (3,) to a local minimum of the misfit, in place; returns it and the beams near
+    walls."""
     step_m, step_rad = CLIMB_STEP_M, CLIMB_STEP_RAD
     best, near = _misfit(hits, visits, ends, inverse_m, points, n, pose[0], pose[1], pose[2])
     halvings = 0
@@ -112,7 +113,8 @@ def _climb(hits, visits, ends, inverse_m, points, n, pose):
 
 @kernel
 def _draw(hits, visits, ends, inverse_m, pose, ranges, range_max, directions):
-    """Count the cells that the beams of a scan came through (visits) and ended in (hits, and where: ends [cells])."""
+    """Add a scan to a map: beams that crossed a cell (visits) or ended in it (hits), and the sum of their ends
+    [cells]."""
     rows, columns = hits.shape
     c, s = math.cos(pose[2]), math.sin(pose[2])
     x0, y0 = pose[0] * inverse_m, pose[1] * inverse_m
@@ -143,7 +145,7 @@ def _draw(hits, visits, ends, inverse_m, pose, ranges, range_max, directions):
 
 @kernel
 def _choose(hits, visits, ends, inverse_m, points, n, told, motion_std, scale, pick, tried, logs):
-    """Number of the pose drawn from tried (samples, 3) by likelihood of scan and motion, and the log of their mean."""
+    """Index of the pose drawn from tried (samples, 3) by likelihood of scan and motion, and the log of their mean."""
     top = -np.inf
     for k in range(tried.shape[0]):
         misfit, _ = _misfit(hits, visits, ends, inverse_m, points, n, tried[k, 0], tried[k, 1], tried[k, 2])
@@ -176,7 +178,7 @@ def _step(
     poses, log_weights, hits, visits, ends, inverse_m, odometry, motion_std, moves, offsets, picks, ranges, range_max,
     directions, hit_cells, correlation, is_first,
 ):  # fmt: skip
-    """One scan: move, match, draw a pose, weigh and map, particle by particle.
+    """Process one scan for each particle: move, match, draw a pose, update weight and map.
 
     moves (n, 3) standard normal, offsets (n, samples, 3) [m, m, rad] around the match, picks (n,) in [0, 1).
     """
@@ -207,7 +209,7 @@ def _step(
 
 
 class ParticleFilter:
-    """Mapping by particles; feed it the frames of one robot in order."""
+    """The filter for one robot; call `update` with its frames in order."""
 
     def __init__(self, settings: ParticleFilterSettings, range_max_m: float, rng: np.random.Generator):
         self._settings, self._range_max_m, self._rng = settings, range_max_m, rng
@@ -217,14 +219,14 @@ class ParticleFilter:
         self._poses = np.tile([0.5 * settings.size_m, 0.5 * settings.size_m, 0.0], (count, 1))
         self._log_weights = np.zeros(count)
         self._low_m, self._high_m = np.full(2, np.inf), np.full(2, -np.inf)
-        """Bounds (y, x) of where particles have been."""
+        """Bounding box (y, x) of all particle positions so far."""
         self._past: list[Array] = []
         self._parents: list[Array] = []
         self.resamplings = 0
-        """How often the particles were drawn anew."""
+        """Number of resamplings."""
 
     def update(self, frame: SensorFrame) -> None:
-        """Take in the next frame."""
+        """Process the next frame."""
         rule, count = self._settings, self._settings.particles
         moved, turned = float(np.hypot(*frame.odometry[:2])), abs(float(frame.odometry[2]))
         std_m = STD_PER_M[0] * moved + STD_PER_RAD[0] * turned + STD_MIN
@@ -243,16 +245,16 @@ class ParticleFilter:
         self._parents.append(parents)
 
     def _resample(self) -> Array:
-        """Draw the particles anew where few carry all the weight; the number of each one's parent."""
+        """Resample if the effective sample size is below half; returns the index of each particle's parent."""
         count = len(self._poses)
         weights = np.exp(self._log_weights - self._log_weights.max())
         weights /= weights.sum()
         if 1.0 / (weights**2).sum() >= 0.5 * count:
             return np.arange(count)
         places = (np.arange(count) + self._rng.random()) / count
-        parents = _kept_in_place(np.minimum(np.searchsorted(np.cumsum(weights), places), count - 1))
+        parents = _with_survivors_in_place(np.minimum(np.searchsorted(np.cumsum(weights), places), count - 1))
         self._poses = self._poses[parents]
-        drawn = self._drawn()
+        drawn = self._mapped_area()
         for new in np.flatnonzero(parents != np.arange(count)):
             for maps in (self._hits, self._visits, self._ends):
                 maps[new][drawn] = maps[parents[new]][drawn]
@@ -260,15 +262,15 @@ class ParticleFilter:
         self.resamplings += 1
         return parents
 
-    def _drawn(self) -> tuple[slice, slice]:
-        """Rows and columns of the maps outside of which no particle has drawn yet."""
+    def _mapped_area(self) -> tuple[slice, slice]:
+        """Rows and columns of the maps that particles can have changed so far."""
         cell_m, cells = self._settings.cell_m, self._hits.shape[1]
         low = np.maximum((self._low_m - self._range_max_m) / cell_m - 1, 0).astype(int)
         high = np.minimum((self._high_m + self._range_max_m) / cell_m + 2, cells).astype(int)
         return slice(low[0], high[0]), slice(low[1], high[1])
 
     def path(self) -> Array:
-        """(frames, 3) of the heaviest particle, from where it started."""
+        """(frames, 3) path of the particle with the largest weight, relative to its start."""
         particle = int(np.argmax(self._log_weights))
         poses = np.empty((len(self._past), 3))
         for k in range(len(poses) - 1, -1, -1):
@@ -278,7 +280,7 @@ class ParticleFilter:
         return poses
 
     def grid(self) -> GridMap:
-        """The map of the heaviest particle: walls above 0, free below."""
+        """The map of the particle with the largest weight: walls above 0, free below."""
         particle, rule = int(np.argmax(self._log_weights)), self._settings
         hits, visits = self._hits[particle], self._visits[particle]
         is_wall = (hits > 0) & (hits >= OCCUPIED_SHARE * visits)
@@ -286,8 +288,8 @@ class ParticleFilter:
         return GridMap(log_odds, np.full(2, -0.5 * rule.size_m), rule.cell_m)
 
 
-def _kept_in_place(parents: Array) -> Array:
-    """The same parents (n,) in an order in which as many as can be keep their own place."""
+def _with_survivors_in_place(parents: Array) -> Array:
+    """The same parents (n,), reordered so that as many particles as possible keep their index."""
     count = len(parents)
     left = np.bincount(parents, minlength=count)
     survives = left > 0
@@ -300,7 +302,7 @@ def _kept_in_place(parents: Array) -> Array:
 def map_frames(
     frames: Iterable[SensorFrame], settings: ParticleFilterSettings, range_max_m: float, seed: int
 ) -> tuple[Array, GridMap]:
-    """Path (frames, 3) and map of a whole log of one robot."""
+    """Path (frames, 3) and map from a complete log of one robot."""
     particles = ParticleFilter(settings, range_max_m, np.random.default_rng(seed))
     for frame in frames:
         particles.update(frame)

@@ -1,4 +1,4 @@
-"""Readings along a path, gathered in even steps: what the signal model and the wall sampler work on."""
+"""Bin WiFi readings along a path at even steps, as input of the signal model and the wall sampler."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from twc_env.geometry import travelled_m
 from twc_env.slam.given_arrays import given_points
 
 _NOISE_MAX_DB = 6.0
-_HEARD_REACH = 3
-"""Bins on either side over which the share of readings that heard a router is taken."""
+_SHARE_REACH = 3
+"""Bins on either side that are averaged for the share of readings that received a router."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathBins:
-    """Readings gathered along a path."""
+    """Binned readings of a path."""
 
     position_m: Array
     """(bins, 2) mean position."""
     rssi_dbm: Array
-    """(bins, routers) mean reading, NaN where a router was not heard."""
+    """(bins, routers) mean reading, NaN where a router was not received."""
     count: Array
-    """(bins, routers) readings behind each mean."""
+    """(bins, routers) number of readings in each mean."""
     travel_m: Array
-    """(bins,) path length up to the bin."""
+    """(bins,) path length at the bin."""
     bin_of: Array
-    """(readings,) bin of each reading."""
+    """(readings,) bin index of each reading."""
 
     @property
     def step_m(self) -> float:
-        """Mean spacing."""
+        """Mean spacing of the bins [m]."""
         return float(self.travel_m[-1] - self.travel_m[0]) / max(len(self.travel_m) - 1, 1) or 1e-3
 
 
 def bin_along_path(position_m: Array, rssi_dbm: Array, step_m: float = 0.1) -> PathBins:
-    """Average readings (n, routers), NaN where not heard, taken at positions (n, 2), over steps of the path.
+    """Average readings (n, routers), NaN where not received, at positions (n, 2), over steps of the path.
 
-    Raises DataError for positions that are not finite and for arrays that do not fit together.
+    Raises DataError for positions that are not finite and for arrays of inconsistent shape.
     """
     position, rssi = given_points(position_m, "positions"), np.asarray(rssi_dbm, float)
     if rssi.ndim != 2 or rssi.shape[1] == 0 or len(position) != len(rssi) or len(position) < 2:
@@ -58,17 +58,17 @@ def bin_along_path(position_m: Array, rssi_dbm: Array, step_m: float = 0.1) -> P
     sums = np.column_stack([np.bincount(bin_of, column) for column in np.where(heard, rssi, 0.0).T])
     with np.errstate(invalid="ignore"):
         mean = sums / np.where(count > 0, count, np.nan)
-    mean -= _bias_of_the_heard(rssi, count, total)
+    mean -= _censoring_bias(rssi, count, total)
     place = np.column_stack([np.bincount(bin_of, position[:, axis]) / total for axis in (0, 1)])
     return PathBins(place, mean, count, np.bincount(bin_of, travel) / total, bin_of)
 
 
-def _bias_of_the_heard(rssi: Array, count: Array, total: Array) -> Array:
-    """(bins, routers) by how much the mean is too high where only the strong ones of the readings were heard [dB].
+def _censoring_bias(rssi: Array, count: Array, total: Array) -> Array:
+    """(bins, routers) bias of the mean where weak readings are missing [dB].
 
-    The mean of a normal value above a limit, from the share of readings above it.
+    The mean of a truncated normal distribution, with the truncation limit from the share of readings received.
     """
-    width = 2 * _HEARD_REACH + 1
+    width = 2 * _SHARE_REACH + 1
     heard = uniform_filter1d(count, width, axis=0, mode="nearest")
     share = np.clip(heard / uniform_filter1d(total, width, mode="nearest")[:, None], 0.02, 1.0)
     bias = np.zeros(share.shape)

@@ -1,4 +1,4 @@
-"""The three cues of TWC-SLAM's Algorithm 1 between two keyframes: texts, transmitters and strengths."""
+"""The three cues of TWC-SLAM's Algorithm 1 between two keyframes: sign texts, transmitter sets and signal strengths."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class Similarities:
     """The three cues of Algorithm 1 between two keyframes."""
 
     text: float
-    """Of the two texts most alike (Eq. 5); 0 where either side read none."""
+    """Similarity of the most similar pair of texts (Eq. 5); 0 if either side read none."""
     macs: float
-    """Eq. 9."""
+    """Transmitter sets (Eq. 9)."""
     rssi: float
-    """papers.md T8; in the printed mode the distance itself (Eq. 10)."""
+    """Signal strengths, see papers.md T8; in mode `paper` the distance itself (Eq. 10)."""
 
     def passes(self, alpha: float, beta: float, gamma: float) -> bool:
         """Algorithm 1: all three reach their thresholds."""
@@ -30,7 +30,7 @@ class Similarities:
 
 
 def similarities(target: Keyframe, source: Keyframe, rule: PlaceRecognitionConfig) -> Similarities:
-    """All three cues between two keyframes, whatever the thresholds."""
+    """All three cues between two keyframes, independent of the thresholds."""
     clean = normalise if rule.normalise_text else str
     text = max((text_similarity(clean(a.text), clean(b.text)) for a in target.signs for b in source.signs), default=0.0)
     macs = mac_similarity(target.fingerprint, source.fingerprint)
@@ -41,10 +41,10 @@ def similarities(target: Keyframe, source: Keyframe, rule: PlaceRecognitionConfi
 def rssi_cue(
     distance_db: float, shared: int, rule: PlaceRecognitionConfig, prints: tuple[Fingerprint, Fingerprint]
 ) -> tuple[float, bool]:
-    """The likeness of two fingerprints' strengths, and whether it reaches gamma."""
+    """Similarity of two fingerprints' signal strengths, and whether it reaches gamma."""
     if rule.rssi_mode == "paper":
         return distance_db, shared > 0 and distance_db >= rule.rssi_similarity_min
-    if rule.rssi_mode == "saturating":  # the common case, without arrays
+    if rule.rssi_mode == "saturating":  # the default, computed without arrays
         rssi: float = rssi_similarity(distance_db, shared, rule.rssi_tolerance_db)
     elif rule.rssi_mode in COSINES:
         rssi = by_cosine(rule.rssi_mode, *prints)

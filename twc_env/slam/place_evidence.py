@@ -1,8 +1,8 @@
-"""How strongly two sightings of signs speak for one place: text, radio, walls, neighbouring signs and the way there.
+"""Log-odds that two sign readings show one place, from text, radio, walls, neighbouring signs and the paths to them.
 
-Nothing here is a threshold. Each cue gives the logarithm of how much likelier its measurement is at one place than at
-two; what is needed for that is learned while the robots drive: which texts a building repeats and where, and how far
-radio signatures differ at one place and between places. Only estimates are used, never a true pose.
+Each cue contributes the log-likelihood ratio of its measurement at one place against two places. The statistics are
+learned while the robots drive: which texts a building repeats and where, and how far radio fingerprints differ at one
+place and between places. Only estimates are used, never a true pose.
 """
 
 from __future__ import annotations
@@ -25,58 +25,60 @@ from twc_env.slam.text_likelihood import log_text_likelihood, log_unknown_text
 from twc_env.slam.text_similarity import normalise
 
 SAME_PASS_M, SAME_PASS_TRAVEL_M = 0.5, 4.0
-"""Readings this near to each other, within this path, are of one sign, whatever they say."""
+"""Readings within this distance and path length are of one sign, whatever their texts."""
 SAME_SIGN_M = 2.0
-"""Later, the path may have drifted by this much, but then the texts must be alike."""
+"""Assumed maximum drift between later readings of one sign, whose texts must then be similar."""
 OPPOSITE_RAD, MISPLACED_M, SAME_TEXT_SIMILARITY = 2.2, 1.0, 0.8
-"""Readings on walls that face away from each other are of two signs, unless they are so near and so like what all
-readings of the other agree on that one facing must be wrong."""
+"""Readings that face opposite directions are of different signs, unless they are so near and so similar to the
+consensus of the other's readings that one facing must be wrong."""
 FACING_RAD = 0.8
-"""Readings that face further apart than this are of one sign only if their texts are so alike: walls blur at corners,
-but a door and the plan behind it may both bear the room's name."""
+"""Readings whose facings differ by more are of one sign only if their texts are this similar: wall normals are
+imprecise at corners, but a door and the floor plan behind it may both bear the room's name."""
 HIDDEN_TWIN_SHARE = 0.1
-"""How many more signs of the same text to expect where nobody has been, for each one that is known."""
+"""Expected number of unknown signs with the same text for each known one."""
 NEIGHBOUR_REACH_M = 8.0
 MEETING_M, MEETING_PER_M = 0.5, 0.06
-"""Under a hypothesis, neighbouring signs nearer than this to each other are taken for one."""
+"""Under a hypothesis, neighbouring signs nearer than this count as the same sign."""
 SEQUENCE_M, SEQUENCE_BESIDE_M = (2.0, 4.0, 6.0, 8.0), 2.0
-"""Keyframes so far before and after a sighting along a path are compared with those of the other path beside them."""
+"""Keyframes at these path distances before and after a sighting are compared with the nearest ones of the other
+path."""
 SEQUENCE_END_M = 10.0
-"""Where keyframes are sparse, the nearest beyond such a distance stands in for it, up to this far."""
+"""Maximum path distance of a keyframe that replaces a missing one at such a distance."""
 SAME_RADIO_M, ELSEWHERE_M = 3.0, (5.0, 20.0)
-"""Own keyframes this near teach how far fingerprints differ at one place; those this far, how far elsewhere."""
+"""Own keyframes within the first distance give fingerprint differences at one place, those in the second range
+elsewhere."""
 RADIO_APART_S = 2.5
-"""Keyframes nearer in time share scans and teach nothing."""
+"""Keyframes closer in time share WiFi scans and are not used for the statistics."""
 RADIO_LIMIT = 5.0
 GEOMETRY_WEIGHT, GEOMETRY_LIMIT = 8.0, 2.0
 NEIGHBOURS_WEIGHT, NEIGHBOURS_LIMIT = 0.5, 4.0
 SEQUENCE_WEIGHT, SEQUENCE_LIMIT = 0.25, 2.0
-"""How much each cue counts, and up to which log-odds it may speak. Fitted on twin-01 and drawn buildings."""
+"""Weight and log-odds limit of each cue, fitted on twin-01 and generated buildings."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What speaks for one place, each as log-odds; `total` is what the recogniser decides by."""
+    """Log-odds that two readings show one place, by cue; the recogniser decides by `total`."""
 
     text: float
-    """The texts, against all other signs that either robot knows and against one nobody has seen."""
+    """Against all other signs that either robot knows and one unknown sign."""
     radio: float
     geometry: float
     neighbours: float
     sequence: float
-    """The radio signatures of the keyframes before and after, where the two paths run along each other."""
+    """Fingerprints of the keyframes before and after, where the two paths are side by side."""
     total: float
 
 
 GEOMETRY_EVEN = 0.6
-"""With this share of points on the other's walls, and none seen through, the walls speak neither way."""
+"""With this share of points on the other scan's walls, and none seen through, geometry contributes 0."""
 TEXT_FLOOR = -15.0
-"""Texts that speak more strongly against one place end the comparison."""
+"""Text log-odds below this end the comparison."""
 NO_EVIDENCE = Evidence(-math.inf, 0.0, 0.0, 0.0, 0.0, -math.inf)
 
 
 class PlaceMemory:
-    """Everything the evidence rests on: the signs of each robot's map and the radio statistics of the building."""
+    """The data behind the evidence: the signs on each robot's map and the radio statistics of the building."""
 
     def __init__(self, range_max_m: float):
         self.radio = RadioStatistics()
@@ -86,12 +88,12 @@ class PlaceMemory:
         self._place_of: dict[tuple[int, int], list[tuple[Array, SignPlace]]] = {}
 
     def observe(self, keyframe: Keyframe) -> list[SignPlace]:
-        """Remember a keyframe; gives the place of each of its readings."""
+        """Add a keyframe; returns the sign of each of its readings."""
         self._learn_radio(keyframe)
-        return [self._take_in(keyframe, sign) for sign in keyframe.signs]
+        return [self._add_reading(keyframe, sign) for sign in keyframe.signs]
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
-        """Let go of keyframes that are not held any more, and of signs that only these read."""
+        """Remove keyframes that are no longer held, and signs without remaining views."""
         for places in self.signs.values():
             for place in places:
                 place.views[:] = [view for view in place.views if is_held(view[0])]
@@ -106,13 +108,13 @@ class PlaceMemory:
             places[:] = [place for place in places if place.views]
 
     def place_of(self, sighting: Sighting) -> SignPlace | None:
-        """The remembered sign that this reading belongs to."""
+        """The stored sign that this reading was assigned to."""
         keyframe, sign = sighting
         known = self._place_of.get(keyframe.key, ())
         return min(known, key=lambda entry: math.dist(entry[0], sign.position_m), default=(None, None))[1]
 
-    def _take_in(self, keyframe: Keyframe, sign: SignObservation) -> SignPlace:
-        text = normalise(sign.text).replace(" ", "")  # the space between two words is what OCR loses most
+    def _add_reading(self, keyframe: Keyframe, sign: SignObservation) -> SignPlace:
+        text = normalise(sign.text).replace(" ", "")  # OCR loses spaces most often
         position = compose(keyframe.pose_odom, [*sign.position_m, 0.0])[:2]
         facing = math.remainder(sign.facing_rad + float(keyframe.pose_odom[2]), 2 * math.pi)
         place = self._find(text, keyframe, position, facing)
@@ -142,7 +144,8 @@ class PlaceMemory:
         return best
 
     def _learn_radio(self, keyframe: Keyframe) -> None:
-        """Compare with some keyframes all along the own path and with some of the last."""
+        """Update the radio statistics from pairs with some keyframes of the own path, spread over all of it and recent
+        ones."""
         path = self._path.setdefault(keyframe.robot, [])
         stride = max(1, len(path) // 6)
         for other in [*path[keyframe.index % stride : -8 : stride], *path[-8::2]]:
@@ -157,7 +160,7 @@ class PlaceMemory:
     # --- weighing ---
 
     def weigh(self, seen: Sighting, again: Sighting) -> Evidence:
-        """The evidence that these two readings, both remembered, are of one sign."""
+        """The evidence that these two readings, both added before, are of one sign."""
         a, b, target, source = self.place_of(seen), self.place_of(again), seen[0], again[0]
         if a is None or b is None:
             return NO_EVIDENCE
@@ -169,7 +172,7 @@ class PlaceMemory:
         guess = self.guess(seen, again)
         if guess is not None:
             geometry = self._geometry(target, source, guess)
-            if a.robot != b.robot:  # one's own map agrees with itself anywhere
+            if a.robot != b.robot:  # within one map both cues agree for any guess
                 neighbours = self._neighbours(a, b, target, source, guess)
                 sequence = self._sequence(target, source, guess)
         total = text + radio + geometry + neighbours + sequence
@@ -178,7 +181,7 @@ class PlaceMemory:
     def guess(self, seen: Sighting, again: Sighting) -> Array | None:
         """(3,) pose of the second keyframe in the first one's frame if both readings are of one sign.
 
-        The walls' facings are those that most readings of the sign agree on; None where no wall is known behind it.
+        Uses the consensus facing of each sign; None if a sign has no known wall behind it.
         """
         frames = []
         for view, sign in (seen, again):
@@ -189,14 +192,14 @@ class PlaceMemory:
         return compose(frames[0], inverse(frames[1]))
 
     def like_text(self, place: SignPlace, robot: int) -> list[SignPlace]:
-        """Signs on a robot's map whose text `place` may have: likelier than anything unknown."""
+        """Signs on a robot's map whose text is likelier for `place` than that of an unknown sign."""
         places = self.signs.get(robot, [])
         likelihood = _likelihood(place, places)
         floor = log_unknown_text(place.consensus)
         return [p for p, likely in zip(places, likelihood, strict=True) if likely > floor]
 
     def best_view(self, views: Sequence[Sighting], keyframe: Keyframe) -> Sighting:
-        """The view whose radio signature fits a keyframe's best."""
+        """The view whose fingerprint is most similar to a keyframe's."""
         return max(views, key=lambda view: self._radio(view[0], keyframe))
 
     def _radio(self, target: Keyframe, source: Keyframe) -> float:
@@ -204,10 +207,10 @@ class PlaceMemory:
         return min(max(ratio, -RADIO_LIMIT), RADIO_LIMIT)
 
     def _text(self, known: SignPlace, other: SignPlace, view: Keyframe) -> float:
-        """Log-odds that `other` is `known`, rather than another sign on the map of its robot or one nobody has seen.
+        """Log-odds that `other` is `known`, against the other signs on the map of that robot and one unknown sign.
 
-        The others count by what they say and by how their radio signature fits that of the view in which `other` was
-        read, so a repeated text that is elsewhere by its signature does no harm.
+        Each alternative is weighted by its text and by its fingerprint against the view in which `other` was read, so
+        that a repeated text at a place with a different fingerprint does not count.
         """
         places = self.signs[known.robot]
         likelihood = _likelihood(other, places)
@@ -229,7 +232,7 @@ class PlaceMemory:
         return min(max(odds, -GEOMETRY_LIMIT), GEOMETRY_LIMIT)
 
     def _neighbours(self, a: SignPlace, b: SignPlace, target: Keyframe, source: Keyframe, guess: Array) -> float:
-        """Other signs nearby: where two of them would meet under the guess, their texts should agree."""
+        """Neighbouring signs: pairs that coincide under the guess should have the same text."""
         near_a, near_b = self._near(a, target), self._near(b, source)
         total = 0.0
         for place, position in near_b if near_a else ():
@@ -251,7 +254,8 @@ class PlaceMemory:
         return float(min(max(NEIGHBOURS_WEIGHT * total, -NEIGHBOURS_LIMIT), NEIGHBOURS_LIMIT))
 
     def _sequence(self, target: Keyframe, source: Keyframe, guess: Array) -> float:
-        """The ways to and from the sighting: where the two paths would run along each other, the radio should agree."""
+        """Fingerprints of keyframes before and after: where the paths are side by side under the guess, they should
+        agree."""
         beside = self._around(target)
         total = 0.0
         for keyframe, position in self._around(source) if beside else ():
@@ -262,7 +266,7 @@ class PlaceMemory:
         return float(min(max(SEQUENCE_WEIGHT * total, -SEQUENCE_LIMIT), SEQUENCE_LIMIT))
 
     def _around(self, view: Keyframe) -> list[tuple[Keyframe, Array]]:
-        """Keyframes before and after one on its path, and where they were in its frame (2,)."""
+        """Keyframes at SEQUENCE_M before and after one on its path, with their positions (2,) in its frame."""
         path = self._path[view.robot]
         robot_odom = inverse(view.pose_odom)
         chosen = []
@@ -276,7 +280,7 @@ class PlaceMemory:
         ]
 
     def _near(self, centre: SignPlace, view: Keyframe) -> list[tuple[SignPlace, Array]]:
-        """Signs near another on the same map, in the frame of one of its views."""
+        """Signs near another on the same map, with positions in the frame of one of its views."""
         robot_odom = inverse(view.pose_odom)
         return [
             (place, compose(robot_odom, [*place.position_odom, 0.0])[:2])
@@ -286,7 +290,7 @@ class PlaceMemory:
 
 
 def _likelihood(reading: SignPlace, others: Sequence[SignPlace]) -> Array:
-    """(others,) log probability of what was read at one place if it is the sign of each of the others."""
+    """(others,) log probability of the reading's text if it is of each of the other signs."""
     return log_text_likelihood(
         reading.consensus, [p.consensus for p in others], reading.support, np.array([p.support for p in others])
     )

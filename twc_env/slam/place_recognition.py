@@ -1,7 +1,7 @@
-"""Propose loop candidates: pairs of keyframes that look like one place.
+"""Propose loop closure candidates: pairs of keyframes that may show the same place.
 
-Recognisers are interchangeable by name: `text`, `wifi`, `twc` (TWC-SLAM's Algorithm 1), `lidar` (Scan Context, the
-baseline of DCL-SLAM's kind), `fused` (all cues weighed as log-odds), or FILE.py:CLASS. `make_recogniser` builds one.
+Recognisers are selected by name: `text`, `wifi`, `twc` (TWC-SLAM's Algorithm 1), `lidar` (Scan Context, the baseline of
+DCL-SLAM's kind), `fused` (log-odds of all cues), or FILE.py:CLASS. `make_recogniser` constructs one.
 """
 
 from __future__ import annotations
@@ -21,26 +21,27 @@ from twc_env.slam.wayside_recognisers import ScanRecogniser, WifiRecogniser
 
 
 class Recogniser(Protocol):
-    """What all recognisers offer."""
+    """Interface of all recognisers."""
 
     name: str
-    """Candidates bear it. Those of `lidar` and `wifi` are searched for at every heading, others near their guess."""
+    """Written into the candidates. Candidates named `lidar` or `wifi` are verified at all headings, others near their
+    guess."""
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
         """Candidates between this keyframe (source) and all earlier ones (targets) of robots that are not skipped.
 
-        The keyframe is remembered for those that follow.
+        The keyframe is stored as a target for later calls.
         """
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
-        """How much two keyframes look like one place; the larger the more."""
+        """Similarity of two keyframes; larger is more similar. Its scale depends on the recogniser."""
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
-        """Keep what is known of keyframes that are still held, and nothing of the others."""
+        """Remove all data of keyframes that are no longer held."""
 
 
 def make_recogniser(config: PlaceRecognitionConfig, range_max_m: float) -> Recogniser:
-    """The recogniser that the configuration names; `range_max_m` is the scanner's. A class of one's own takes both."""
+    """The recogniser that the config names; `range_max_m` is the scanner's. A custom class gets both arguments."""
     if is_in_file(config.recogniser):
         return OwnRecogniser(config, range_max_m)
     by_signs: dict[str, type[TextWifiRecogniser]] = {"twc": TextWifiRecogniser, "text": TextRecogniser}
@@ -54,14 +55,14 @@ def make_recogniser(config: PlaceRecognitionConfig, range_max_m: float) -> Recog
 
 
 class ProposalFilter:
-    """Drops proposals that repeat what was tried: both ends near, along the paths, to those of an earlier one."""
+    """Rejects candidates that repeat an earlier one: both ends near those of an earlier candidate along the paths."""
 
     def __init__(self):
         self._tried: dict[tuple[int, int], list[tuple[float, float]]] = {}
-        """Path lengths up to both ends of what was tried between two robots, ascending."""
+        """Pair of robots -> path lengths at both ends of earlier candidates, ascending."""
 
     def is_new(self, target: Keyframe, source: Keyframe, reach_m: float) -> bool:
-        """Whether no earlier proposal between the two robots lies within reach_m at both ends; remembers this one."""
+        """Whether no earlier candidate of the two robots lies within reach_m at both ends; stores this one."""
         first, second = (target, source) if target.robot <= source.robot else (source, target)
         tried = self._tried.setdefault((first.robot, second.robot), [])
         a, b = first.travel_m, second.travel_m
@@ -75,6 +76,6 @@ class ProposalFilter:
         return True
 
     def forget(self, until_m: Sequence[float]) -> None:
-        """Let go of what was tried before so many metres of both robots' paths: nothing will come near."""
+        """Remove candidates before these path lengths [m] of both robots, which no new one can come near."""
         for (a, b), tried in self._tried.items():
             tried[:] = [(x, y) for x, y in tried if x >= until_m[a] or y >= until_m[b]]

@@ -1,8 +1,8 @@
-"""Point-to-point ICP as TWC-SLAM prints it (Eq. 11-12): pair nearest points under a gate, turn and shift, repeat.
+"""Point-to-point ICP as printed in TWC-SLAM (Eq. 11-12): pair nearest points within a gate, align, repeat.
 
-The paper leaves open the gate, the number of repetitions and when to stop; here the gate shrinks from 1 m to 0.3 m. It
-is kept beside point-to-line matching so that both can be measured: pairing points of walls that two scans sample at
-different places pulls towards the guess, and what is paired along a corridor looks as if it fixed the corridor's axis.
+The paper does not specify the gate, the number of iterations or the stopping rule; here the gate shrinks from 1 m to
+0.3 m. Kept beside point-to-line matching so that both can be measured. Two scans sample a wall at different points, so
+that point pairs pull towards the guess, and along a corridor they seem to constrain its axis.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ if TYPE_CHECKING:
 
 
 GATE_FIRST_M, GATE_LAST_M, GATE_SHRINK = 1.0, 0.3, 0.85
-"""Points further apart are no pair; the gate shrinks by this factor with every repetition."""
+"""Points further apart are not paired; the gate shrinks by this factor per iteration."""
 ITERATIONS_MAX = 30
 STOP = 1e-4
-"""A step [m, rad] below it, once the gate has shrunk, ends the match."""
+"""A step [m, rad] below this, with the gate at its minimum, ends the iteration."""
 PAIRS_MIN = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointMatch:
-    """Where a cloud of points lies on another."""
+    """Result of aligning one point cloud to another."""
 
     pose: Array
     """(3,) of the source in the target's frame."""
     fitness_m2: float
-    """Mean squared distance of the pairs, Eq. 12; NaN without any."""
+    """Mean squared distance of the pairs (Eq. 12); NaN without pairs."""
     inlier_ratio: float
-    """Share of the source's points that have a partner within the last gate."""
+    """Share of source points with a partner within the last gate."""
     hessian: Array
     """(3, 3) sum of J^T J over the pairs."""
 
     def information(self, beam_std_m: float, correlation: float) -> Array:
-        """(3, 3) information of `pose`, as if every pair were a measured point."""
+        """(3, 3) information of `pose`, treating every pair as a point measurement."""
         return self.hessian / (beam_std_m**2 * correlation)
 
 
 def match_points(target: Array, source: Array, guess: Array) -> PointMatch:
-    """Lay source points (m, 2) on target points (n, 2) from a guess (3,) of the source's pose in the target's frame.
+    """Align source points (m, 2) to target points (n, 2) from a guess (3,) of the source's pose in the target's frame.
 
     Raises DataError for points or a guess of another shape, or not finite.
     """
@@ -71,7 +71,7 @@ def match_points(target: Array, source: Array, guess: Array) -> PointMatch:
 
 
 def _judged(tree: cKDTree, source: Array, pose: Array) -> PointMatch:
-    """The match at its final pose, over the pairs within the last gate."""
+    """Evaluate the match at its final pose, over the pairs within the last gate."""
     away_m, _ = tree.query(transform_points(pose, source), distance_upper_bound=GATE_LAST_M)
     paired = np.isfinite(away_m)
     count = int(np.count_nonzero(paired))

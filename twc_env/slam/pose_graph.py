@@ -1,7 +1,7 @@
 """Robust SE(2) pose-graph optimisation: Levenberg-Marquardt with 3 x 3 blocks on a sparse Cholesky factorisation.
 
 Residuals are those of g2o's EDGE_SE2: z^-1 (a^-1 b). Odometry edges keep their weight; closures are down-weighted by
-dynamic covariance scaling (DCS) or a Cauchy loss, so that one false closure cannot fold the map.
+dynamic covariance scaling (DCS) or a Cauchy loss, so that one false closure cannot distort the map.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from twc_env.slam.relative_equations import (
 from twc_env.slam.shared_errors import SharedErrors, linearise_shared
 
 GATE = 11.345
-"""99 % of chi squared with three degrees of freedom."""
+"""99 % quantile of chi-squared with three degrees of freedom."""
 STEP_M, STEP_RAD = 2e-3, 1e-3
-"""A step below both ends the optimisation."""
+"""The optimisation stops below both step sizes."""
 NEGLIGIBLE = 1e-6
-"""Weight from which on down an edge is not heard in a step."""
+"""Edges with a smaller weight are left out of a step."""
 NEGLIGIBLE_DAMPING = 1e-9
-"""Damping with which poses that nothing ties to the one that is held are some ten metres unsure."""
+"""With this damping, poses not connected to the fixed one have a standard deviation of about ten metres."""
 DECREASE, STALLED_M = 1e-6, 0.1
-"""So does a step shorter than this that takes a smaller share off the error."""
+"""It also stops at a relative decrease of the error below DECREASE with a step shorter than STALLED_M."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,20 +45,20 @@ class Graph:
     information: Array
     is_closure: Array
     shared: SharedErrors | None = None
-    """What odometry has in common, whose edges always have a weight of 1; None where it errs by noise alone."""
+    """Systematic odometry errors shared by many edges; None if odometry has independent noise only."""
 
     @property
     def parts(self) -> tuple[Array, Array, Array, Array]:
-        """Its four arrays, in the order of `optimise`."""
+        """The four arrays in the argument order of `optimise`."""
         return self.edges, self.measured, self.information, self.is_closure
 
     def of(self, kept: Array) -> Graph:
-        """The graph of some edges: (e,) bool or indices."""
+        """The graph of some edges, chosen by (e,) bool or indices."""
         edges, measured, information, is_closure = (part[kept] for part in self.parts)
         return Graph(edges, measured, information, is_closure, None if self.shared is None else self.shared.of(kept))
 
     def fit(self, poses: Array, weight: Array, iterations_max: int = 100) -> Array:
-        """Poses (n, 3) after plain least squares with these weights (e,), pose 0 held; a weight of 0 costs nothing."""
+        """Poses (n, 3) after least squares with weights (e,), pose 0 fixed; edges of weight 0 are skipped."""
         kept = weight > 0
         if len(poses) < 2 or not kept.any():
             return np.array(poses, float)
@@ -68,8 +68,8 @@ class Graph:
         return equations.minimise(np.array(poses, float), lambda squared: weight, iterations_max)
 
     def squared_errors(self, poses: Array) -> Array:
-        """(e,) squared Mahalanobis length of each residual; odometry's after its robot's shared errors, which cost it
-        a part."""
+        """(e,) squared Mahalanobis length of each residual. Odometry is corrected by the shared errors, whose own cost
+        is distributed over its edges."""
         if self.shared is None:
             return squared_errors(poses, self.edges, self.measured, self.information)
         equations = self.shared.normal_equations(self.information)
@@ -103,10 +103,9 @@ def optimise(
     poses: Array, edges: Array, measured: Array, information: Array, is_closure: Array, config: PoseGraphConfig,
     fixed: int = 0, shared: SharedErrors | None = None,
 ) -> Array:  # fmt: skip
-    """The poses (n, 3) that fit the edges best, pose `fixed` held where it is.
+    """The poses (n, 3) with the least error, pose `fixed` held; starts from `poses`.
 
-    edges (e, 2) indices, measured (e, 3), information (e, 3, 3), is_closure (e,) bool, shared as of `Graph`. Warm:
-    starts from `poses`.
+    edges (e, 2) indices, measured (e, 3), information (e, 3, 3), is_closure (e,) bool, shared as in `Graph`.
     """
     poses = np.array(poses, float)
     if len(poses) < 2 or len(edges) == 0:
@@ -116,7 +115,7 @@ def optimise(
 
 
 class NormalEquations:
-    """Gauss-Newton's normal equations of one set of edges, whose sparse pattern is found once."""
+    """Gauss-Newton normal equations of one set of edges; the sparsity pattern is analysed once."""
 
     def __init__(
         self,
@@ -127,14 +126,14 @@ class NormalEquations:
         fixed: int | Array,
         shared: SharedErrors | None = None,
     ):
-        """fixed: a pose that is held where it is, or several (k,). Raises DataError for edges between other poses."""
+        """fixed: index of the pose held fixed, or several (k,). Raises DataError for edges between unknown poses."""
         self.edges = np.ascontiguousarray(edges, np.int64)
         if self.edges.size and not 0 <= self.edges.min() <= self.edges.max() < count:
             raise DataError(f"edges join poses 0 to {count - 1}; got {self.edges.min()} to {self.edges.max()}")
         self.measured = np.ascontiguousarray(measured, float)
         self.information = np.ascontiguousarray(information, float)
         self._count, self._held = count, np.atleast_1d(np.asarray(fixed, np.int64))
-        self._fewer: tuple[bytes, NormalEquations] | None = None
+        self._active_cache: tuple[bytes, NormalEquations] | None = None
         self._shared = shared
         self._of_errors = () if shared is None else shared.normal_equations(self.information)
         pairs = self.edges.copy()
@@ -149,7 +148,8 @@ class NormalEquations:
         self._blocks = self._cholesky.block_of_pair
 
     def _with_errors(self, ends: Array, owner: Array) -> Array:
-        """(edges, 2) pairs of one end of each edge and the errors of its robot, which stand after all poses."""
+        """(edges, 2) pairs of one end of each edge and its owner's shared errors, which are numbered after all
+        poses."""
         return np.stack([np.where(owner < 0, -1, ends), self._count + owner], axis=1)
 
     def squared_errors(self, poses: Array) -> Array:
@@ -160,9 +160,9 @@ class NormalEquations:
         return relative_squared_errors(poses, self.edges, measured, self.information) + cost
 
     def linearise(self, poses: Array, weight: Array) -> tuple[Array, Array, Array]:
-        """Diagonal blocks (n, 3, 3), blocks of the edges' pairs, gradient (n, 3); held poses have unit blocks.
+        """Diagonal blocks (n, 3, 3), off-diagonal blocks, gradient (n, 3); fixed poses have unit blocks.
 
-        Where robots have shared errors, their rows follow those of the poses.
+        Shared errors, if any, have their rows after those of the poses.
         """
         block_count, measured, shared = int(self._blocks.max(initial=-1)) + 1, self.measured, self._shared
         if shared is not None:
@@ -184,9 +184,9 @@ class NormalEquations:
     def minimise(
         self, poses: Array, weigh, iterations_max: int, step_m: float = STEP_M, step_rad: float = STEP_RAD
     ) -> Array:
-        """Poses after damped steps, the last of them shorter than step_m and step_rad.
+        """Poses after damped steps until a step is shorter than step_m and step_rad.
 
-        `weigh` gives the weights (edges,) at squared errors (edges,).
+        `weigh` maps squared errors (edges,) to weights (edges,).
         """
         damping = 1e-6
         squared = self.squared_errors(poses)
@@ -203,10 +203,11 @@ class NormalEquations:
         return poses
 
     def _step(self, poses: Array, weight: Array, cost: float, damping: float):
-        """One damped step that does not raise the cost: poses, squared errors, longest moves; None if there is none."""
-        heard, its_weight = self._heard(weight)
+        """One damped step that does not raise the cost: poses, squared errors, largest moves [m, rad]; None if none is
+        found."""
+        heard, its_weight = self._active_equations(weight)
         for _ in range(8):
-            is_sound, moved, moved_m, moved_rad = heard._go(poses, its_weight, damping)
+            is_sound, moved, moved_m, moved_rad = heard._solve_step(poses, its_weight, damping)
             if is_sound:
                 squared = self.squared_errors(moved)
                 if weight @ squared <= cost * (1 + 1e-12):
@@ -214,39 +215,39 @@ class NormalEquations:
             damping = max(damping * 10, 1e-9)
         return None
 
-    def _go(self, poses: Array, weight: Array, damping: float) -> tuple[bool, Array, float, float]:
-        """Poses after one damped step, and its longest moves [m, rad]; False: the equations have no one solution."""
+    def _solve_step(self, poses: Array, weight: Array, damping: float) -> tuple[bool, Array, float, float]:
+        """Poses after one damped step and its largest moves [m, rad]; False if the equations are singular."""
         cholesky = self._cholesky
         if cholesky.has_dense_rest or self._shared is not None:
-            return self._go_in_parts(poses, weight, damping)
+            return self._solve_step_in_parts(poses, weight, damping)
         return sparse_step(
             poses, self.edges, self.measured, self.information, weight, self._blocks, self._held,
             *cholesky.pattern, cholesky.block_count, damping,
         )  # fmt: skip
 
-    def answers(self, poses: Array, right: Array) -> Array:
-        """H^-1 right (k, n, 3) for several right sides at these poses, every edge believed."""
+    def solve_right_sides(self, poses: Array, right: Array) -> Array:
+        """H^-1 right (k, n, 3) for several right-hand sides at these poses, with all edges at weight 1."""
         diagonal, blocks, _ = self.linearise(poses, np.ones(len(self.edges)))
         sides, diagonal = np.zeros((len(right), *diagonal.shape[:2])), damped(diagonal, NEGLIGIBLE_DAMPING)
         sides[:, : len(poses)] = right
         return np.array([self._cholesky.solve(diagonal, blocks, side) for side in sides])[:, : len(poses)]
 
-    def _go_in_parts(self, poses: Array, weight: Array, damping: float) -> tuple[bool, Array, float, float]:
+    def _solve_step_in_parts(self, poses: Array, weight: Array, damping: float) -> tuple[bool, Array, float, float]:
         diagonal, blocks, gradient = self.linearise(poses, weight)
         delta = self._cholesky.solve(damped(diagonal, damping), blocks, gradient)
         return (False, poses, 0.0, 0.0) if delta is None else (True, *moved_by(poses, delta[: len(poses)], self._held))
 
-    def _heard(self, weight: Array) -> tuple[NormalEquations, Array]:
-        """The equations of edges that are not weighed away, where these are so few that a smaller pattern pays."""
+    def _active_equations(self, weight: Array) -> tuple[NormalEquations, Array]:
+        """The equations without negligible edges, if these are many enough that a smaller pattern pays."""
         heard = weight > NEGLIGIBLE
         if np.count_nonzero(heard) > 0.8 * len(weight):
             return self, weight
         key = heard.tobytes()
-        if self._fewer is None or self._fewer[0] != key:
+        if self._active_cache is None or self._active_cache[0] != key:
             edges, measured, information = self.edges[heard], self.measured[heard], self.information[heard]
             shared = None if self._shared is None else self._shared.of(heard)
-            self._fewer = key, NormalEquations(edges, measured, information, self._count, self._held, shared)
-        return self._fewer[1], weight[heard]
+            self._active_cache = key, NormalEquations(edges, measured, information, self._count, self._held, shared)
+        return self._active_cache[1], weight[heard]
 
 
 def _arrays(poses: Array, edges: Array, measured: Array) -> tuple[Array, Array, Array]:

@@ -1,4 +1,5 @@
-"""Which pairs of places become radio closures: alike, far apart along the path, each telling something new."""
+"""Select radio closures: pairs of places with similar fingerprints, far apart along the path, without redundant
+ones."""
 
 from __future__ import annotations
 
@@ -9,31 +10,32 @@ from twc_env.slam.distance_factor import Distances
 from twc_env.slam.similarity_model import SimilarityModel
 
 SUPPORT_REACH_M = 10.0
-"""Closures nearer than this at both ends speak of one revisit."""
+"""Closures nearer than this at both ends belong to one revisit."""
 SUPPORT_MIN = 2
-"""A true revisit is told by several closures; one that stands alone is not believed."""
+"""Minimum number of other closures of the same revisit; isolated closures are rejected."""
 
 
-def alike_pairs(similarity: Array, travel_m: Array, similarity_min: float, apart_m: float) -> tuple[Array, Array]:
-    """Pairs i < j more alike than this and far apart along the path (papers.md R7: the path, not the displacement)."""
+def similar_pairs(similarity: Array, travel_m: Array, similarity_min: float, apart_m: float) -> tuple[Array, Array]:
+    """Pairs i < j above a similarity and apart_m along the path (papers.md R7: path length, not displacement)."""
     i, j = np.nonzero(similarity > similarity_min)
     kept = travel_m[j] - travel_m[i] > apart_m
     return i[kept], j[kept]
 
 
 def strongest_per_cell(i: Array, j: Array, similarity: Array, travel_m: Array, cell_m: float) -> Array:
-    """Of the closures of each pair of stretches (cell_m long) the most alike: non-maximum suppression."""
+    """Indices of the most similar closure per pair of path segments of cell_m: non-maximum suppression."""
     rows, columns = (travel_m[i] // cell_m).astype(np.int64), (travel_m[j] // cell_m).astype(np.int64)
     return _first_of_each(rows * (columns.max(initial=0) + 1) + columns, similarity)
 
 
 def strongest_per_place(i: Array, j: Array, similarity: Array, count: int) -> Array:
-    """(k,) bool: closures that are among the `count` strongest of one of their ends."""
+    """(k,) bool: closures among the `count` most similar ones of one of their ends."""
     return (_rank(i, similarity) < count) | (_rank(j, similarity) < count)
 
 
 def with_support(i: Array, j: Array, travel_m: Array) -> Array:
-    """(k,) bool: closures with others near at both ends. A distance alone says too little to be judged by pairs."""
+    """(k,) bool: closures with others nearby at both ends. Distances carry too little for a pairwise consistency
+    test."""
     rows, columns = (travel_m[i] // SUPPORT_REACH_M).astype(np.int64), (travel_m[j] // SUPPORT_REACH_M).astype(np.int64)
     width = columns.max(initial=0) + 3
     key = (rows + 1) * width + columns + 1
@@ -54,8 +56,8 @@ def closures(
     cell_m: float,
     per_place: int,
 ) -> Distances:
-    """Radio closures of one cue: alike, the strongest of their neighbourhood, few per place."""
-    i, j = alike_pairs(similarity, travel_m, similarity_min, apart_m)
+    """Radio closures of one cue after similarity threshold, non-maximum suppression and limit per place."""
+    i, j = similar_pairs(similarity, travel_m, similarity_min, apart_m)
     s = similarity[i, j]
     kept = strongest_per_cell(i, j, s, travel_m, cell_m)
     i, j, s = i[kept], j[kept], s[kept]
@@ -65,7 +67,7 @@ def closures(
 
 
 def _first_of_each(key: Array, score: Array) -> Array:
-    """Index of the highest score of each key, in order of the keys."""
+    """Index of the highest score per key, ordered by key."""
     order = np.lexsort((-score, key))
     sorted_key = key[order]
     is_first = np.concatenate([[True], sorted_key[1:] != sorted_key[:-1]]) if len(key) else np.zeros(0, bool)
@@ -73,7 +75,7 @@ def _first_of_each(key: Array, score: Array) -> Array:
 
 
 def _rank(key: Array, score: Array) -> Array:
-    """(k,) how many of the same key score higher."""
+    """(k,) number of entries with the same key and a higher score."""
     order = np.lexsort((-score, key))
     position = np.arange(len(key))
     starts = np.zeros(len(key), np.int64)

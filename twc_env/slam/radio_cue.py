@@ -1,4 +1,4 @@
-"""One kind of radio at the places of a path: how alike they are, what that tells of distances, fields of strength."""
+"""One kind of radio (WiFi or LTE) along a path: similarities, their distance model, and signal strength fields."""
 
 from __future__ import annotations
 
@@ -21,68 +21,70 @@ from twc_env.slam.similarity_model import SimilarityModel, train_on_path
 CUES = ("wifi", "lte")
 PAPER_APART_M = 100.0
 BANDWIDTHS_M = {"wifi": (8.0, 8.0, 5.0, 4.0, 4.0, 4.0), "lte": (40.0, 40.0, 30.0, 30.0, 25.0, 25.0, 20.0, 20.0, 20.0)}
-"""Of the fields of strength, round by round."""
+"""Bandwidths of the signal strength fields, round by round."""
 FIELD_SMOOTHING = 0.6
-"""Fields are fitted to fingerprints averaged over this share of the length that similarities are taken over."""
+"""Smoothing length of the fingerprints for fields, as a share of that for similarities."""
 EVIDENCE_SMOOTHING_M = 3.0
-"""Evidence is taken of fingerprints averaged over this length: over longer ones places near along the path would share
-scans, and look far more alike than the floor makes them."""
+"""Smoothing length for the evidence. With longer ones, neighbouring places share scans and are more similar than the
+field explains."""
 ALONG_SMOOTHING = {"wifi": 0.67, "lte": 1.0}
-"""The last fit takes evidence of fingerprints averaged over this share of the path between two places: so most scans
-count, at hardly any place but their own."""
+"""Smoothing length of the final fit, as a share of the place spacing: most scans are used, mostly at one place only."""
 
 
 @dataclass(slots=True, eq=False)
 class RadioCue:
-    """What places (n) heard of one kind of radio."""
+    """Data of one kind of radio at n places."""
 
     name: str
     travel_m: Array
-    """(n,) path length to each place."""
+    """(n,) path length at each place."""
     similarity: Array
     """(n, n)."""
     model: SimilarityModel
     feature: Array
-    """(n, transmitters) of which fields are made."""
+    """(n, transmitters) input of the fields."""
     evidence: FieldEvidence
-    """Of layouts as they are."""
+    """Evidence of a layout."""
     evidence_along: FieldEvidence
-    """Likewise, of all places and knowing what neighbours along the path have in common."""
-    worth: dict[float, float] = field(default_factory=dict)
-    """Of the fields, by bandwidth."""
+    """The same with all places, and with a term for correlation along the path."""
+    field_weights: dict[float, float] = field(default_factory=dict)
+    """Weight of field differences, by bandwidth."""
 
     @property
     def rounds(self) -> int:
-        """How often fields are made, from coarse to fine."""
+        """Number of field rounds, from coarse to fine."""
         return len(BANDWIDTHS_M[self.name])
 
     def closures(self, config: RadioSlamConfig, cell_m: float) -> Distances:
-        """Distances between alike places; by the weighting `ours`, of all between two cells the strongest."""
+        """Distances between similar places; with weighting `ours` the strongest per pair of cells."""
         if config.weighting == "ours":
             return radio_closures.closures(
                 self.similarity, self.travel_m, self.model, config.similarity_min, config.apart_m, cell_m,
                 config.closures_per_place,
             )  # fmt: skip
-        i, j = radio_closures.alike_pairs(self.similarity, self.travel_m, config.similarity_min, PAPER_APART_M)
+        i, j = radio_closures.similar_pairs(self.similarity, self.travel_m, config.similarity_min, PAPER_APART_M)
         return Distances(np.column_stack([i, j]), *self.model.distance(self.similarity[i, j]))
 
-    def ties(self, poses: Array, motions: Motions, round_: int, apart_m: float, cell_m: float) -> radio_field.Ties:
-        """What fields of a round's bandwidth tell of places near each other, by poses (n, 3)."""
+    def constraints(
+        self, poses: Array, motions: Motions, round_: int, apart_m: float, cell_m: float
+    ) -> radio_field.FieldConstraints:  # fmt: skip
+        """Constraints from the fields of a round's bandwidth, between places near each other at poses (n, 3)."""
         bandwidths = BANDWIDTHS_M[self.name]
         bandwidth_m = max(bandwidths[min(round_, len(bandwidths) - 1)], 1.5 * cell_m / 2)
-        if bandwidth_m not in self.worth:
-            reckoned = poses_along(motions.motion)
-            self.worth[bandwidth_m] = radio_field.learn_worth(self.feature, reckoned[:, :2], self.travel_m, bandwidth_m)
-        worth = self.worth[bandwidth_m]
-        return radio_field.ties(self.feature, poses[:, :2], self.travel_m, bandwidth_m, apart_m, worth)
+        if bandwidth_m not in self.field_weights:
+            reckoned = poses_along(motions.motion)[:, :2]
+            weight = radio_field.learn_weight(self.feature, reckoned, self.travel_m, bandwidth_m)
+            self.field_weights[bandwidth_m] = weight
+        weight = self.field_weights[bandwidth_m]
+        return radio_field.field_constraints(self.feature, poses[:, :2], self.travel_m, bandwidth_m, apart_m, weight)
 
 
 def prepared(
     name: str, fingerprints: Sequence[Fingerprint], travel_m: Array, places: Array, odometry: Array,
     config: RadioSlamConfig,
 ) -> RadioCue | None:  # fmt: skip
-    """The cue of that name at scans `places` (n,) of a log with path length travel_m (scans,) and dead-reckoned poses
-    (n, 3) there; None where too little was heard."""
+    """The cue of this name at scans `places` (n,) of a log with path length travel_m (scans,) and dead-reckoned poses
+    (n, 3) there; None if too little was received."""
     rows = feature_rows([split_cues(f)[name] for f in fingerprints], config.similarity)
     if rows.nnz == 0:
         return None

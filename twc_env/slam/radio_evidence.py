@@ -1,9 +1,8 @@
-"""How well a layout of places explains what was heard at them: the evidence of Gaussian processes over the floor.
+"""Evidence of a layout of places given the fingerprints: marginal likelihood of Gaussian processes over the floor.
 
-All transmitters share one covariance: two squared exponentials, one for how strength falls with distance and one for
-walls and shadows, and noise. Their sizes are those under which the layout has most evidence (Rasmussen & Williams 2006,
-Eq. 5.8-5.9), so nothing is known beforehand. Unlike a correlation of likeness with distance it tells a map that is
-folded at one place from one that is right.
+All transmitters share one covariance: two squared exponentials (distance; walls and shadows) and noise. The
+hyperparameters maximise the evidence of the layout (Rasmussen & Williams 2006, Eq. 5.8-5.9), so nothing is assumed
+known. Unlike a correlation of similarity with distance, it distinguishes a map folded at one place from a correct one.
 """
 
 from __future__ import annotations
@@ -14,20 +13,20 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 from scipy.optimize import minimize
 
 VARIANCES, LENGTHS_M, NOISE = (0.8, 0.3), (15.0, 5.0), 0.08
-"""Where the search begins; variances are shares of the features' own."""
+"""Initial hyperparameters; variances are shares of the features' variance."""
 ALONG_VARIANCE, ALONG_LENGTH_M = 0.1, 8.0
-"""Likewise, of what scans near along the path share beyond their places."""
+"""Initial values of the term for correlation along the path."""
 LOG_BOUNDS = [(-7.0, 3.0)] * 2 + [(0.7, 5.5)] * 2 + [(-6.0, 1.0), (-7.0, 3.0), (0.7, 5.5)]
 ITERATIONS = 6
 PLACES_MAX = 350
-"""Of more places, only every so many judge."""
+"""With more places, only every n-th is used."""
 
 
 class FieldEvidence:
-    """What features (n, transmitters) say of layouts.
+    """Evidence of layouts from features (n, transmitters).
 
-    With the path length to each place, travel_m (n,), what neighbours along the path have in common (fading, the body's
-    shadow, averaging) is told apart from what places have.
+    With path lengths travel_m (n,), correlation between neighbours along the path (fading, body shadowing, averaging)
+    is modelled separately from correlation by position.
     """
 
     def __init__(self, feature: Array, travel_m: Array | None = None, places_max: int = PLACES_MAX):
@@ -39,16 +38,16 @@ class FieldEvidence:
         self._along = None if travel_m is None else _squared(travel_m[:: self._every, None])
 
     def of(self, positions_m: Array) -> float:
-        """Logarithm of the evidence of positions (n, 2), per transmitter, up to a constant."""
+        """Log evidence of positions (n, 2), per transmitter, up to a constant."""
         return self.fitted(positions_m)[0]
 
     def fitted(
         self, positions_m: Array, start: Array | None = None, iterations: int = ITERATIONS
     ) -> tuple[float, Array]:
-        """The evidence, and the covariance's sizes under which it is so: logarithms of variances, lengths and noise,
-        then of variance and length along the path.
+        """The log evidence and the hyperparameters that maximise it: logs of variances, lengths and noise, then of
+        variance and length along the path.
 
-        `start`: such sizes, from which the search begins.
+        `start`: initial hyperparameters.
         """
         start = self._start() if start is None else start
         squared = _squared(positions_m[:: self._every])
@@ -58,23 +57,23 @@ class FieldEvidence:
         )  # fmt: skip
         return -float(found.fun), found.x
 
-    def under(self, positions_m: Array, logs: Array) -> float:
-        """The evidence under covariances of these sizes."""
+    def evidence_with(self, positions_m: Array, logs: Array) -> float:
+        """The log evidence at given hyperparameters."""
         covariance, _, _ = self._covariance(logs, _squared(positions_m[:: self._every]))
         factor, _ = dpotrf(covariance, lower=1)
         explained, _ = dpotrs(factor, self._likeness, lower=1)
         return -float(np.log(np.diag(factor)).sum() + 0.5 * np.trace(explained))
 
-    def slopes(self, positions_m: Array, logs: Array) -> tuple[Array, Array]:
-        """Of the evidence under covariances of these sizes: its slopes (n, 2) by the positions [1/m], and the
-        information (n, 2, n, 2) that it is expected to hold of them (Fisher's) [1/m2]."""
+    def gradient(self, positions_m: Array, logs: Array) -> tuple[Array, Array]:
+        """Gradient (n, 2) of the log evidence by positions [1/m] at given hyperparameters, and its Fisher information
+        (n, 2, n, 2) [1/m2]."""
         count, place = len(positions_m), positions_m[:: self._every]
         difference = place[:, None] - place  # (m, m, 2)
         slope, inverse, by_squared = self._slope(logs, (difference**2).sum(axis=2))
         pull = slope * by_squared
         by_place, information = np.zeros((count, 2)), np.zeros((count, 2, count, 2))
         by_place[:: self._every] = -4 * (pull.sum(axis=1)[:, None] * place - pull @ place)
-        moves = [2 * by_squared * difference[:, :, axis] for axis in range(2)]  # of row i with the place i
+        moves = [2 * by_squared * difference[:, :, axis] for axis in range(2)]  # d row i / d place i
         through = [move @ inverse for move in moves]
         every = slice(None, None, self._every)
         for a in range(2):
@@ -87,20 +86,21 @@ class FieldEvidence:
         return np.log([*VARIANCES, *LENGTHS_M, NOISE, *along])
 
     def _cost(self, logs: Array, squared: Array) -> tuple[float, Array]:
-        """Minus the log evidence, and its slopes by the logarithms of the sizes; squared distances (n, n)."""
+        """Negative log evidence and its gradient by the log hyperparameters; squared distances (n, n)."""
         covariance, parts, along = self._covariance(logs, squared)
         size = np.exp(logs)
         factor, inverse, explained = self._solved(covariance)
         slope = 0.5 * (inverse - explained @ inverse)
-        slopes = [(slope * part).sum() for part in parts]
-        slopes += [(slope * part * squared).sum() / length**2 for part, length in zip(parts, size[2:4], strict=True)]
-        slopes.append(size[4] * np.trace(slope))
+        gradient = [(slope * part).sum() for part in parts]
+        gradient += [(slope * part * squared).sum() / length**2 for part, length in zip(parts, size[2:4], strict=True)]
+        gradient.append(size[4] * np.trace(slope))
         if along is not None:
-            slopes += [(slope * along).sum(), (slope * along * self._along).sum() / size[6] ** 2]
-        return float(np.log(np.diag(factor)).sum() + 0.5 * np.trace(explained)), np.array(slopes)
+            gradient += [(slope * along).sum(), (slope * along * self._along).sum() / size[6] ** 2]
+        return float(np.log(np.diag(factor)).sum() + 0.5 * np.trace(explained)), np.array(gradient)
 
     def _slope(self, logs: Array, squared: Array) -> tuple[Array, Array, Array]:
-        """(n, n) slopes of the cost by the covariance, that one's inverse, and its slopes by squared distances."""
+        """(n, n) derivative of the cost by the covariance, the inverse covariance, and the derivative by squared
+        distances."""
         covariance, parts, _ = self._covariance(logs, squared)
         _, inverse, explained = self._solved(covariance)
         lengths = np.exp(logs[2:4])
@@ -108,14 +108,14 @@ class FieldEvidence:
         return 0.5 * (inverse - explained @ inverse), inverse, by_squared
 
     def _solved(self, covariance: Array) -> tuple[Array, Array, Array]:
-        """(n, n) its Cholesky factor and inverse, and that one times what was heard."""
+        """(n, n) Cholesky factor and inverse of the covariance, and the inverse times the feature Gram matrix."""
         factor, _ = dpotrf(covariance, lower=1)
         inverse = np.tril(dpotri(factor, lower=1)[0])
         inverse += np.tril(inverse, -1).T
         return factor, inverse, inverse @ self._likeness
 
     def _covariance(self, logs: Array, squared: Array) -> tuple[Array, list[Array], Array | None]:
-        """(n, n) in all, its two parts by place, and that along the path."""
+        """(n, n) total covariance, its two parts by position, and the part along the path."""
         size = np.exp(logs)
         parts = [v * np.exp(-0.5 * squared / length**2) for v, length in zip(size[:2], size[2:4], strict=True)]
         covariance = parts[0] + parts[1]

@@ -1,9 +1,9 @@
-"""Where a fingerprint fits among the fingerprints around it: signal strengths as smooth fields over the floor.
+"""Position constraints from local linear models of signal strength.
 
-Around each place the strength of every transmitter is a plane fitted to what other visits heard near by. The slope of
-these planes turns the difference between heard and expected strengths into a displacement, with its direction and its
-information: far more than one similarity tells. How much a difference is worth is learnt on the path itself, where
-odometry knows the displacement.
+Around each place the strength of every transmitter is a plane fitted to the readings of other visits nearby. The
+gradient of these planes turns the difference between measured and predicted strengths into a displacement with
+direction and information: far more than a single similarity. The weight of a difference is learned on the path itself,
+at neighbouring places whose displacement odometry knows.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ REACH = 2.5
 """Neighbours lie within this many bandwidths."""
 NEIGHBOURS_MIN, NEIGHBOURS_MAX = 4, 64
 SLOPE_RIDGE = 1.0
-"""Spread of neighbours [m2] below which a slope is rather taken as none."""
+"""Ridge [m2] on the spread of neighbours, which shrinks poorly determined gradients to zero."""
 VISITS = 3
-"""A displacement ties a place to the nearest places of at most this many other visits ..."""
+"""A displacement constrains a place relative to the nearest places of at most this many other visits ..."""
 VISIT_APART_M = 15.0
-"""... which lie further apart than this along the path."""
+"""... which are further apart than this along the path."""
 MOVED_PER_BANDWIDTH = 1.5
-"""Longer displacements are outside of what a plane can tell."""
+"""Longer displacements are outside the validity of a linear model and are dropped."""
 PRIOR_STD_M = 5.0
-"""Displacements are expected to be within this."""
+"""Prior standard deviation of displacements."""
 BEST_STD_M = 2.0
-"""No tie is believed more than this: what shapes the fields bends all ties of a place alike."""
+"""Lower bound of a constraint's standard deviation: errors of the field are common to all constraints of a place."""
 MEDIAN_SQUARED = 0.455
-"""Median of chi squared with one degree of freedom."""
+"""Median of chi-squared with one degree of freedom."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ties:
-    """Relative positions that the field asks for: pairs (k, 2) of places, and where the second lies from the first."""
+class FieldConstraints:
+    """Relative positions from the field: pairs (k, 2) of places, and the offset of the second from the first."""
 
     pairs: Array
     offset_m: Array
@@ -46,13 +46,13 @@ class Ties:
     """(k, 2, 2) in the map frame."""
 
     def relative(self, poses: Array) -> tuple[Array, Array]:
-        """As relative poses (k, 3) that say nothing of the heading, with information (k, 3, 3)."""
+        """As relative poses (k, 3) with zero heading information, and information (k, 3, 3)."""
         first, second = poses[self.pairs[:, 0]], poses[self.pairs[:, 1]]
         c, s = np.cos(first[:, 2]), np.sin(first[:, 2])
         turn = wrap_angle(second[:, 2] - first[:, 2])
         dx, dy = self.offset_m.T
         relative = np.column_stack([c * dx + s * dy, -s * dx + c * dy, turn])
-        # The residual is seen from the second pose's frame (g2o), so the information is turned into that.
+        # The residual is in the second pose's frame (g2o), so the information is rotated into that.
         c, s = np.cos(second[:, 2]), np.sin(second[:, 2])
         rotation = np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)], axis=1)
         information = np.zeros((len(turn), 3, 3))
@@ -60,14 +60,16 @@ class Ties:
         return relative, information
 
 
-def ties(feature: Array, positions_m: Array, travel_m: Array, bandwidth_m: float, apart_m: float, worth: float) -> Ties:
-    """What features (n, transmitters) at estimated positions (n, 2) say about each other's places.
+def field_constraints(
+    feature: Array, positions_m: Array, travel_m: Array, bandwidth_m: float, apart_m: float, weight: float
+) -> FieldConstraints:
+    """Constraints between places from features (n, transmitters) at estimated positions (n, 2).
 
-    Only places further apart along the path than apart_m speak to each other.
+    Only places further apart than apart_m along the path are compared.
     """
     curvature, pull, near = _fit_all(feature, positions_m, travel_m, bandwidth_m, apart_m, np.inf)
     known = np.flatnonzero(near[:, 0] >= 0)
-    curvature, pull, near = worth * curvature[known], worth * pull[known], near[known]
+    curvature, pull, near = weight * curvature[known], weight * pull[known], near[known]
     moved = np.linalg.solve(curvature + np.eye(2) / PRIOR_STD_M**2, pull[..., None])[..., 0]
     kept = np.hypot(moved[:, 0], moved[:, 1]) <= MOVED_PER_BANDWIDTH * bandwidth_m
     known, curvature, moved, near = known[kept], curvature[kept], moved[kept], near[kept]
@@ -78,11 +80,11 @@ def ties(feature: Array, positions_m: Array, travel_m: Array, bandwidth_m: float
     row, column = np.nonzero(near >= 0)
     place, other = known[row], near[row, column]
     offset = positions_m[place] + moved[row] - positions_m[other]
-    return Ties(np.column_stack([other, place]), offset, information[row] / count[row, None, None])
+    return FieldConstraints(np.column_stack([other, place]), offset, information[row] / count[row, None, None])
 
 
-def learn_worth(feature: Array, positions_m: Array, travel_m: Array, bandwidth_m: float) -> float:
-    """How much a squared difference of strengths weighs, from places near along the path, where odometry is right."""
+def learn_weight(feature: Array, positions_m: Array, travel_m: Array, bandwidth_m: float) -> float:
+    """Weight of a squared strength difference, from neighbouring places along the path, where odometry is accurate."""
     curvature, pull, near = _fit_all(feature, positions_m, travel_m, bandwidth_m, 0.5 * bandwidth_m, 3.0 * bandwidth_m)
     known = near[:, 0] >= 0
     value, vector = np.linalg.eigh(curvature[known])
@@ -103,7 +105,8 @@ def _fit_all(feature, positions_m, travel_m, bandwidth_m, apart_m, together_m):
 
 @kernel
 def _planes(feature, positions, travel, bandwidth, apart, together):
-    """Per place: sum of slope slope^T (n, 2, 2) and of slope * difference (n, 2); nearest of other visits (n, 3)."""
+    """Per place: sum of gradient outer products (n, 2, 2), of gradient * difference (n, 2), nearest other visits (n,
+    3)."""
     count, width = feature.shape
     curvature, pull = np.zeros((count, 2, 2)), np.zeros((count, 2))
     near = np.full((count, VISITS), -1, np.int64)

@@ -1,4 +1,4 @@
-"""The radio signature of a place, and how alike two of them are (TWC-SLAM Eq. 7-10, repaired as in papers.md T6-T8)."""
+"""Radio fingerprints of places and their similarity (TWC-SLAM Eq. 7-10, corrected as in papers.md T6-T8)."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ STD_MODES = {"population": 0, "sample": 1, "paper": 2}
 EMPTY = Fingerprint(np.zeros(0, np.int64), np.zeros(0))
 NO_AGES = np.zeros((0, 0))
 NO_MAC = np.int64(2**63 - 1)
-"""Above all addresses: what follows the last of them."""
+"""Larger than any address: end marker."""
 
 
 class ScanWindows:
-    """The latest scans of several receivers, side by side in arrays, of which fingerprints are made."""
+    """Ring buffers with the latest scans of several receivers, from which fingerprints are computed."""
 
     def __init__(self, receivers: int, scans_max: int):
         self.width = 32
-        """For how many transmitters in a scan there is room."""
+        """Capacity: transmitters per scan."""
         self._macs, self._rssi_dbm, self._ages_s = _rings(receivers, scans_max, self.width)
         self._counts, self._times_s = np.zeros((receivers, scans_max), np.int64), np.zeros((receivers, scans_max))
         self._added = np.zeros(receivers, np.int64)
         self._found = _found(scans_max, self.width)
         self._room = np.empty((3, scans_max), np.int64), np.empty(scans_max)
-        """Of each scan, while they are read side by side: its row, place and transmitter; and strengths."""
+        """Work arrays of `fingerprint_of`: row, position and transmitter of each scan; strengths."""
         self._pack: Lent | None = None
 
     @property
     def rings(self) -> Lent:
-        """All of it, for `fingerprint_of`."""
+        """All arrays, for `fingerprint_of`."""
         if self._pack is None:
             self._pack = Lent((*self.kept, *self._found, *self._room))
         return self._pack
 
     @property
     def kept(self) -> tuple[Array, ...]:
-        """The scans, for `keep`."""
+        """The stored scans, for `keep`."""
         return self._macs, self._rssi_dbm, self._ages_s, self._counts, self._times_s, self._added
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_pack": None}
 
     def widen(self, to: int) -> None:
-        """Make room for scans of so many transmitters; what is `kept` stands elsewhere then."""
+        """Enlarge the capacity to `to` transmitters per scan; invalidates references to `kept`."""
         receivers, scans, width = self._macs.shape
         wider = _rings(receivers, scans, to)
         for new, old in zip(wider, (self._macs, self._rssi_dbm, self._ages_s), strict=True):
@@ -65,11 +65,11 @@ class ScanWindows:
         std_mode: str = "population",
         age_max_s: float = math.inf,
     ) -> Fingerprint:
-        """See `fingerprint`, of the kept scans of one receiver that are younger than a time."""
+        """See `fingerprint`; uses the stored scans of one receiver that are newer than `after_s`."""
         return self.latest(fingerprint_of(receiver, self.rings, after_s, age_max_s, detection_min, STD_MODES[std_mode]))
 
     def latest(self, count: int) -> Fingerprint:
-        """The fingerprint that `fingerprint_of` found last, of so many transmitters."""
+        """The fingerprint of `count` transmitters that `fingerprint_of` computed last."""
         macs, levels = self._found
         return Fingerprint(macs[:count].copy(), levels[:count].copy()) if count else EMPTY
 
@@ -80,16 +80,16 @@ def _rings(receivers: int, scans: int, width: int) -> tuple[Array, Array, Array]
 
 
 def _found(scans: int, width: int) -> tuple[Array, Array]:
-    """Room for the transmitters of a fingerprint and their strengths."""
+    """Output arrays for the transmitters of a fingerprint and their strengths."""
     return np.empty(scans * width, np.int64), np.empty(scans * width)
 
 
 @borrowing_kernel
 def keep(kept, time, receivers, whose, macs, levels, ages, heard):
-    """Keep scans in `ScanWindows.kept`, which has room for them; the oldest of each receiver gives way.
+    """Store scans in `ScanWindows.kept`, whose capacity must suffice; replaces the oldest of each receiver.
 
-    receivers (n,); whose (k,): to which of these each scan belongs. ages (k, most): of the readings; `NO_AGES` where
-    all are new.
+    receivers (n,); whose (k,): index into receivers of each scan. ages (k, most) of the readings; `NO_AGES` if all are
+    new.
     """
     kept_macs, kept_levels, kept_ages, counts, times, added = kept
     for a in range(whose.shape[0]):
@@ -105,11 +105,11 @@ def keep(kept, time, receivers, whose, macs, levels, ages, heard):
 def fingerprint(
     scans: Sequence[WifiScan], detection_min: float, std_mode: str = "population", age_max_s: float = math.inf
 ) -> Fingerprint:
-    """Clipped mean strength of every transmitter heard in at least `detection_min` of the scans.
+    """Clipped mean strength of every transmitter received in at least `detection_min` of the scans.
 
-    A reading counts when it lies within one spread of the mean (TWC-SLAM Eq. 7-8). `std_mode` says what the spread is:
-    "population" (1/n), "sample" (1/(n-1)) or "paper" (no division at all: then nothing is ever rejected). Readings
-    that their scan repeats from more than `age_max_s` ago belong to another place and are left out.
+    A reading counts if it is within one standard deviation of the mean (TWC-SLAM Eq. 7-8). `std_mode`: "population"
+    (1/n), "sample" (1/(n-1)) or "paper" (no division: then nothing is ever rejected). Cached readings older than
+    `age_max_s` belong to another place and are dropped.
     """
     window, receiver = ScanWindows(1, max(len(scans), 1)), np.zeros(1, np.int64)
     for scan in scans:
@@ -120,7 +120,7 @@ def fingerprint(
 
 
 def ages_of(scans: Sequence[WifiScan | None]) -> Array:
-    """(k, most) ages [s] of the readings in the order of `WifiScans.of`; `NO_AGES` where no scan repeats old ones."""
+    """(k, most) ages [s] of the readings in the order of `WifiScans.of`; `NO_AGES` if no scan has cached readings."""
     heard = [scan for scan in scans if scan is not None]
     if all(scan.age_s is None for scan in heard):
         return NO_AGES
@@ -132,7 +132,7 @@ def ages_of(scans: Sequence[WifiScan | None]) -> Array:
 
 @borrowing_kernel
 def _next_young(ages, count, at, age_max):
-    """The first of the readings from number `at` on that is young enough; the count where there is none."""
+    """Index of the first reading from `at` on that is not too old; the count if there is none."""
     while at < count and ages[at] > age_max:
         at += 1
     return at
@@ -143,10 +143,11 @@ def _clipped_means(
     macs, levels, ages, counts, times, added, after, age_max, detection_min, std_mode, out_macs, out_levels,
     places, heard,
 ):  # fmt: skip
-    """For each transmitter with enough readings the mean of those within one spread; gives how many there are.
+    """For each transmitter with enough readings, the mean of those within one standard deviation; returns their number.
 
-    The rows are a ring in which the next scan would be number `added`; each ascends. Those later than `after` are read
-    side by side, lowest transmitter first and oldest scan first. places (3, scans) and heard (scans,) are room for it.
+    The rows are a ring buffer in which the next scan would be number `added`, each sorted by transmitter. Rows later
+    than `after` are merged: lowest transmitter first, oldest scan first. places (3, scans), heard (scans,) are work
+    arrays.
     """
     size = counts.shape[0]
     rows, at, following = places[0], places[1], places[2]
@@ -199,7 +200,7 @@ def _clipped_means(
 
 @borrowing_kernel
 def fingerprint_of(receiver, rings, after, age_max, detection_min, std_mode):
-    """`_clipped_means` of one receiver of `ScanWindows.rings`, found there."""
+    """`_clipped_means` of one receiver of `ScanWindows.rings`, stored there."""
     macs, levels, ages, counts, times, added, found_macs, found_levels, places, heard = parts_of(rings)
     return _clipped_means(
         macs[receiver], levels[receiver], ages[receiver], counts[receiver], times[receiver], added[receiver], after,
@@ -208,14 +209,14 @@ def fingerprint_of(receiver, rings, after, age_max, detection_min, std_mode):
 
 
 def mac_similarity(a: Fingerprint, b: Fingerprint) -> float:
-    """Shared transmitters over the larger set (TWC-SLAM Eq. 9); 0 where one side heard nothing."""
+    """Number of shared transmitters over the size of the larger set (TWC-SLAM Eq. 9); 0 if one side is empty."""
     if len(a.macs) == 0 or len(b.macs) == 0:
         return 0.0
     return _shared(a, b)[0].sum() / max(len(a.macs), len(b.macs))
 
 
 def rssi_distance_db(a: Fingerprint, b: Fingerprint) -> tuple[float, int]:
-    """Root of the summed squared differences over the shared transmitters [dB] (Eq. 10), and how many they are."""
+    """Root of the summed squared differences over the shared transmitters [dB] (Eq. 10), and their number."""
     in_a, position = _shared(a, b)
     difference = a.rssi_dbm[in_a] - b.rssi_dbm[position[in_a]]
     return float(np.sqrt((difference**2).sum())), int(in_a.sum())
@@ -223,7 +224,7 @@ def rssi_distance_db(a: Fingerprint, b: Fingerprint) -> tuple[float, int]:
 
 @kernel
 def rssi_similarity(distance_db, shared, tolerance_db):
-    """min(1, tolerance / rms difference): 1 within the tolerance, falling after (papers.md T8); 0 if none is shared."""
+    """min(1, tolerance / RMS difference) (papers.md T8); 0 without shared transmitters."""
     if shared == 0:
         return 0.0
     rms = distance_db / math.sqrt(shared)
@@ -231,6 +232,6 @@ def rssi_similarity(distance_db, shared, tolerance_db):
 
 
 def _shared(a: Fingerprint, b: Fingerprint) -> tuple[Array, Array]:
-    """For each transmitter of a: is it in b, and where."""
+    """For each transmitter of a: whether it is in b, and its index there."""
     position = np.minimum(np.searchsorted(b.macs, a.macs), max(len(b.macs) - 1, 0))
     return (b.macs[position] == a.macs) if len(b.macs) else np.zeros(len(a.macs), bool), position

@@ -1,10 +1,11 @@
-"""Radio and laser together: the radio trajectory says which scans may show one place, scan matching says how exactly.
+"""Trajectory from radio and laser: the radio trajectory proposes scan pairs, scan matching measures their relative
+pose.
 
-The front end has already registered each scan to those before it (radio SLAM, "registration of LiDAR scans in
-proximity"). Here keyframes that the radio trajectory puts near each other are matched, the closures that hold are
-optimised with the front end's own motions, robustly, and what is near in the better trajectory is matched again. A
-corridor does not fix its own axis: the matcher leaves that direction to odometry. Radio has no say once laser closures
-hold the graph; last, every scan is laid on its neighbours one to one (`scan_alignment`).
+The front end has already registered each scan to the previous ones (radio SLAM, "registration of LiDAR scans in
+proximity"). Here, keyframes near each other in the radio trajectory are matched, the accepted closures are optimised
+robustly together with the front end's motions, and keyframes near each other in the result are matched again. A
+corridor does not constrain its own axis; the matcher leaves that direction to odometry. Radio is not used in the
+optimisation once laser closures exist. Finally every scan is aligned to its neighbours (`scan_alignment`).
 """
 
 from __future__ import annotations
@@ -23,12 +24,13 @@ from twc_env.slam.loop_verification import LoopVerifier
 from twc_env.slam.occupancy_grid import OccupancyGrid
 
 ROUNDS = ((5.0, "wifi"), (2.5, "proximity"))
-"""How near two keyframes must be to be matched, and what the first guess is worth: by radio first, then by laser."""
+"""Per round: maximum distance of two keyframes to be matched, and the recogniser name that selects the search
+window."""
 SPACING_M = 1.5
 """Path length between keyframes that are matched."""
 APART_M = 15.0
 VISITS = 2
-"""Each is matched to the nearest keyframe of this many other visits."""
+"""Each keyframe is matched to the nearest keyframe of this many other visits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,13 +40,13 @@ class RadioLidarResult:
     poses: Array
     """(keyframes, 3), the first at (0, 0, 0)."""
     closures: tuple[LoopClosure, ...]
-    """That scan matching accepted and the robust optimisation believed."""
+    """Closures accepted by scan matching and by the robust optimisation."""
     grid: GridMap
     radio: radio_slam.RadioResult
 
 
 def solve(keyframes: Sequence[Keyframe], config: EnvConfig, cues: Sequence[str] = radio_cue.CUES) -> RadioLidarResult:
-    """Trajectory and occupancy map from one robot's keyframes, in order."""
+    """Trajectory and occupancy grid from one robot's keyframes, in order."""
     radio = radio_slam.solve(radio_slam.log_of(keyframes), config.slam.radio_slam, cues)
     poses = radio.poses
     closures: tuple[LoopClosure, ...] = ()
@@ -60,7 +62,7 @@ def solve(keyframes: Sequence[Keyframe], config: EnvConfig, cues: Sequence[str] 
 def _matched(
     keyframes: Sequence[Keyframe], poses: Array, reach_m: float, source: str, config: EnvConfig
 ) -> list[LoopClosure]:
-    """Closures between keyframes that lie near each other but far apart along the path, as scan matching finds them."""
+    """Verified closures between keyframes within reach_m of each other but far apart along the path."""
     verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar)
     travel_m = np.array([k.travel_m for k in keyframes])
     accepted, last_m = [], -np.inf
@@ -78,7 +80,7 @@ def _matched(
 
 
 def _nearest_visits(poses: Array, travel_m: Array, here: int, reach_m: float) -> list[int]:
-    """Keyframes before this one, of other visits, the nearest first."""
+    """Earlier keyframes of other visits, nearest first."""
     count = int(np.searchsorted(travel_m, travel_m[here] - APART_M))
     away = np.linalg.norm(poses[:count, :2] - poses[here, :2], axis=1)
     chosen: list[int] = []
@@ -93,7 +95,7 @@ def _nearest_visits(poses: Array, travel_m: Array, here: int, reach_m: float) ->
 def _optimised(
     keyframes: Sequence[Keyframe], poses: Array, closures: list[LoopClosure], config: EnvConfig
 ) -> tuple[Array, tuple[LoopClosure, ...]]:
-    """The second optimisation: motions and laser closures, robust."""
+    """Robust optimisation of motions and laser closures."""
     count = len(keyframes)
     chain = np.column_stack([np.arange(count - 1), np.arange(1, count)])
     pairs = np.array([(c.candidate.target[1], c.candidate.source[1]) for c in closures], np.int64).reshape(-1, 2)

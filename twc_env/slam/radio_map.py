@@ -1,6 +1,6 @@
-"""Where a fingerprint was heard, by a map of fingerprints at known places: nearest neighbours, or a Gaussian process.
+"""Localisation in a radio map (fingerprints at known places): nearest neighbours, or a Gaussian process.
 
-A radio map is what radio SLAM leaves behind (papers.md R10): its optimised places with what was heard there.
+A radio map is a result of radio SLAM (papers.md R10): its optimised places with their fingerprints.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from twc_env.slam.given_fingerprints import given_fingerprint, given_fingerprint
 from twc_env.slam.radio_similarity import FingerprintStore, features
 
 CANDIDATE_M = 0.5
-"""Spacing of the places tried around those of the map."""
+"""Spacing of the candidate places around those of the map."""
 CANDIDATES_PER_PLACE = 9
 _AT_ONCE = 256
-"""Candidates whose correlation with all places is held at one time."""
+"""Candidates per block of the correlation matrix (bounds memory)."""
 
 
 class RadioMap:
@@ -41,9 +41,10 @@ class RadioMap:
             self._store.add(fingerprint)
 
     def nearest(self, fingerprint: Fingerprint, neighbours: int = 4) -> Array:
-        """(2,) mean place of the most alike fingerprints, weighted by likeness; the middle of the map for silence.
+        """(2,) mean place of the most similar fingerprints, weighted by similarity; the map's centroid for an empty
+        one.
 
-        Raises DataError for a fingerprint that is none, or fewer neighbours than one.
+        Raises DataError for an invalid fingerprint or fewer than one neighbour.
         """
         if not neighbours >= 1:
             raise DataError(f"neighbours must be 1 or more; got {neighbours!r}")
@@ -55,16 +56,16 @@ class RadioMap:
 
 
 class GaussianProcessMap:
-    """Strength of every transmitter as a Gaussian process over the floor, all with one kernel (Ferris 2006).
+    """Signal strength of every transmitter as a Gaussian process over the floor, all with one kernel (Ferris 2006).
 
-    What is not heard counts as the faintest strength. The place is the mean of the likelihood over candidate places,
-    those of the map and around them.
+    A transmitter that is not received counts as the weakest strength. The estimate is the mean of the likelihood over
+    candidate places: those of the map and around them.
     """
 
     def __init__(
         self, radio_map: RadioMap, length_m: float = 6.0, signal_std_db: float = 8.0, noise_std_db: float = 4.0
     ):
-        """Raises DataError for a length or a spread that is not above 0."""
+        """Raises DataError for a length or a standard deviation that is not above 0."""
         if not min(length_m, signal_std_db, noise_std_db) > 0.0:
             raise DataError(
                 "length_m, signal_std_db and noise_std_db must be above 0; "
@@ -91,7 +92,7 @@ class GaussianProcessMap:
             self._variance[part] = np.maximum(signal_std_db**2 - explained, 0.0)
 
     def locate(self, fingerprint: Fingerprint) -> tuple[Array, Array]:
-        """Place (2,) and its covariance (2, 2). Raises DataError for a fingerprint that is none."""
+        """Place (2,) and its covariance (2, 2). Raises DataError for an invalid fingerprint."""
         fingerprint = given_fingerprint(fingerprint)
         total = self._variance + self._noise_db**2
         squared = ((self._row(fingerprint) - self._expected) ** 2).sum(axis=1)
@@ -112,6 +113,6 @@ class GaussianProcessMap:
 
 
 def _kernel(a: Array, b: Array, length_m: float) -> Array:
-    """(a, b) correlation of places, 1 at no distance."""
+    """(a, b) correlation of places, 1 at distance 0."""
     squared = (a[:, :1] - b[:, 0]) ** 2 + (a[:, 1:] - b[:, 1]) ** 2
     return np.exp(-0.5 * squared / length_m**2)

@@ -1,5 +1,5 @@
-"""A path fitted to radio under one assumption of how noisy its odometry is: grown from its beginning by distances that
-similarity tells, then tied to itself by fields of strength, its odometry calibrated after each fit."""
+"""Fit a path to radio for one assumed odometry noise: first incrementally with distances from similarities, then with
+constraints from signal strength fields; odometry is recalibrated after each fit."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from twc_env.slam.odometry_calibration import Motions, calibrated
 from twc_env.slam.radio_cue import RadioCue
 
 FIRST_STAGE_M, STAGE_GROWTH = 60.0, 1.3
-"""The path is fitted up to here first, then up to this many times as far, and so on."""
+"""Path length of the first fit [m], and growth factor of the next ones."""
 STAGE_ITERATIONS, FINAL_ITERATIONS, FINAL_ROUNDS = 6, 20, 4
-TIE_ITERATIONS = 10
+CONSTRAINT_ITERATIONS = 10
 
 
 class PathFit:
@@ -31,12 +31,12 @@ class PathFit:
         self._travel_m, self._information, self._cues = travel_m, information, cues
         self._config, self._cell_m = config, cell_m
 
-    def whole(self, motions: Motions, closures: Distances) -> Array:
-        """Poses (places, 3) of the path."""
-        return self._tied(*self._grown(motions, closures))
+    def fit_whole(self, motions: Motions, closures: Distances) -> Array:
+        """Poses (places, 3) of the whole path."""
+        return self._fit_fields(*self._fit_incrementally(motions, closures))
 
-    def _grown(self, motions: Motions, closures: Distances) -> tuple[Array, Motions]:
-        """Fit the path from its beginning on, further and further; its odometry is calibrated on the way."""
+    def _fit_incrementally(self, motions: Motions, closures: Distances) -> tuple[Array, Motions]:
+        """Fit longer and longer parts of the path from its start, recalibrating odometry after each."""
         poses, total_m = np.zeros((1, 3)), self._travel_m[-1]
         end_m, last = FIRST_STAGE_M, closures.pairs.max(axis=1)
         rounds_left = FINAL_ROUNDS
@@ -54,23 +54,26 @@ class PathFit:
             rounds_left -= is_whole
         return poses, motions
 
-    def _tied(self, poses: Array, motions: Motions) -> Array:
-        """Places tied by the fields of strength, from coarse to fine."""
+    def _fit_fields(self, poses: Array, motions: Motions) -> Array:
+        """Fit with constraints from the signal strength fields, coarse to fine."""
         for k in range(max(cue.rounds for cue in self._cues)):
-            ties = [cue.ties(poses, motions, k, self._config.apart_m, self._cell_m) for cue in self._cues]
-            poses = self.fit(poses, motions, NO_DISTANCES, [t for t in ties if len(t.pairs)], iterations=TIE_ITERATIONS)
+            constraints = [cue.constraints(poses, motions, k, self._config.apart_m, self._cell_m) for cue in self._cues]
+            poses = self.fit(
+                poses, motions, NO_DISTANCES, [c for c in constraints if len(c.pairs)], iterations=CONSTRAINT_ITERATIONS
+            )
             motions = calibrated(motions, poses)
         return poses
 
     def fit(
-        self, poses: Array, motions: Motions, closures: Distances, ties: Sequence[radio_field.Ties] = (),
+        self, poses: Array, motions: Motions, closures: Distances,
+        constraints: Sequence[radio_field.FieldConstraints] = (),
         robust: bool = True, iterations: int = FINAL_ITERATIONS,
     ) -> Array:  # fmt: skip
-        """Poses after least squares over the odometry of their part of the path, closures and ties."""
+        """Poses after least squares over odometry, distance closures and field constraints."""
         count = len(poses)
         chain = np.arange(count - 1)
         odometry = np.column_stack([chain, chain + 1]), motions.motion[: count - 1], self._information[: count - 1]
-        parts = zip(odometry, *((tie.pairs, *tie.relative(poses)) for tie in ties), strict=True)
+        parts = zip(odometry, *((c.pairs, *c.relative(poses)) for c in constraints), strict=True)
         edges, measured, information = (np.concatenate(part) for part in parts)
         scale = self._config.robust_scale if robust else math.inf
         return RadioEquations(edges, measured, information, closures, count).fit(poses, scale, iterations)

@@ -1,15 +1,15 @@
-"""The last fit of radio SLAM: the path that is likeliest under odometry and under all that was heard along it at once.
+"""Final fit of radio SLAM: the maximum a posteriori path given odometry and all readings.
 
-Ties between single places (`radio_field`) tell displacements one by one. The evidence of the whole layout
-(`radio_evidence`) also weighs what is alike far away and what is not, so it sees how the map lies as a whole (maximum a
-posteriori; WiFi-SLAM, Ferris, Fox, Lawrence 2007, without its latent dynamics). Each step solves for all places at once
-with the information that the evidence is expected to hold of them (Fisher scoring), in as many unknowns as places have.
+Constraints between single places (`radio_field`) give displacements one by one. The evidence of the whole layout
+(`radio_evidence`) also depends on which places are similar far apart and which are not, so it is sensitive to the shape
+of the map (similar to WiFi-SLAM, Ferris, Fox, Lawrence 2007, without its latent dynamics). Each step solves for all
+places at once with the expected information of the evidence (Fisher scoring), in as many unknowns as places have.
 
-Ways along the walls of a building (`building_axes`) keep the headings straight: without them the heading of the first
-pose, and with it the whole map, is only known as well as the first few turns.
+Path segments along the building's walls (`building_axes`) constrain the headings: otherwise the heading of the first
+pose, and so of the whole map, is only as accurate as the first few turns.
 
-How noisy the odometry is nobody says either: it follows from how well paths under each level of noise explain what was
-heard, all of them and not the best alone (type II maximum likelihood; Rasmussen & Williams 2006, Eq. 5.8).
+The odometry noise is estimated from how well paths under each noise level explain the readings, integrated over all
+paths instead of the best one (type II maximum likelihood; Rasmussen & Williams 2006, Eq. 5.8).
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from twc_env.slam.odometry_calibration import CURL_STD_RAD_M, TURN_STD, Motions,
 from twc_env.slam.radio_evidence import FieldEvidence
 
 EVIDENCE_WEIGHT = 6.0
-"""What is heard weighs as so many independent transmitters: with more of them, paths stray from the truth further than
-they claim. Chosen on walks 0 to 3 and 100 to 105 of the twins."""
+"""Effective number of independent transmitters. With more, paths deviate from the truth by more than their covariance
+says. Chosen on walks 0 to 3 and 100 to 105 of the twins."""
 AXES_WEIGHT = 0.5
-"""Ways along axes count half: counted in full they bend a path that odometry knows better (uw_floor)."""
+"""Weight of the building axes: with 1 they bend a path that odometry knows better (uw_floor)."""
 ROUNDS, STEPS_MAX, SIZE_ITERATIONS = 5, 3, 30
-"""Each round moves the path, then fits noise and covariance anew; this one is first fitted in more iterations."""
+"""Rounds of path and hyperparameter updates, steps per round, and iterations of the first hyperparameter fit."""
 GAIN_MIN = 0.1
-"""A step that gains less is the last of its round."""
+"""Minimum decrease of the cost to continue a round."""
 HALVINGS = 5
 LOG_NOISE_STD, LOG_NOISE_BOUNDS = 1.0, (-4.0, 3.0)
-"""By what factor the noise of odometry may differ from the configured one, as a logarithm."""
+"""Prior of the odometry noise factor: log standard deviation and bounds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,54 +48,52 @@ class Refined:
     poses: Array
     """(p, 3)."""
     misfit: float
-    """Minus the logarithm of the probability of what was heard, over all paths near this one, up to a constant: of
-    paths by the same evidence the lowest is best."""
+    """Negative log evidence integrated over paths near this one, up to a constant; comparable for the same readings."""
     explained: float
-    """Share of what was heard, by variance, that places explain: the rest is noise, or shared by neighbours along the
-    path only."""
+    """Share of the readings' variance explained by position; the rest is noise or correlation along the path."""
     noise: float
-    """How many times as noisy as configured the odometry is."""
+    """Estimated odometry noise relative to the configured one."""
 
 
 def refined(
     poses: Array, motions: Motions, information: Array, evidences: Sequence[FieldEvidence],
     axes: BuildingAxes | None = None,
 ) -> Refined:  # fmt: skip
-    """The path that is likeliest, from poses (p, 3); its first pose is the origin.
+    """The maximum a posteriori path, starting from poses (p, 3); its first pose is the origin.
 
-    `motions` lead from place to place, with information (p - 1, 3, 3) of which only the diagonal counts. Fields of any
-    size explain what was heard as well in a map of that size: so it is the odometry's, whatever size the poses have.
-    `axes` are where the search for those of the building begins; with a share of 0 there are none.
+    `motions` lead from place to place, with information (p - 1, 3, 3) of which only the diagonal is used. Fields of any
+    length scale explain the readings of a scaled map equally well, so the scale is taken from odometry. `axes` is the
+    initial value of the building axes; with a share of 0 they are not used.
     """
     poses = poses / [*2 * [calibration(motions, poses).scale], 1.0]
     sizes = [evidence.fitted(poses[:, :2], iterations=SIZE_ITERATIONS)[1] for evidence in evidences]
     missed = between(poses[:-1], poses[1:]) - motions.motion
     missed[:, 2] = wrap_angle(missed[:, 2])
     fit, noise = _Fit(motions, information, evidences, axes or BuildingAxes()), 1.0
-    missed, view = fit.settled(missed, noise, sizes)
+    missed, view = fit.minimised(missed, noise, sizes)
     for _ in range(ROUNDS - 1):
         noise = float(np.sqrt(noise * fit.noise(missed, sizes)))
         poses = fit.poses(missed)
         sizes = [evidence.fitted(poses[:, :2], size)[1] for evidence, size in zip(evidences, sizes, strict=True)]
-        missed, view = fit.settled(missed, noise, sizes)
+        missed, view = fit.minimised(missed, noise, sizes)
     shares = [_explained(size) for size in sizes]
-    misfit = fit.cost(missed, noise, sizes) + view.volume(noise) + _unlikely(noise)
+    misfit = fit.cost(missed, noise, sizes) + view.volume(noise) + _noise_prior(noise)
     return Refined(fit.poses(missed), misfit, sum(shares) / max(len(shares), 1), noise)
 
 
 def _explained(size: Array) -> float:
-    """Share of the variance of a fitted covariance (`FieldEvidence.fitted`) that depends on places."""
+    """Share of the variance of a fitted covariance (`FieldEvidence.fitted`) that depends on position."""
     places, rest = np.exp(size[:2]).sum(), np.exp(size[4:6]).sum()
     return float(places / (places + rest))
 
 
-def _unlikely(noise: float) -> float:
+def _noise_prior(noise: float) -> float:
     return 0.5 * (np.log(noise) / LOG_NOISE_STD) ** 2
 
 
 class _Fit:
-    """A path whose unknowns are what the odometry missed of each motion (p - 1, 3): noise, and errors that stay the
-    same all along (`odometry_calibration`)."""
+    """Cost of a path with the odometry corrections `missed` (p - 1, 3) as unknowns: noise plus systematic errors
+    (`odometry_calibration`)."""
 
     def __init__(self, motions: Motions, information: Array, evidences: Sequence[FieldEvidence], axes: BuildingAxes):
         self._motion, self._evidences, self._axes = motions.motion, evidences, axes
@@ -107,23 +105,23 @@ class _Fit:
         return poses_along(self._motion + missed)
 
     def cost(self, missed: Array, noise: float, sizes: Sequence[Array]) -> float:
-        """Minus the logarithm of the probability of a path, under the likeliest constant errors."""
+        """Negative log posterior of a path, maximised over the systematic errors."""
         variance = noise**2 * self._variance
         causes = (self._causes / variance).reshape(2, -1)
         constant = causes @ missed.ravel()
         normal = causes @ self._causes.reshape(2, -1).T + np.eye(2)
         strain = (missed**2 / variance).sum() - constant @ np.linalg.solve(normal, constant)
         places = self.poses(missed)[:, :2]
-        told = sum(evidence.under(places, size) for evidence, size in zip(self._evidences, sizes, strict=True))
+        told = sum(evidence.evidence_with(places, size) for evidence, size in zip(self._evidences, sizes, strict=True))
         return 0.5 * float(strain) + AXES_WEIGHT * self._axes.cost(places) - EVIDENCE_WEIGHT * told
 
-    def settled(self, missed: Array, noise: float, sizes: Sequence[Array]) -> tuple[Array, _View]:
-        """What the odometry missed where the cost is least, and the last view from there."""
+    def minimised(self, missed: Array, noise: float, sizes: Sequence[Array]) -> tuple[Array, _QuadraticModel]:
+        """The correction of least cost by damped steps, and the last quadratic model."""
         self._axes = self._axes.fitted(self.poses(missed)[:, :2])
         cost = self.cost(missed, noise, sizes)
         for _ in range(STEPS_MAX):
-            view = self._view(missed, sizes, self._axes)
-            step = view.likeliest(noise) - missed
+            view = self._model(missed, sizes, self._axes)
+            step = view.maximum(noise) - missed
             for halving in range(HALVINGS):
                 moved = missed + 0.5**halving * step
                 moved_cost = self.cost(moved, noise, sizes)
@@ -137,21 +135,21 @@ class _Fit:
         return missed, view
 
     def noise(self, missed: Array, sizes: Sequence[Array]) -> float:
-        """How noisy the odometry is, by what was heard alone: ways that axes hold straight look less noisy."""
-        return self._view(missed, sizes, BuildingAxes(0.0)).noise()
+        """Estimated odometry noise from the readings alone; path segments held straight by axes would lower it."""
+        return self._model(missed, sizes, BuildingAxes(0.0)).noise()
 
-    def _view(self, missed: Array, sizes: Sequence[Array], axes: BuildingAxes) -> _View:
+    def _model(self, missed: Array, sizes: Sequence[Array], axes: BuildingAxes) -> _QuadraticModel:
         poses = self.poses(missed)
         by_place, information = (AXES_WEIGHT * part for part in axes.slopes(poses[:, :2]))
         for evidence, size in zip(self._evidences, sizes, strict=True):
-            slopes, its_information = evidence.slopes(poses[:, :2], size)
+            slopes, its_information = evidence.gradient(poses[:, :2], size)
             by_place += EVIDENCE_WEIGHT * slopes
             information += EVIDENCE_WEIGHT * its_information
-        return _View(jacobian(poses), missed, self._variance, self._causes, by_place, information)
+        return _QuadraticModel(jacobian(poses), missed, self._variance, self._causes, by_place, information)
 
 
-class _View:
-    """The evidence as a parabola around one path, in coordinates in which its information is one."""
+class _QuadraticModel:
+    """Quadratic model of the evidence around one path, in coordinates where its information is the identity."""
 
     def __init__(
         self, jacobian: Array, missed: Array, variance: Array, causes: Array, by_place: Array, information: Array
@@ -170,32 +168,32 @@ class _View:
             self._root.T @ moves @ self._root for moves in (self._noise_moves, self._causes_move)
         )
 
-    def likeliest(self, noise: float) -> Array:
-        """(p - 1, 3) what the odometry missed where the parabola and odometry of this noise are likeliest together."""
+    def maximum(self, noise: float) -> Array:
+        """(p - 1, 3) correction that maximises the quadratic model together with odometry of this noise."""
         told, factor = self._told(noise)
         pull = self._jacobian.T @ (self._pull - self._root @ cho_solve(factor, told))
         return (noise**2 * self._variance * pull + self._causes.T @ (self._causes @ pull)).reshape(-1, 3)
 
     def noise(self) -> float:
-        """How many times as noisy as configured the odometry is: by what is then heard on all paths together. From
-        paths that were held tightly it looks noisier than from loose ones, so that the truth lies in between."""
+        """Noise factor that maximises the evidence integrated over all paths. It is overestimated from tightly held
+        paths and underestimated from loose ones, so the truth lies between."""
 
         def cost(log_noise: float) -> float:
             noise = float(np.exp(log_noise))
             told, factor = self._told(noise)
             moves = noise**2 * self._noise_moves + self._causes_move
             gained = 0.5 * (self._pull @ moves @ self._pull - told @ cho_solve(factor, told))
-            return float(np.log(np.diag(factor[0])).sum() - gained + _unlikely(noise))
+            return float(np.log(np.diag(factor[0])).sum() - gained + _noise_prior(noise))
 
         found = minimize_scalar(cost, bounds=LOG_NOISE_BOUNDS, method="bounded", options={"xatol": 0.05})
         return float(np.exp(found.x))
 
     def volume(self, noise: float) -> float:
-        """By how much less paths near this one are likely together than the best of them: minus a logarithm."""
+        """Negative log of the ratio of the integral over paths near this one to its maximum."""
         return float(np.log(np.diag(self._told(noise)[1][0])).sum())
 
     def _told(self, noise: float) -> tuple[Array, tuple]:
-        """What odometry of this noise makes of the pull, and the Cholesky factor of both informations together."""
+        """The gradient transformed by odometry of this noise, and the Cholesky factor of the joint information."""
         moves = noise**2 * self._noise_moves + self._causes_move
         both = noise**2 * self._noise_told + self._causes_told
         both[np.diag_indices(len(both))] += 1.0
@@ -203,8 +201,8 @@ class _View:
 
 
 def jacobian(poses: Array) -> Array:
-    """(p, 2, p - 1, 3) how places move with the motions between poses (p, 3): every later one moves with a motion, and
-    swings with its turn."""
+    """(p, 2, p - 1, 3) derivative of places by the motions between poses (p, 3): all later places translate with a
+    motion and rotate with its turn."""
     count = len(poses)
     later = np.tri(count, count - 1, -1)
     c, s = np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])

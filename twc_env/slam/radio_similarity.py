@@ -1,7 +1,7 @@
-"""How alike radio fingerprints are: cosine similarity (radio SLAM Eq. 2), one against many and all against all.
+"""Similarity of radio fingerprints: cosine similarity (radio SLAM Eq. 2), one against many and all pairs.
 
-Fingerprints are kept by transmitter, not by place: each transmitter has a list of the places that heard it, so a
-comparison touches only what two places have in common.
+Fingerprints are stored by transmitter (inverted index): each transmitter has a list of the places that received it, so
+a comparison touches only common transmitters.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
 
 CELL_ID_MIN = 1 << 48
-"""LTE cells have numbers from here on, beyond all MAC addresses."""
+"""LTE cell ids start here, above all MAC addresses."""
 MODES = ("shifted", "raw", "linear")
 WIFI_OFFSET_DB, CELL_OFFSET_DB = 100.0, 120.0
-"""`shifted` counts strength from these levels up (papers.md R4): what is not heard then equals what is hardly heard."""
+"""Offsets of mode `shifted` (papers.md R4): a transmitter that is not received equals one barely received."""
 _SHORTEST = 1e-12
 
 
 def features(macs: Array, rssi_dbm: Array, mode: str = "shifted") -> Array:
-    """(heard,) what the cosine is taken of.
+    """(transmitters,) feature values of the cosine.
 
-    `shifted`: dB above the faintest that is ever heard; `raw`: dBm as printed, in which the faintest weigh most;
+    `shifted`: dB above the weakest possible reading; `raw`: dBm as printed, in which weak readings weigh most;
     `linear`: amplitude 10^(dBm / 20).
     """
     if mode == "shifted":
@@ -53,8 +53,8 @@ def split_cues(fingerprint: Fingerprint) -> dict[str, Fingerprint]:
 
 
 def feature_rows(fingerprints: Sequence[Fingerprint], mode: str = "shifted") -> csr_array:
-    """(fingerprints, transmitters) features, one row each; the columns are all transmitters heard, ascending."""
-    from scipy.sparse import csr_array  # slow to import, and used by studies of radio alone
+    """(fingerprints, transmitters) sparse features; columns are all transmitters received, ascending."""
+    from scipy.sparse import csr_array  # slow to import, and used by radio studies only
 
     macs = [f.macs for f in fingerprints]
     heard = np.concatenate(macs) if macs else np.zeros(0, np.int64)
@@ -67,11 +67,11 @@ def feature_rows(fingerprints: Sequence[Fingerprint], mode: str = "shifted") -> 
 
 
 def averaged(rows: csr_array, travel_m: Array, reach_m: float, places: Array) -> csr_array:
-    """(places, transmitters) rows averaged along the path, nearer ones weighing more; silence counts as 0.
+    """(places, transmitters) rows averaged along the path with triangular weights; missing readings count as 0.
 
-    travel_m (rows,) ascends; places are numbers of rows. Reach 0: each row alone.
+    travel_m (rows,) ascends; places are row indices. With reach 0 each row is used alone.
     """
-    from scipy.sparse import csr_array  # slow to import, and used by studies of radio alone
+    from scipy.sparse import csr_array  # slow to import, and used by radio studies only
 
     if reach_m <= 0.0:
         return csr_array(rows[places])
@@ -86,7 +86,7 @@ def averaged(rows: csr_array, travel_m: Array, reach_m: float, places: Array) ->
 
 
 def all_similarities(rows: csr_array) -> Array:
-    """(n, n) float32 cosine of all pairs of rows; 0 with an empty one."""
+    """(n, n) float32 cosine of all pairs of rows; 0 for an empty one."""
     unit = _normalised(rows)
     starts, members, weights = _by_transmitter(unit)
     return _all_pairs(unit.indptr, unit.indices, unit.data, starts, members, weights)
@@ -94,7 +94,7 @@ def all_similarities(rows: csr_array) -> Array:
 
 def _normalised(rows: csr_array) -> csr_array:
     lengths = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
-    unit = rows.astype(np.float32)  # may put the columns of a row into another order
+    unit = rows.astype(np.float32)  # may reorder the columns within a row
     unit.data = (unit.data / np.repeat(np.maximum(lengths, _SHORTEST), np.diff(unit.indptr))).astype(np.float32)
     return unit
 
@@ -105,9 +105,10 @@ def _by_transmitter(unit: csr_array) -> tuple[Array, Array, Array]:
 
 
 class FingerprintStore:
-    """Fingerprints that can be searched by likeness while they grow in number.
+    """Growing store of fingerprints with similarity search.
 
-    Each transmitter's list lies in one pool and moves to its end, into twice the room, when it is full.
+    Each transmitter's list is a segment of one pool; a full segment moves to the end of the pool with twice the
+    capacity.
     """
 
     def __init__(self, mode: str = "shifted"):
@@ -119,13 +120,13 @@ class FingerprintStore:
         self._member, self._weight = np.zeros(1024, np.int32), np.zeros(1024, np.float32)
         self._used = 0
         self.count = 0
-        """How many are stored; each is known by its number, in order of `add`."""
+        """Number of stored fingerprints; each is identified by its index in order of `add`."""
 
     def __len__(self) -> int:
         return self.count
 
     def add(self, fingerprint: Fingerprint) -> int:
-        """Store one; gives its number."""
+        """Store one fingerprint; returns its index."""
         columns, weights = self._vector(fingerprint, grow=True)
         for column in columns.tolist():
             if self._length[column] == self._room[column]:
@@ -137,14 +138,14 @@ class FingerprintStore:
         return self.count - 1
 
     def similarities(self, fingerprint: Fingerprint) -> Array:
-        """(count,) float32 likeness of each stored one to this one."""
+        """(count,) float32 similarity of each stored fingerprint to this one."""
         columns, weights = self._vector(fingerprint, grow=False)
         out = np.zeros(self.count, np.float32)
         _one_to_many(columns, weights, self._start, self._length, self._member, self._weight, out)
         return out
 
     def nearest(self, fingerprint: Fingerprint, count: int) -> tuple[Array, Array]:
-        """Numbers and similarities of the most alike, best first; ties by number, whatever the count."""
+        """Indices and similarities of the most similar ones, best first; equal ones by index, for any count."""
         similarity = self.similarities(fingerprint)
         count = min(count, self.count)
         if count <= 0:
@@ -159,7 +160,7 @@ class FingerprintStore:
         return best, similarity[best]
 
     def _vector(self, fingerprint: Fingerprint, grow: bool) -> tuple[Array, Array]:
-        """Columns and unit-length features; without `grow`, transmitters never heard before only add to the length."""
+        """Columns and normalised features; without `grow`, unknown transmitters only contribute to the norm."""
         values = features(fingerprint.macs, fingerprint.rssi_dbm, self._mode)
         values = values / max(float(np.sqrt((values**2).sum())), _SHORTEST)
         columns = np.array([self._column(mac, grow) for mac in fingerprint.macs.tolist()], np.int64)

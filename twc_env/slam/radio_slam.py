@@ -36,33 +36,32 @@ from twc_env.slam.similarity_model import SimilarityModel
 
 PAPER_ITERATIONS = 60
 NOISE_LEVELS = ((1.0, 1.0), (1.0, 3.0), (3.0, 3.0), (6.0, 6.0), (10.0, 10.0))
-"""How many times as noisy as configured odometry's positions and headings may be: each pair is tried."""
+"""Assumed factors of the configured odometry noise in position and heading; each pair is tried."""
 STRAIN_NOISE, EVIDENCE_WEIGHT = 3.0, 2.0
-"""A result is strained by what odometry of this many times the configured noise cannot explain; against that weighs the
-evidence of as many transmitters (what they hear is far from independent)."""
+"""Odometry noise factor of the strain of a solution, and the weight of its evidence against the strain (an effective
+number of transmitters, whose readings are far from independent)."""
 STRAIN_MAX, EVIDENCE_LOSS_MAX, EXPLAINED_MIN, CURLS_RAD_M = 0.15, 20.0, 0.6, (-0.012, 0.012)
-"""Where every result either strains the odometry more than this per place or has so much less evidence than another, or
-where places explain less than this share of what was heard, the path went astray from the beginning: then it is also
-begun with these curls."""
+"""If every solution exceeds this strain per place or has this much less evidence than another, or if position explains
+less than this share of the variance, the path is wrong from the start; it is then also started with these curls."""
 ORDER_MIN, EVIDENCE_GAIN_MIN = 0.1, 0.5
-"""Fingerprints that fit the distances of places with a lower rank correlation tell nothing. A path with so much more
-evidence than the odometry (with the weight of the last fit 20 to 1) is believed; with less, only one whose distances
-order likenesses better: far places, most of all pairs, are unlike in any order."""
+"""Below this rank correlation of similarity and distance, readings carry no information. A path with this evidence gain
+over odometry is accepted (its weight in the final fit is 20 to 1); with less gain only if its rank correlation is
+higher than odometry's, since most pairs of places are far apart and dissimilar in any order."""
 JUDGES_MAX = 50_000
-"""Pairs of places that judge the result."""
+"""Maximum number of pairs of places for the rank correlation."""
 POSITION_STD_MIN_M, HEADING_STD_MIN_RAD = 0.02, 0.005
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadioLog:
-    """One robot's record, scan by scan (n). Raises DataError for parts that do not fit together."""
+    """One robot's record, scan by scan (n). Raises DataError for parts of inconsistent shape."""
 
     motions: Array
     """(n - 1, 3) odometry from each scan to the next."""
     turned_rad: Array
-    """(n - 1,) the turn on the way, not wrapped."""
+    """(n - 1,) turn between scans, not wrapped."""
     fingerprints: Sequence[Fingerprint]
-    """(n) WiFi and LTE together, as far as there is any."""
+    """(n) WiFi and LTE readings together."""
 
     def __post_init__(self) -> None:
         steps = max(len(self.fingerprints) - 1, len(self.turned_rad))
@@ -101,22 +100,22 @@ def log_of(keyframes: Sequence[Keyframe]) -> RadioLog:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadioResult:
-    """What came of a log."""
+    """Solution of a log."""
 
     poses: Array
-    """(n, 3) of every scan, the first at (0, 0, 0)."""
+    """(n, 3) pose of every scan, the first at (0, 0, 0)."""
     places: Array
     """(p,) scans that are places of the graph."""
     models: dict[str, SimilarityModel]
     closures: Distances
     """Between places."""
     fell_back: bool
-    """Whether the odometry was given back."""
+    """Whether the odometry was returned unchanged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Try:
-    """Poses (p, 3) of the places, how much they strain the odometry, and how well they explain what was heard."""
+class _Candidate:
+    """A candidate solution: poses (p, 3) of the places, strain of the odometry, and evidence of the readings."""
 
     poses: Array
     strain: float
@@ -130,11 +129,9 @@ class _Try:
 def solve(
     log: RadioLog, config: RadioSlamConfig, cues: Sequence[str] = CUES, false_closures: Distances | None = None
 ) -> RadioResult:
-    """Trajectory from a log. Cues that the log does not hold are left out; without any the odometry comes back.
+    """Trajectory from a log. Cues that the log does not contain are skipped; without any, the odometry is returned.
 
-    Raises DataError for cues that there are not.
-
-    `false_closures`, between scans, are put among the closures: for tests of robustness.
+    Raises DataError for unknown cues. `false_closures`, between scans, are added to the closures in robustness tests.
     """
     if isinstance(cues, str) or not set(cues) <= set(CUES):
         raise DataError(f"cues must be a list of some of {', '.join(CUES)}; got {cues!r}")
@@ -173,55 +170,55 @@ class _Solver:
                 if len(alone) >= radio_field.NEIGHBOURS_MIN:
                     paths.append(self._path([cue], alone))
         best = min(paths, key=lambda path: path.misfit).poses
-        if self._betters_odometry(best):
+        if self._improves_on_odometry(best):
             return self._result(best, closures, fell_back=False)
         return self._result(self._odometry, closures, fell_back=True)
 
     def _path(self, cues: Sequence[RadioCue], closures: Distances) -> Refined:
-        """The path by some of the cues, at last moved to where all that was heard is likeliest."""
-        tries = self._tries(cues, self._motions, closures)
-        most = max(found.evidence for found in tries) - EVIDENCE_LOSS_MAX
-        is_astray = all(found.evidence < most or found.strain > STRAIN_MAX * len(self._places) for found in tries)
-        path = None if is_astray else self._refined(tries)
+        """The path by some of the cues, refined with the readings of all."""
+        candidates = self._candidates(cues, self._motions, closures)
+        most = max(found.evidence for found in candidates) - EVIDENCE_LOSS_MAX
+        is_astray = all(found.evidence < most or found.strain > STRAIN_MAX * len(self._places) for found in candidates)
+        path = None if is_astray else self._refined(candidates)
         if path is None or path.explained < EXPLAINED_MIN:
             for curl in CURLS_RAD_M:
-                tries += self._tries(cues, Calibration(curl_rad_m=curl).applied(self._motions), closures)
-            path = self._refined(tries)
+                candidates += self._candidates(cues, Calibration(curl_rad_m=curl).applied(self._motions), closures)
+            path = self._refined(candidates)
         return path
 
-    def _refined(self, tries: Sequence[_Try]) -> Refined:
-        """The best try, moved to where all that was heard is likeliest."""
-        best = min(tries, key=lambda found: found.misfit).poses
+    def _refined(self, candidates: Sequence[_Candidate]) -> Refined:
+        """The best candidate after refinement."""
+        best = min(candidates, key=lambda found: found.misfit).poses
         return refined(best, self._motions, self._information, [cue.evidence_along for cue in self._cues])
 
-    def _tries(self, cues: Sequence[RadioCue], motions: Motions, closures: Distances) -> list[_Try]:
-        """The whole way under each assumption of noise."""
-        tries = []
+    def _candidates(self, cues: Sequence[RadioCue], motions: Motions, closures: Distances) -> list[_Candidate]:
+        """One candidate solution per assumed noise level."""
+        candidates = []
         for noise, heading_noise in NOISE_LEVELS:
             std = np.array([noise, noise, heading_noise])
             information = self._information / (std[:, None] * std)
             fit = PathFit(self._travel_m, information, cues, self._config, self._cell_m)
-            poses = fit.whole(motions, closures)
+            poses = fit.fit_whole(motions, closures)
             chain = np.arange(len(poses) - 1)
             squared = squared_errors(
                 poses, np.column_stack([chain, chain + 1]), calibrated(motions, poses).motion, self._information
             )
             strain = 0.5 * float(squared.sum()) / STRAIN_NOISE**2
-            tries.append(_Try(poses, strain, sum(cue.evidence.of(poses[:, :2]) for cue in cues)))
-        return tries
+            candidates.append(_Candidate(poses, strain, sum(cue.evidence.of(poses[:, :2]) for cue in cues)))
+        return candidates
 
-    def _betters_odometry(self, poses: Array) -> bool:
-        """Whether places lie better by a path than by the odometry, as far as what was heard can tell."""
-        order = self._order(poses)
+    def _improves_on_odometry(self, poses: Array) -> bool:
+        """Whether the readings show that the path is better than the odometry."""
+        order = self._rank_agreement(poses)
         if order <= ORDER_MIN:
             return False
         evidence, by_odometry = (
             sum(cue.evidence_along.of(path[:, :2]) for cue in self._cues) for path in (poses, self._odometry)
         )
-        return evidence - by_odometry > EVIDENCE_GAIN_MIN or order > self._order(self._odometry)
+        return evidence - by_odometry > EVIDENCE_GAIN_MIN or order > self._rank_agreement(self._odometry)
 
-    def _order(self, poses: Array) -> float:
-        """How well distances order the similarities of places that the path does not tie: mean rank correlation."""
+    def _rank_agreement(self, poses: Array) -> float:
+        """Mean rank correlation of proximity and similarity over pairs of places far apart along the path."""
         i, j = np.triu_indices(len(poses), 1)
         apart = np.flatnonzero(self._travel_m[j] - self._travel_m[i] > self._config.apart_m)
         chosen = apart[:: max(1, len(apart) // JUDGES_MAX)]
@@ -230,7 +227,7 @@ class _Solver:
         return float(np.mean([_rank_correlation(near, cue.similarity[i, j]) for cue in self._cues]))
 
     def _closures(self, cues: Sequence[RadioCue], false_closures: Distances | None) -> Distances:
-        """What these cues tell of distances, with the false ones among it."""
+        """Distance closures of these cues, with the false ones added."""
         parts = [cue.closures(self._config, self._cell_m) for cue in cues]
         if false_closures is not None:
             near = np.abs(self._places[None] - false_closures.pairs.reshape(-1, 1)).argmin(axis=1).reshape(-1, 2)
@@ -248,12 +245,12 @@ class _Solver:
 
 
 def _rank_correlation(near: Array, likeness: Array) -> float:
-    """0 where all are alike, as where one transmitter is heard everywhere: that orders nothing."""
+    """0 if all similarities are equal, as with one transmitter received everywhere."""
     return float(spearmanr(near, likeness).statistic) if np.ptp(near) > 0 and np.ptp(likeness) > 0 else 0.0
 
 
 def motion_information(config: RadioSlamConfig, length_m: Array, turned_rad: Array) -> Array:
-    """(k, 3, 3) of odometry over path lengths (k,) and turns (k,), these all counted positive."""
+    """(k, 3, 3) information of odometry over path lengths (k,) and absolute turns (k,)."""
     position = config.position_std_per_m**2 * length_m + POSITION_STD_MIN_M**2
     heading = config.heading_std_per_m**2 * length_m + config.heading_std_per_rad**2 * turned_rad
     information = np.zeros((len(length_m), 3, 3))
@@ -263,7 +260,7 @@ def motion_information(config: RadioSlamConfig, length_m: Array, turned_rad: Arr
 
 
 def spread(path: Array, travel_m: Array, places: Array, place_poses: Array) -> Array:
-    """All poses of a path (n, 3) when some of them (at `places`) have moved: the difference is shared out between."""
+    """All poses of a path (n, 3) after those at `places` have moved: corrections are interpolated in between."""
     poses = np.empty_like(path)
     for a, b, start, end in zip(places, [*places[1:], len(path)], place_poses, [*place_poses[1:], None], strict=True):
         own = compose(start, between(path[a], path[a:b]))
@@ -278,7 +275,7 @@ def spread(path: Array, travel_m: Array, places: Array, place_poses: Array) -> A
 
 
 def _spaced(travel_m: Array, spacing_m: float) -> Array:
-    """Numbers of the first scan and of every next one at least spacing_m further."""
+    """Indices of the first scan and of each next one at least spacing_m further."""
     chosen, last = [0], travel_m[0]
     for k in range(1, len(travel_m)):
         if travel_m[k] - last >= spacing_m:

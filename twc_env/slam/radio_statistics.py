@@ -1,4 +1,4 @@
-"""How far radio signatures differ at one place and between places, learned from the robots' own paths."""
+"""Statistics of fingerprint differences at one place and between places, learned from the robots' own paths."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from twc_env.kernels import kernel
 from twc_env.messages import Fingerprint
 
 DIFFERENCE_MIN_DB = 0.5
-"""Smaller differences prove no more."""
+"""Smaller differences are treated as this one."""
 FLOOR_DBM = -90.0
-"""Stands in for a transmitter that only one side hears."""
+"""Replaces the reading of a transmitter that only one side received."""
 
 
 def radio_difference_db(a: Fingerprint, b: Fingerprint) -> float:
-    """RMS difference over all transmitters that either heard, without the devices' common offset; NaN where a side
-    hears nothing, or both the same one alone, whose difference may be that offset.
+    """RMS difference over all transmitters that either side received, after removing the mean (device offset).
 
-    A transmitter that only one side hears stands at the detection floor on the other.
+    NaN if one side is empty, or both received a single common transmitter, whose difference may be the offset. A
+    transmitter that only one side received counts as the detection floor on the other.
     """
     return _radio_difference(a.macs, a.rssi_dbm, b.macs, b.rssi_dbm, FLOOR_DBM)
 
@@ -48,10 +48,10 @@ def _radio_difference(macs_a, levels_a, macs_b, levels_b, floor):
 
 
 class RadioStatistics:
-    """How far fingerprints of this building differ at one place and between places, learned from own trajectories.
+    """Distributions of the fingerprint difference at one place and between places, learned from own trajectories.
 
-    The logarithm of the difference is taken as normal in both cases with one spread, so that the log-likelihood ratio
-    falls steadily with the difference. Starts from a weak guess.
+    The logarithm of the difference is modelled as normal in both cases with a common variance, so that the
+    log-likelihood ratio is monotonic. Starts from a weak prior.
     """
 
     def __init__(self):
@@ -61,7 +61,7 @@ class RadioStatistics:
         self._line: tuple[float, float] | None = None
 
     def learn(self, difference_db: float, is_same_place: bool) -> None:
-        """Take in one pair of keyframes of one robot."""
+        """Add one pair of keyframes of one robot."""
         if math.isnan(difference_db):
             return
         value = math.log(max(difference_db, DIFFERENCE_MIN_DB))
@@ -72,7 +72,7 @@ class RadioStatistics:
         self._line = None
 
     def log_ratio(self, difference_db: float) -> float:
-        """Log of how much likelier this difference is at one place than between places; 0 where unknown."""
+        """Log-likelihood ratio of one place against two places; 0 if unknown."""
         if math.isnan(difference_db):
             return 0.0
         if self._line is None:

@@ -1,7 +1,7 @@
-"""Walls and free floor beyond what the robots have seen, from signal strength while they walk (papers.md X5, K24c).
+"""Walls and free floor beyond the robots' scans, from WiFi signal strength along their paths (papers.md X5, K24c).
 
-Incremental inverse k-visibility: every reading casts one ray to its router and updates the cells on it. A router counts
-as located once some robot has passed it nearly; how many walls a reading has crossed follows from its excess loss.
+Incremental inverse k-visibility: every reading updates the cells on the ray to its router. A router is localised once a
+robot has passed close to it; the number of walls crossed follows from the excess loss of a reading.
 """
 
 from __future__ import annotations
@@ -18,66 +18,66 @@ from twc_env.kernels import kernel
 from twc_env.messages import GridMap, SensorFrame
 
 LEVELS_PER_NAT = 16.0
-"""Log-odds are kept in sixteenths, as whole numbers."""
+"""Log-odds are stored as integers in sixteenths."""
 _LEVEL_MAX = 60
 _WALL_DENSITY = 0.04
-"""Share of cells that hold a wall, before anything is known."""
+"""Prior probability that a cell is a wall."""
 _RAY_WEIGHT = 0.25
-"""Neighbouring rays say nearly the same."""
+"""Weight of one ray, since neighbouring rays are correlated."""
 _MARGIN_M = 2.0
 _PLACED_FROM = 40
-"""A transmitter is placed by so many of its strongest readings, which few walls stand before."""
+"""Number of strongest readings used to localise a transmitter; few walls lie in front of these."""
 _POWER_STD_DB = 3.0
-"""How well a transmitter's power is known before."""
+"""Prior standard deviation of a transmitter's power."""
 REDRAWN_FACTOR = 1.25
-"""When scans are so many times more than when all were drawn, all are drawn again."""
+"""Growth factor of the number of scans after which the picture is redrawn completely."""
 _SEARCH_STEPS_M = (0.6, 0.15)
 _SEARCH_REACH = 4
-"""Places tried on either side of the best so far, at each step width."""
+"""Positions tried on either side of the best one, at each step width."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadioPicture:
-    """What the readings of some robots say, in one frame."""
+    """Map from the readings of some robots, in one frame."""
 
     grid: GridMap
-    """Probably free < 0, probably wall > 0."""
+    """Log-odds: below 0 probably free, above 0 probably wall."""
     transmitter_m: Array
-    """(k, 2) where transmitters that were passed nearly are believed to stand, by rising address."""
+    """(k, 2) estimated positions of the localised transmitters, by ascending address."""
 
 
 @dataclass(slots=True, eq=False)
 class _Readings:
-    """What one robot heard, where its front end believed it was."""
+    """Readings of one robot, at the poses estimated by its front end."""
 
     pose_odom: list[Array]
     macs: list[Array]
     rssi_dbm: list[Array]
     scanned_s: float = -math.inf
-    """When its last scan ended, by its own clock."""
+    """End of its last scan, by its own clock."""
 
 
 @dataclass(slots=True, eq=False)
 class _Drawn:
-    """A picture, and what is in it."""
+    """A picture and the data it was drawn from."""
 
     picture: RadioPicture
     macs: Array
-    """(k,) of the picture's transmitters, rising."""
+    """(k,) addresses of the picture's transmitters, ascending."""
     version: int
-    """Of the map in whose frame it is."""
+    """Version of the map whose frame it is in."""
     scans: list[int]
-    """Of each robot."""
+    """Number of scans of each robot."""
     scans_at_redraw: int
 
     @property
     def scan_count(self) -> int:
-        """Scans of all robots."""
+        """Number of scans of all robots."""
         return sum(self.scans)
 
 
 class RadioStructure:
-    """One robot team's readings, and the maps that they give for any set of robots in one frame."""
+    """Readings of a team, and the pictures drawn from them for any set of robots with a common frame."""
 
     def __init__(self, config: KVisibilityConfig, resolution_m: float, robots: int):
         self._config, self._resolution_m = config, resolution_m
@@ -86,12 +86,12 @@ class RadioStructure:
         self._given: tuple[Array, Array, Array] | None = None
 
     def give_transmitters(self, macs: Array, position_m: Array, start_poses: Array) -> None:
-        """Where transmitters stand, and in the same frame each robot's start: nothing is located any more."""
+        """Use given transmitter positions, in the frame of the given start poses, instead of localising them."""
         order = np.argsort(macs)
         self._given = np.asarray(macs)[order], np.asarray(position_m, float)[order], np.asarray(start_poses, float)
 
     def add(self, frame: SensorFrame, pose_odom: Array) -> None:
-        """Remember a frame's WiFi scan, if it holds one, but for what it repeats from the robot's scan before."""
+        """Store a frame's WiFi scan, if any, without readings cached from the robot's previous scan."""
         if frame.wifi is None:
             return
         own, macs, rssi_dbm = self._readings[frame.robot], frame.wifi.macs, frame.wifi.rssi_dbm
@@ -105,11 +105,11 @@ class RadioStructure:
             own.rssi_dbm.append(rssi_dbm)
 
     def picture_of(self, robots: tuple[int, ...], poses_map_odom: Array, version: int) -> RadioPicture | None:
-        """What the readings of these robots say, in a map frame; poses (robots, 3) lay their odom frames in it.
+        """The picture of these robots in a map frame; poses (robots, 3) of their odom frames in it.
 
-        Every `period_scans` scans the new readings are added, and all of a transmitter that was passed nearly since.
-        All are drawn anew when the map jumped, or when there are a quarter more, which tell better where transmitters
-        stand. None before anything is heard.
+        Every `period_scans` scans, new readings are added, and all readings of newly localised transmitters. All are
+        redrawn when the map version changed, or when the number of scans has grown by REDRAWN_FACTOR, which improves
+        the transmitter positions. None before the first reading.
         """
         scans = [len(self._readings[r].macs) for r in robots]
         count, held = sum(scans), self._maps.get(robots)
@@ -133,7 +133,7 @@ class RadioStructure:
         return picture
 
     def _extended(self, held: _Drawn, robots: tuple[int, ...], poses_map_odom: Array, scans: list[int]) -> RadioPicture:
-        """The picture with what was heard since."""
+        """The picture with the readings since `held` added."""
         place, mac, level = self._heard(robots, poses_map_odom, held.scans)
         macs, transmitter_m = held.macs, held.picture.transmitter_m
         known = _places_of(mac, macs)
@@ -154,7 +154,7 @@ class RadioStructure:
         return held.picture
 
     def _heard(self, robots: tuple[int, ...], poses_map_odom: Array, since: list[int]) -> tuple[Array, Array, Array]:
-        """Readings of these robots from their scans number `since` on: places (n, 2), addresses and levels (n,)."""
+        """Readings of these robots from their scans `since` on: positions (n, 2), addresses and levels (n,)."""
         places, macs, levels = [np.zeros((0, 2))], [np.zeros(0, np.int64)], [np.zeros(0)]
         for robot, pose, first in zip(robots, poses_map_odom, since, strict=True):
             own = self._readings[robot]
@@ -166,7 +166,7 @@ class RadioStructure:
         return np.concatenate(places), np.concatenate(macs), np.concatenate(levels)
 
     def _with(self, before: GridMap, transmitter_m: Array, place: Array, which: Array, level: Array) -> RadioPicture:
-        """A map with some more readings: their places (n, 2), transmitters (n,), -1 for none, and levels (n,)."""
+        """A grid with readings added: positions (n, 2), transmitter indices (n,), -1 for none, and levels (n,)."""
         cell = self._resolution_m
         ends = np.concatenate([place, transmitter_m])
         held = np.round(np.asarray(before.origin_m) / cell)
@@ -188,7 +188,7 @@ class RadioStructure:
         return config.power_at_1m_dbm, config.path_loss_exponent, config.wall_loss_db, config.noise_std_db
 
     def _located(self, place: Array, mac: Array, level: Array) -> tuple[Array, Array]:
-        """Addresses (k,), rising, and places (k, 2) of the transmitters that were passed nearly."""
+        """Addresses (k,), ascending, and positions (k, 2) of transmitters that were passed closely."""
         known, inverse = np.unique(mac, return_inverse=True)
         strongest = np.full(len(known), -np.inf)
         np.maximum.at(strongest, inverse, level)
@@ -200,7 +200,7 @@ class RadioStructure:
         return known[located], np.array(places).reshape(-1, 2)
 
     def _placed(self, place: Array, level: Array) -> Array:
-        """(2,) from where readings (k,) at places (k, 2) that no wall weakens would fall off as these do."""
+        """(2,) position by grid search, assuming readings (k,) at positions (k, 2) without walls in between."""
         config = self._config
         best = place[level >= level.max() - 3.0].mean(axis=0)
         offsets = np.arange(-_SEARCH_REACH, _SEARCH_REACH + 1.0)
@@ -217,7 +217,7 @@ class RadioStructure:
 
 
 def _places_of(mac: Array, macs: Array) -> Array:
-    """Where among the addresses (k,), rising, each of others (n,) is; -1: nowhere."""
+    """Index of each of `mac` (n,) among the ascending addresses (k,); -1 if absent."""
     if not len(macs):
         return np.full(len(mac), -1)
     found = np.clip(np.searchsorted(macs, mac), 0, len(macs) - 1)
@@ -226,9 +226,9 @@ def _places_of(mac: Array, macs: Array) -> Array:
 
 @kernel
 def update_reading(log_odds, origin, inverse_m, x, y, router_x, router_y, rssi, power, exponent, loss, noise):
-    """One reading at (x, y) of a router: the probability that no wall lies between moves every cell on the ray.
+    """Update the cells on the ray of one reading at (x, y) by the probability that no wall lies on it.
 
-    A cell in which the ray is long may be moved twice: the ray says more about it.
+    A cell that contains several samples of the ray is updated for each.
     """
     rows, columns = log_odds.shape
     dx, dy = x - router_x, y - router_y
@@ -243,7 +243,7 @@ def update_reading(log_odds, origin, inverse_m, x, y, router_x, router_y, rssi, 
             clear = likelihood
     clear, expected = clear / total, expected / total
     steps = int(distance * inverse_m) + 1
-    # Walls already found on the ray explain their share of the loss.
+    # Walls already mapped on the ray explain their share of the loss.
     found, before, cells = 0.0, False, 0
     for s in range(steps + 1):
         c = int(np.floor((router_x + dx * s / steps - origin[0]) * inverse_m))

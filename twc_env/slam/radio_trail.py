@@ -1,10 +1,10 @@
-"""Radio SLAM scan by scan in bounded memory: for runs of any length through a building of a given size.
+"""Radio SLAM scan by scan in bounded memory, for paths of any length in a building of limited size.
 
-Places of the graph lie `spacing_m` apart along the path until there are `trail_places_max` of them. From then on every
-new place takes the room of an old one: the one that has another so near that it tells least. The motions around it
-become one, so odometry stays exact; what it heard is dropped. Every `trail_period_m` the fields of signal strength
-(`radio_field`) tie places to other visits near by and the graph is optimised from where it stood: what a step costs
-depends on the building, not on the way that lies behind.
+Places of the graph are `spacing_m` apart along the path, up to `trail_places_max`. From then on each new place replaces
+an old one: the one with the nearest other place, which is most redundant. The motions around it are concatenated, so
+odometry stays exact; its fingerprint is dropped. Every `trail_period_m`, signal strength fields (`radio_field`)
+constrain places relative to other visits nearby, and the graph is optimised from its current state. The time per step
+depends on the building, not on the path length.
 """
 
 from __future__ import annotations
@@ -28,30 +28,30 @@ from twc_env.slam.radio_slam import motion_information
 from twc_env.slam.similarity_model import SimilarityModel, train_on_path
 
 BANDWIDTHS_M = {"wifi": (8.0, 5.0), "lte": (40.0, 25.0)}
-"""Of the fields, from coarse to fine, each time the graph is optimised."""
+"""Bandwidths of the fields, coarse to fine, in each optimisation."""
 ROUNDS = 2
 ITERATIONS = 8
 RECENT_M = 60.0
-"""Places of the latest stretch this long are never forgotten."""
+"""Places of the latest part of the path with this length are never removed."""
 HELD_STD = (1.0, 1.0, 0.2)
-"""How firmly places stay where they were when the first was forgotten [m, m, rad]."""
+"""Standard deviation [m, m, rad] of the prior that keeps places where they were when the first one was removed."""
 NOISE = 2.0
-"""Odometry is taken to be this many times as noisy as configured: its constant errors are not known yet."""
+"""Factor on the configured odometry noise, since systematic errors are not known yet."""
 
 
-class _Heard:
-    """What was heard of one kind of radio: features (places, transmitters), in rows that are taken again."""
+class _CueFeatures:
+    """Features (places, transmitters) of one kind of radio, with reusable rows."""
 
     def __init__(self, cue: str, rows: int, mode: str):
         self.cue, self._mode = cue, mode
         self._column: dict[int, int] = {}
         self._table = np.zeros((rows, 64), np.float32)
         self.model: SimilarityModel | None = None
-        self.worth: dict[float, float] = {}
-        """Of a squared difference of strengths, by bandwidth."""
+        self.field_weights: dict[float, float] = {}
+        """Weight of a squared strength difference, by bandwidth."""
 
     def write(self, row: int, scans: list[Fingerprint]) -> None:
-        """Mean of the features over scans; what one did not hear counts as 0 in it."""
+        """Store the mean of the features over scans; a missing reading counts as 0."""
         for scan in scans:
             for mac in scan.macs.tolist():
                 self._column.setdefault(mac, len(self._column))
@@ -68,18 +68,18 @@ class _Heard:
 
 
 class RadioTrail:
-    """The trajectory of one robot by odometry and radio, scan by scan; it starts at (0, 0, 0)."""
+    """The trajectory of one robot from odometry and radio, scan by scan; it starts at (0, 0, 0)."""
 
     def __init__(self, config: RadioSlamConfig):
         self._config, size = config, config.trail_places_max + 1
         self._poses, self._steps = np.zeros((0, 3)), np.zeros((0, 6))
-        """Of each place; and from the one before it: motion (3), turn with and without its sign, path length."""
+        """Per place: pose; and from the previous place: motion (3), signed and absolute turn, path length."""
         self._held_at = np.zeros((0, 3))
-        """(places, 3) where each stood when the first place was forgotten; NaN for those that came later."""
+        """(places, 3) poses when the first place was removed; NaN for later places."""
         self._rows, self._free = np.zeros(0, np.int64), list(range(size))[::-1]
-        self._heard = [_Heard(cue, size, config.similarity) for cue in BANDWIDTHS_M]
+        self._heard = [_CueFeatures(cue, size, config.similarity) for cue in BANDWIDTHS_M]
         self._step: Array = np.zeros(6)
-        """Since the last place."""
+        """Motion since the last place, as in `_steps`."""
         self._scans: list[list[Fingerprint]] = [[] for _ in self._heard]
         self._calibration = Calibration()
         self._unsolved_m = 0.0
@@ -90,13 +90,13 @@ class RadioTrail:
 
     @property
     def pose(self) -> Array:
-        """(3,) where the robot is now."""
+        """(3,) current pose."""
         return compose(self._poses[-1], self._step[:3]) if len(self) else np.zeros(3)
 
     def add(self, motion: Array, turned_rad: float, fingerprint: Fingerprint) -> Array:
-        """Take in the motion (3,) since the last scan and what is heard after it; gives the pose (3,).
+        """Process the motion (3,) since the last scan and the fingerprint after it; returns the pose (3,).
 
-        Raises DataError for a motion that is not finite, and for what is no fingerprint.
+        Raises DataError for a motion that is not finite or an invalid fingerprint.
         """
         if not (np.isfinite(motion).all() and math.isfinite(turned_rad)):
             raise DataError(f"a motion and its turn must be finite; got {motion} and {turned_rad!r}")
@@ -109,13 +109,13 @@ class RadioTrail:
         for scans, heard in zip(self._scans, self._heard, strict=True):
             scans.append(parts[heard.cue])
         if not len(self) or self._step[5] >= self._config.spacing_m:
-            self._remember()
+            self._add_place()
             if self._unsolved_m >= self._config.trail_period_m:
                 self._unsolved_m = 0.0
                 self._optimise()
         return self.pose
 
-    def _remember(self) -> None:
+    def _add_place(self) -> None:
         row = self._free.pop()
         for scans, heard in zip(self._scans, self._heard, strict=True):
             heard.write(row, scans)
@@ -128,10 +128,10 @@ class RadioTrail:
         if len(self) > self._config.trail_places_max:
             if not self._is_full:
                 self._is_full, self._held_at = True, self._poses.copy()
-            self._forget()
+            self._remove_redundant()
 
-    def _forget(self) -> None:
-        """Of the two nearest places give up the later; the latest stretch stays."""
+    def _remove_redundant(self) -> None:
+        """Remove one of the two nearest places; the latest part of the path is kept."""
         travel = np.cumsum(self._steps[:, 5])
         old = max(int(np.searchsorted(travel, travel[-1] - RECENT_M)), 3)
         places = self._poses[:old, :2]
@@ -149,22 +149,22 @@ class RadioTrail:
         travel, poses = np.cumsum(self._steps[:, 5]), self._poses
         for round_ in range(ROUNDS):
             closures = concatenate_distances([self._closures(heard, travel) for heard in self._heard if round_ == 0])
-            found = [self._ties(heard, round_, poses, travel) for heard in self._heard]
-            poses = self._fit(poses, [ties for ties in found if len(ties[0])], closures)
+            found = [self._constraints(heard, round_, poses, travel) for heard in self._heard]
+            poses = self._fit(poses, [some for some in found if len(some[0])], closures)
             if not self._is_full:
                 self._calibrate(poses)
         self._poses = poses
 
     def _calibrate(self, poses: Array) -> None:
-        """Take the constant errors out of the steps that are kept, and of all that follow."""
+        """Remove the systematic errors from the stored steps and from all later ones."""
         motions = Motions(self._steps[1:, :3], self._steps[1:, 3])
         found = calibration(motions, poses)
         right = found.applied(motions)
         self._steps[1:, :3], self._steps[1:, 3] = right.motion, right.turned_rad
         self._calibration = self._calibration.then(found)
 
-    def _closures(self, heard: _Heard, travel: Array) -> Distances:
-        """Distances between places that sound alike, as of the batch."""
+    def _closures(self, heard: _CueFeatures, travel: Array) -> Distances:
+        """Distances between similar places, as in `radio_slam`."""
         rule, feature = self._config, heard.of(self._rows)
         similarity = all_similarities(csr_array(feature))
         if heard.model is None or not self._is_full:
@@ -180,31 +180,33 @@ class RadioTrail:
         )
         return found[radio_closures.with_support(found.pairs[:, 0], found.pairs[:, 1], travel)]
 
-    def _ties(self, heard: _Heard, round_: int, poses: Array, travel: Array) -> tuple[Array, Array, Array]:
+    def _constraints(self, heard: _CueFeatures, round_: int, poses: Array, travel: Array) -> tuple[Array, Array, Array]:
         feature, bandwidth_m = heard.of(self._rows), BANDWIDTHS_M[heard.cue][round_]
-        if not self._is_full or bandwidth_m not in heard.worth:
-            heard.worth[bandwidth_m] = radio_field.learn_worth(feature, poses[:, :2], travel, bandwidth_m)
-        worth = heard.worth[bandwidth_m]
-        ties = radio_field.ties(feature, poses[:, :2], travel, bandwidth_m, self._config.apart_m, worth)
-        return ties.pairs, *ties.relative(poses)
+        if not self._is_full or bandwidth_m not in heard.field_weights:
+            heard.field_weights[bandwidth_m] = radio_field.learn_weight(feature, poses[:, :2], travel, bandwidth_m)
+        weight = heard.field_weights[bandwidth_m]
+        found = radio_field.field_constraints(
+            feature, poses[:, :2], travel, bandwidth_m, self._config.apart_m, weight
+        )  # fmt: skip
+        return found.pairs, *found.relative(poses)
 
-    def _held(self) -> tuple[Array, Array, Array]:
-        """What is known of places from the time when the first of them was forgotten, seen from the first."""
+    def _priors(self) -> tuple[Array, Array, Array]:
+        """Priors on places from the time when the first one was removed, relative to the first."""
         held = np.flatnonzero(np.isfinite(self._held_at[1:, 0])) + 1
         pairs = np.column_stack([np.zeros_like(held), held])
         information = np.tile(np.diag(1.0 / np.array(HELD_STD) ** 2), (len(held), 1, 1))
         return pairs, between(self._held_at[:1], self._held_at[held]), information
 
-    def _fit(self, poses: Array, ties: list, closures: Distances) -> Array:
+    def _fit(self, poses: Array, constraints: list, closures: Distances) -> Array:
         count, config = len(poses), self._config
         chain = np.column_stack([np.arange(count - 1), np.arange(1, count)])
         odometry = motion_information(config, self._steps[1:, 5], self._steps[1:, 4]) / NOISE**2
-        parts = zip((chain, self._steps[1:, :3], odometry), self._held(), *ties, strict=True)
+        parts = zip((chain, self._steps[1:, :3], odometry), self._priors(), *constraints, strict=True)
         edges, measured, information = (np.concatenate(part) for part in parts)
         equations = RadioEquations(edges, measured, information, closures, count)
         return equations.fit(poses, config.robust_scale, ITERATIONS)
 
 
 def _joined(first: Array, second: Array) -> Array:
-    """Two steps (6,) as one."""
+    """Two steps (6,) concatenated."""
     return np.concatenate([compose(first[:3], second[:3]), first[3:] + second[3:]])

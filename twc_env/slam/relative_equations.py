@@ -1,4 +1,4 @@
-"""The equations of relative poses, compiled: residuals as of g2o's EDGE_SE2, their derivatives, and damped steps."""
+"""Compiled equations of relative pose edges: residuals as in g2o's EDGE_SE2, their derivatives, and damped steps."""
 
 from __future__ import annotations
 
@@ -45,12 +45,11 @@ def relative_squared_errors(poses, edges, measured, information):
 
 @kernel
 def linearise_relative(poses, edges, measured, information, weight, block_of_edge, block_count, held):
-    """Hessian blocks and gradient of half the weighted squared errors; block holds H[larger index, smaller index].
+    """Hessian blocks and gradient of half the weighted squared errors; a block holds H[larger index, smaller index].
 
-    Poses held (k,) where they are have unit blocks and no gradient.
-
-    The residual's derivatives by the two poses are A = (-R, d; 0, -1) and B = (R, 0; 0, 1) with a turn R; so the first
-    two rows of A^T O are those of B^T O with the other sign, and all blocks follow from B^T O A and B^T O B.
+    Fixed poses `held` (k,) have unit blocks and zero gradient. The residual's derivatives by the two poses are A = (-R,
+    d; 0, -1) and B = (R, 0; 0, 1) with a rotation R. So the first two rows of A^T O are the negative of those of B^T O,
+    and all blocks follow from B^T O A and B^T O B.
     """
     diagonal, blocks = np.zeros((len(poses), 3, 3)), np.zeros((block_count, 3, 3))
     gradient = np.zeros((len(poses), 3))
@@ -132,7 +131,7 @@ def linearise_relative(poses, edges, measured, information, weight, block_of_edg
 
 @kernel
 def damped(diagonal, damping):
-    """Diagonal blocks (n, 3, 3) as Levenberg and Marquardt have them, for shorter steps."""
+    """Diagonal blocks (n, 3, 3) with Levenberg-Marquardt damping."""
     out = diagonal.copy()
     for i in range(len(out)):
         for k in range(3):
@@ -142,7 +141,7 @@ def damped(diagonal, damping):
 
 @kernel
 def moved_by(poses, delta, held):
-    """Poses after a step, and how far a pose went at most [m, rad]; held poses (k,), of no delta, keep their bits."""
+    """Poses after a step, and the largest moves [m, rad]; fixed poses `held` (k,) stay bit-identical."""
     out = poses.copy()
     moved_m, moved_rad = 0.0, 0.0
     for i in range(len(poses)):
@@ -161,7 +160,7 @@ def sparse_step(
     poses, edges, measured, information, weight, block_of_edge, held, order, start, node_of, block_of, target_start,
     target, block_count, damping,
 ):  # fmt: skip
-    """See `NormalEquations._go`; for a pattern of which nothing is left to be factorised densely."""
+    """See `NormalEquations._solve_step`; for patterns without a dense remainder."""
     diagonal, blocks, solution = linearise_relative(
         poses, edges, measured, information, weight, block_of_edge, block_count, held
     )

@@ -1,6 +1,6 @@
-"""The robots' front ends: sensor frames in, a smooth pose estimate and keyframes out.
+"""The robots' front ends. Input: sensor frames; output: a smooth pose estimate and keyframes.
 
-What every step costs is computed for all robots at once, over common arrays; what a keyframe costs, robot by robot.
+Work of every step is done for all robots at once on common arrays; work per keyframe robot by robot.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from twc_env.slam.tracking import Tracker
 from twc_env.team_messages import TeamFrames
 
 REDRAW_SPACING_M = 0.9
-"""When the local map moves on, of the older keyframes every one this far along the path is drawn again."""
+"""When the local map is re-centred, older keyframes are redrawn at this path spacing."""
 READINGS_MAX = 256
-"""Of what a robot reads between two keyframes the latest are kept: one that waits before a door reads it all day."""
+"""Maximum sign readings between two keyframes (latest kept); a robot waiting before a door reads it continuously."""
 
 
 class FrontEnds:
-    """Odometry, gyro and scan matching against a local map, each robot in its own odom frame (it starts at 0, 0, 0).
+    """Odometry, gyro and scan matching against a local map, each robot in its own odom frame (start at 0, 0, 0).
 
-    No robot's estimate depends on another's.
+    The robots' estimates are independent of each other.
     """
 
     def __init__(self, config: EnvConfig, count: int):
         self._tracker = Tracker(config, count)
         self.poses_odom = self._tracker.poses_odom
-        """(n, 3) the estimates after the latest frames; another array after every update."""
+        """(n, 3) estimates after the latest frames; a new array after every update."""
         self._taker = KeyframeTaker(config, self._tracker)
         self.everyone = np.arange(count)
-        """(n,) the numbers of all robots."""
+        """(n,) indices of all robots."""
         self.robots = [RobotFrontEnd(config, field) for field in self._tracker.fields.each]
-        """What each robot remembers for itself."""
+        """Per-robot state."""
 
     def update(self, frames: Sequence[SensorFrame], team_step: int = -1) -> list[Keyframe]:
         """Take in at most one frame per robot; gives a keyframe of each that came to a new place.
@@ -49,7 +49,7 @@ class FrontEnds:
         if isinstance(frames, TeamFrames):
             return self.update_together(frames, team_step)
         together: dict[tuple[int, float], list[SensorFrame]] = {}
-        for frame in frames:  # of robots whose clocks may differ, as in recordings
+        for frame in frames:  # clocks may differ between robots, as in recordings
             together.setdefault((frame.step, frame.time_s), []).append(frame)
         keyframes = []
         for some in together.values():
@@ -82,20 +82,20 @@ class FrontEnds:
 
 
 class RobotFrontEnd:
-    """What one robot remembers: its latest keyframes, its local map, and what it read since the last keyframe."""
+    """State of one robot: recent keyframes, local map, and sign readings since the last keyframe."""
 
     def __init__(self, config: EnvConfig, field: LineField):
-        """field: of its local map."""
+        """field: line field of its local map."""
         self._field, self._memory_m = field, config.slam.local_map.memory_m
         self.taken = 0
-        """How many keyframes the robot has taken."""
+        """Number of keyframes taken."""
         self._recent: list[Keyframe] = []
-        """Those that may still be drawn into the local map, and the latest one."""
+        """Keyframes that may be redrawn into the local map, and the latest one."""
         self._readings: deque[tuple[str, float, float, float]] = deque(maxlen=READINGS_MAX)
-        """Text, place [m, m] and facing [rad] in the odom frame of each sign read since the last keyframe."""
+        """Text, position [m, m] and facing [rad] in the odom frame of each sign read since the last keyframe."""
 
     def read_signs(self, signs: Sequence[SignReading], pose_odom: Array) -> None:
-        """Note the signs of a frame with the walls they hang on."""
+        """Store the sign readings of a frame with the facing of the wall behind each."""
         x, y, heading = pose_odom.tolist()
         for sign in signs:
             angle = heading + sign.bearing_rad
@@ -103,7 +103,7 @@ class RobotFrontEnd:
             self._readings.append((sign.text, *place, self._field.facing_at(place, (x, y))))
 
     def signs_seen_from(self, pose_odom: Array) -> tuple[SignObservation, ...]:
-        """The signs read since the last keyframe, in the frame of the next one, which is taken at this pose."""
+        """The signs read since the last keyframe, in the frame of the next keyframe at this pose; clears them."""
         if not self._readings:
             return ()
         px, py, heading = pose_odom.tolist()
@@ -120,14 +120,14 @@ class RobotFrontEnd:
         return signs
 
     def remember(self, keyframe: Keyframe) -> None:
-        """The robot has taken a keyframe."""
+        """Record a new keyframe."""
         self.taken += 1
         self._recent.append(keyframe)
 
     def move_on(self) -> None:
-        """Put the latest keyframe into the middle of the local map, and draw what was seen around it.
+        """Re-centre the local map at the latest keyframe and redraw the recent keyframes around it.
 
-        Raises DataError for numbers that are not sound.
+        Raises DataError for values that are not finite.
         """
         latest = self._recent[-1]
         self._field.reset(latest.pose_odom[:2])

@@ -1,4 +1,4 @@
-"""The robots' own clocks: each may count from anywhere, jump ahead, or stand where frames were lost."""
+"""The robots' own clocks: each may have any offset, jump ahead, or skip where frames were lost."""
 
 from __future__ import annotations
 
@@ -11,37 +11,37 @@ from twc_env.config import EnvConfig
 from twc_env.messages import SensorFrame
 
 GAP_S, GAP_TIMES = 0.25, 3.0
-"""Between two frames of a robot there is a gap where they are further apart than this, and so many times as far as the
-two before ..."""
-ASTRAY_TIMES = 3.0
-"""... and where the gyro, over that time, turned by so many times more or less than odometry may err: then it did not
-turn at that rate all the time, or the time is wrong."""
+"""Two frames of a robot have a gap between them if they are further apart in time than this, and than this multiple of
+the previous interval ..."""
+DEVIATION_TIMES = 3.0
+"""... and if the gyro, integrated over that time, deviates from odometry by more than this multiple of its standard
+deviation: then the rate was not constant, or the time is wrong."""
 
 
 class RobotClocks:
-    """Times of frames, counted by each robot from its first one; gaps that contradict its gyro are left out."""
+    """Frame times relative to each robot's first frame; gaps that contradict its gyro are removed."""
 
     def __init__(self, config: EnvConfig, count: int):
         self.times_s = np.full(count, -np.inf)
-        """(robots,) of the last frame of each, by its own clock."""
+        """(robots,) time of each robot's last frame, by its own clock."""
         self.given = np.zeros(count, np.int64)
-        """(robots,) how many frames each gave, which whoever takes them counts."""
+        """(robots,) number of frames of each robot, counted by the caller."""
         self._skipped_s = np.zeros(count)
-        """(robots,) what its clock counted before its first frame and in gaps."""
+        """(robots,) time before its first frame and in removed gaps."""
         self._paces_s = np.full(count, config.dynamics.time_step_s)
-        """(robots,) between the last two frames of each."""
-        self._astray_rad = ASTRAY_TIMES * config.slam.odometry_filter.odometry_turn_std_rad
+        """(robots,) interval between its last two frames."""
+        self._deviation_max_rad = DEVIATION_TIMES * config.slam.odometry_filter.odometry_turn_std_rad
 
-    def told(self, frame: SensorFrame, is_first: bool) -> SensorFrame:
-        """The same frame with the time since the robot's first. After a gap odometry alone says how far it turned, in
-        as much time as was between the two frames before."""
+    def corrected(self, frame: SensorFrame, is_first: bool) -> SensorFrame:
+        """The same frame with time relative to the robot's first. After a removed gap, the turn is that of odometry,
+        over the interval of the two frames before."""
         robot, rate_rad_s, turned_rad = frame.robot, frame.turn_rate_rad_s, float(frame.odometry[2])
         elapsed_s, pace_s = frame.time_s - self.times_s[robot], self._paces_s[robot]
         self.times_s[robot] = frame.time_s
         is_gap = max(GAP_S, GAP_TIMES * pace_s) < elapsed_s < math.inf
         if is_first:
             self._skipped_s[robot] = frame.time_s
-        elif is_gap and abs(rate_rad_s * elapsed_s - turned_rad) > self._astray_rad:
+        elif is_gap and abs(rate_rad_s * elapsed_s - turned_rad) > self._deviation_max_rad:
             self._skipped_s[robot] += elapsed_s - pace_s
             rate_rad_s = turned_rad / pace_s
         elif 0.0 < elapsed_s < math.inf:

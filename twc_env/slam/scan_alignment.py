@@ -1,9 +1,10 @@
-"""The last word on a finished trajectory: every scan laid on those around it, one to one, and all poses fitted at once.
+"""Final alignment of a finished trajectory: every scan is matched to its neighbours and all poses are optimised
+jointly.
 
-Closures come from clouds of several scans and are doubted more than they deserve, as inside an episode a few false ones
-must not win. Once poses are right to within a wall's reach nothing is left to be mistaken: two scans of one place fix
-each other to a millimetre and a fraction of a milliradian, and are weighed so (Lu & Milios 1997, with points laid on
-lines). What decides a long trajectory is its headings, the first one above all.
+Closures match clouds of several scans and have large covariances, so that a few false ones do no harm in an episode.
+Once poses are accurate to within the matching distance, mismatches are rare: two scans of one place determine their
+relative pose to a millimetre and a fraction of a milliradian, and are weighted accordingly (Lu & Milios 1997, with
+point-to-line matching). The accuracy of a long trajectory depends on its headings, above all the first one.
 """
 
 from __future__ import annotations
@@ -20,28 +21,28 @@ from twc_env.slam import pose_graph
 from twc_env.slam.scan_matching import LineField, scan_points
 
 STEPS_BACK = (1, 2, 4, 8)
-"""Each scan is laid on the one before it, that before this, and so on ..."""
+"""Each scan is matched to those this many scans before ..."""
 REACH_M, APART_M, VISITS, VISIT_APART_M = 3.0, 6.0, 8, 3.0
-"""... and on the nearest of up to this many visits within reach, further back than this along the path."""
+"""... and to the nearest of up to this many visits within reach, more than APART_M back along the path."""
 CELL_M, MATCH_REACH_M, MATCH_ITERATIONS = 0.2, 0.3, 20
 DEGENERATE_SHARE = 0.02
-"""A direction that fewer than this share of the beams fix is left open. Lower than where guesses are poor: the few
-beams that see a corridor's end are right when everything else already fits."""
+"""A direction constrained by less than this share of the beams is left open. Lower than for poor initial guesses: the
+few beams that hit a corridor's end are correct once everything else fits."""
 SHARE_MIN = 0.6
-"""Scans that share fewer of their beams tell nothing of each other."""
+"""Pairs of scans with a smaller share of matched beams are skipped."""
 BEAM_STD_M, CORRELATION = 0.015, 2.0
 STD_MIN = (0.002, 0.002, 0.0004)
-"""No pair is known better than this [m, m, rad]."""
+"""Minimum standard deviation of a pair [m, m, rad]."""
 OPEN_INFORMATION = 1e-3
-"""Of a direction that was left open."""
+"""Information of a direction left open."""
 FITS = tuple(PoseGraphConfig(robust="cauchy", robust_scale=scale, iterations_max=30) for scale in (9.0, 1.5))
-"""One after the other, each with new matches. Along a bare corridor every sixth match is a decimetre off and claims
-millimetres: once the poses are near, only the many that agree count. Chosen in the semi-indoor twin of radio SLAM,
-walks 0 to 3 and 100 to 105."""
+"""Optimisations in sequence, each with new matches. Along a bare corridor every sixth match is a decimetre off with a
+covariance of millimetres, so the second scale only keeps the consistent majority. Chosen in the semi-indoor twin of
+radio SLAM, walks 0 to 3 and 100 to 105."""
 
 
 def aligned(keyframes: Sequence[Keyframe], poses: Array, range_max_m: float) -> Array:
-    """Poses (n, 3) of one robot's keyframes, in order, from poses that tell what lies near what; the first is held."""
+    """Poses (n, 3) of one robot's keyframes, in order, starting from approximate poses; the first is held."""
     count = len(keyframes)
     if count < 2:
         return poses
@@ -61,7 +62,7 @@ def aligned(keyframes: Sequence[Keyframe], poses: Array, range_max_m: float) -> 
 
 
 def _pairs(poses: Array, travel_m: Array) -> Array:
-    """(k, 2) earlier and later keyframe of each pair to be laid on each other, in order of the earlier."""
+    """(k, 2) earlier and later keyframe of each pair to be matched, ordered by the earlier."""
     pairs = []
     for here in range(1, len(poses)):
         pairs += [(here - back, here) for back in STEPS_BACK if back <= here]
@@ -77,7 +78,7 @@ def _pairs(poses: Array, travel_m: Array) -> Array:
 
 
 def _measured(scans: Array, poses: Array, pairs: Array, range_max_m: float) -> tuple[Array, Array, Array]:
-    """Of the pairs whose scans fit: pairs (k, 2), where the later lies from the earlier (k, 3), information."""
+    """The pairs (k, 2) whose scans match, the later pose relative to the earlier (k, 3), and its information."""
     field, drawn = LineField(2.0 * (range_max_m + 1.0), CELL_M, range_max_m), -1
     points = [scan_points(scan, range_max_m) for scan in scans]
     kept, measured, information = [], [], []

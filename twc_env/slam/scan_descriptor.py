@@ -1,7 +1,7 @@
-"""What a place looks like to the laser: a descriptor that is compared under every rotation, and a direct comparison.
+"""Appearance of a place in a laser scan: a rotation-invariant descriptor, and a direct comparison of two scans.
 
-The descriptor is Scan Context (Kim and Kim 2018) brought to 2D: rings of distance by sectors of bearing. Turning the
-robot shifts the sectors, so the best shift gives both the similarity and the turn between two scans.
+The descriptor is Scan Context (Kim and Kim 2018) in 2D: rings of range by sectors of bearing. A rotation shifts the
+sectors, so the best shift gives the similarity and the rotation between two scans.
 """
 
 from __future__ import annotations
@@ -16,34 +16,36 @@ from twc_env.kernels import kernel
 
 SECTORS, RINGS = 60, 20
 NEIGHBOUR_WEIGHT = 0.5
-"""A point also counts this much in the next ring on either side, so that a small step changes little."""
+"""Weight of a point in the neighbouring rings, so that small translations change the descriptor little."""
 AGREE_M = 0.25
 THROUGH_M = 0.4
-"""A point this far in front of the other scan's wall was seen through."""
+"""A point this far in front of the other scan's wall contradicts it (seen through)."""
 
 
 def describe(ranges_m: Array, range_max_m: float) -> Array:
-    """(beams,) ranges -> (RINGS, SECTORS), each sector of length one (or empty); mates and open beams leave nothing."""
+    """Ranges (beams,) -> (RINGS, SECTORS) with normalised sectors; beams marked as mates or without return are
+    skipped."""
     descriptor = np.zeros((RINGS, SECTORS))
     _bin(ranges_m, range_max_m, descriptor)
     return descriptor
 
 
 def ring_key(descriptor: Array) -> Array:
-    """(..., RINGS) share of each ring over all bearings: the same after any turn, for a quick search."""
+    """(..., RINGS) mean of each ring over all bearings: invariant to rotation, for fast search."""
     return descriptor.mean(axis=-1)
 
 
 def compare(target: Array, source: Array) -> tuple[float, float]:
-    """Similarity of two descriptors in [0, 1] at the best turn, and that turn: the source's heading in the target."""
+    """Similarity of two descriptors in [0, 1] at the best rotation, and that rotation: the source's heading in the
+    target."""
     similarity, turn = compare_many(target[None], source)
     return float(similarity[0]), float(turn[0])
 
 
 def compare_many(targets: Array, source: Array) -> tuple[Array, Array]:
-    """(k, RINGS, SECTORS) against one: (k,) similarities at the best turn and (k,) turns [rad].
+    """(k, RINGS, SECTORS) against one: (k,) similarities at the best rotation and (k,) rotations [rad].
 
-    The cosine between the sectors that are filled in both, averaged over those filled in either.
+    The cosine between sectors that are non-empty in both, averaged over those non-empty in either.
     """
     shifts = np.fft.irfft(
         (np.fft.rfft(targets, axis=-1) * np.conj(np.fft.rfft(source, axis=-1))).sum(axis=-2), n=SECTORS, axis=-1
@@ -58,9 +60,9 @@ def compare_many(targets: Array, source: Array) -> tuple[Array, Array]:
 def scan_agreement(
     target_m: Array, source_m: Array, pose_target_source: Array, range_max_m: float
 ) -> tuple[float, float]:
-    """Lay two scans on each other: share of points that meet the other's walls, and share that it saw through.
+    """Overlay two scans: share of points on the other's walls, and share that contradicts it (seen through).
 
-    Each share is of the points that the other scan could judge, both ways together; (0, 0) where there is none.
+    Each share is of the points within the other scan's view, both directions together; (0, 0) without any.
     """
     pose = np.asarray(pose_target_source, float)
     a = _judge(source_m, pose, target_m, range_max_m)
@@ -101,7 +103,7 @@ def _bin(ranges, range_max, descriptor):
 
 @kernel
 def _judge(points, pose, ranges, range_max):
-    """Points of one scan, seen from pose in the frame of another: on its walls, seen through, and judged at all."""
+    """Points of one scan, at pose in the frame of another: on its walls, seen through, and evaluated in total."""
     beams = ranges.shape[0]
     step = 2.0 * math.pi / points.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -117,7 +119,7 @@ def _judge(points, pose, ranges, range_max):
         low = int(math.floor(beam)) % beams
         a, b = abs(ranges[low]), abs(ranges[(low + 1) % beams])
         near, most = min(a, b), max(a, b)
-        if r > most + AGREE_M or r >= range_max:  # hidden behind what the other scan met
+        if r > most + AGREE_M or r >= range_max:  # occluded in the other scan
             continue
         judged += 1
         if r < near - THROUGH_M:

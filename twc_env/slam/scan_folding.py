@@ -1,8 +1,8 @@
-"""Fold scans into log-odds cells: the compiled part of `OccupancyGrid`.
+"""Integrate scans into a log-odds grid: the compiled part of `OccupancyGrid`.
 
-Free space is the visible polygon: a bit for each cell in which an edge of it begins a row or ends one, then the bits of
-all cells between. So nothing is sorted, and each cell is visited once per scan; the cells that returned a beam are then
-raised. A cell is free below 0, wall above 0, unknown at 0.
+Free space is the visible polygon, rasterised by scan conversion: each polygon edge toggles a bit in every row that it
+crosses, and all cells between pairs of bits are filled. Nothing is sorted, and each cell is visited once per scan. Then
+the cells that returned a beam are raised. A cell is free below 0, wall above 0, unknown at 0.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ LOG_ODDS_MAX = 80
 FREE_MARGIN_CELLS = 0.5
 """Free space ends this far before the measured wall."""
 WORD_CELLS, PART_CELLS = 64, 32
-"""Cells of a row that have their bits in one word, and those of them that are lowered at once."""
+"""Cells of a row per 64-bit word, and how many of them are updated at once (SIMD)."""
 _BITS = np.uint32(1) << np.arange(PART_CELLS, dtype=np.uint32)
 FEW_ROWS = 2
-"""So many rows of an edge are marked whether or not it crosses them."""
+"""Rows of an edge that are marked without a branch, whether or not it crosses them."""
 BLOCK_ROWS, BLOCK_COLUMNS = BLOCK_SHAPE
 BLOCK_CELLS = 32
-"""What stands in a row is noted anew for so many cells at once: a few too many are quicker than a remainder."""
+"""Cells of a row whose kinds are updated at once: a few too many are faster than a remainder loop."""
 
 
 @borrowing_kernel
 def _lay_out(gx, gy, row_low, c, s, margin, directions, ranges, range_max, corners, cells):
-    """Where the free space ends in each direction, in rows and columns as reals, and the cell that each beam met.
+    """End of the free space in each beam direction, in real rows and columns, and the cell that each beam hit.
 
-    Apart from what follows, for many beams at once: corners (2, beams + 1), of which the last comes first too; cells
-    (2, beams): column and row, which is -1 where the beam met nothing.
+    Separate from the rest so that it vectorises over beams: corners (2, beams + 1), the last repeated first; cells (2,
+    beams): column and row, row -1 without a return.
     """
     beams = ranges.shape[0]
     for i in range(beams):
@@ -54,9 +54,9 @@ def _lay_out(gx, gy, row_low, c, s, margin, directions, ranges, range_max, corne
 
 @borrowing_kernel
 def _cut(corners, last_row, edges, rows):
-    """First row 0..last_row whose centre line each edge between corners crosses and the end of these: rows (2, edges).
+    """First row in 0..last_row whose centre line each polygon edge crosses, and the end row: rows (2, edges).
 
-    edges (2, edges): the column at the first of them as a real, and how it changes from row to row.
+    edges (2, edges): column at the first row as a real number, and its change per row.
     """
     for i in range(edges.shape[1]):
         px, py, qx, qy = corners[0, i], corners[1, i], corners[0, i + 1], corners[1, i + 1]
@@ -69,7 +69,7 @@ def _cut(corners, last_row, edges, rows):
 
 @borrowing_kernel
 def _column_of(x, low, high):
-    """The first whole column from x on, cut to low..high; low where there is none."""
+    """The smallest integer column >= x, clamped to low..high."""
     column = np.ceil(x)
     column = column if column > low else low
     return np.int32(column if column < high else high)
@@ -77,10 +77,10 @@ def _column_of(x, low, high):
 
 @borrowing_kernel
 def _mark_crossings(edges, rows, first_column, end_column, marks):
-    """Turn the bit of the column at which an edge crosses the centre line of a row, for each edge and row.
+    """Toggle the bit of the column at which an edge crosses the centre line of a row, for each edge and row.
 
-    Bits count columns from the first one on, 64 in each of marks (words, rows); those outside are put on the border.
-    Most edges cross few rows, and how many cannot be foretold: the first ones are marked without a branch.
+    Bits count columns from the first one on, 64 per word of marks (words, rows); columns outside are clamped to the
+    border. Most edges cross few rows, and the number is unpredictable: the first rows are marked without a branch.
     """
     low, high, one, last_row = float(first_column), float(end_column), np.uint64(1), np.uint64(marks.shape[1] - 1)
     for i in range(edges.shape[1]):
@@ -98,9 +98,9 @@ def _mark_crossings(edges, rows, first_column, end_column, marks):
 
 @borrowing_kernel
 def _fill_between(marks, words, rows, is_inside):
-    """Where a scan sees through: from each odd mark of a row up to the next one. Nothing stays marked.
+    """Cells inside the polygon: from each odd mark of a row up to the next one. Clears all marks.
 
-    is_inside: a bit for each column as in marks (words, rows). For many rows at once.
+    is_inside: bits as in marks (words, rows). Vectorised over rows.
     """
     for k in range(words):
         mark, inside = marks[k, :rows], is_inside[k, :rows]
@@ -109,7 +109,7 @@ def _fill_between(marks, words, rows, is_inside):
                 inside[row] = mark[row]
         else:
             before = is_inside[k - 1, :rows]
-            for row in range(rows):  # the first bit goes on with what the last word ends with
+            for row in range(rows):  # the first bit continues the state at the end of the previous word
                 inside[row] = mark[row] ^ (before[row] >> np.uint64(63))
         for row in range(rows):
             word = inside[row]
@@ -127,7 +127,7 @@ def _fill_between(marks, words, rows, is_inside):
 
 @borrowing_kernel
 def _lower(levels, start, word):
-    """Make the cells of a row freer whose bits are set, counted from the cell `start` on."""
+    """Lower the log-odds of the cells of a row whose bits are set, counted from cell `start`."""
     if start + WORD_CELLS > levels.shape[0]:
         for j in range(levels.shape[0] - start):
             if (word >> np.uint64(j)) & np.uint64(1):
@@ -142,16 +142,16 @@ def _lower(levels, start, word):
 
 @borrowing_kernel
 def _find_news(levels, start, word, span):
-    """Widen a span of columns by the blocks of a row in which lowering these cells makes one free or unknown.
+    """Extend a span of columns by the blocks of a row in which lowering these cells makes one free or unknown.
 
-    In most there is none: what was seen through before is seen through again.
+    Mostly there is none: free cells stay free.
     """
     if start + WORD_CELLS > levels.shape[0]:
         span[0], span[1] = min(span[0], start), levels.shape[0] - 1
         return
     for part in range(0, WORD_CELLS, PART_CELLS):
         block, bits = levels[start + part : start + part + PART_CELLS], np.uint32(word >> np.uint64(part))
-        lowest = np.uint16(2**16 - 1)  # of those that are lowered; below 0 it would count as large
+        lowest = np.uint16(2**16 - 1)  # of the lowered cells; negative values wrap to large ones
         for j in range(PART_CELLS):
             level = np.uint16(block[j]) if np.uint32(bits & _BITS[j]) != np.uint32(0) else np.uint16(2**16 - 1)
             lowest = min(lowest, level)
@@ -164,11 +164,10 @@ def look_through(
     shape, step, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, marks, is_inside, corners, edges,
     rows, cells,
 ):  # fmt: skip
-    """Find the cells of a grid of that shape that a scan sees through, a bit for each: is_inside (words, rows).
+    """Rasterise the free space of a scan on a grid of that shape, as a bit per cell: is_inside (words, rows).
 
-    Gives the first row, the number of rows, the first column, which is a multiple of `step` where the width
-    is, and the number of words.
-    cells: as `_lay_out` has them.
+    Returns the first row, the number of rows, the first column, which is a multiple of `step` if the width is, and the
+    number of words. cells: as in `_lay_out`.
     """
     height, width = shape
     c, s = math.cos(pose[2]) * inverse_m, math.sin(pose[2]) * inverse_m
@@ -197,10 +196,10 @@ def _integrate_scan(
     log_odds, origin_x, origin_y, inverse_m, pose, directions, ranges, range_max, marks, is_inside, spans, corners,
     edges, rows, cells,
 ):  # fmt: skip
-    """Lower what the scan saw through and raise what it met.
+    """Lower the free cells of a scan and raise the cells that it hit.
 
-    Gives the first and last row that it can touch; spans (rows, 2) gets, where it has rows, the first and last column
-    in each between which some cell has become free, unknown or wall.
+    Returns the first and last row that it may change; spans (rows, 2), unless empty, gets per row the first and last
+    column between which cells became free, unknown or wall.
     """
     height, width = log_odds.shape
     beams, has_spans = ranges.shape[0], spans.shape[0] > 0
@@ -224,10 +223,10 @@ def _integrate_scan(
         column, row = cells[0, i], cells[1, i]
         if row < 0 or column < 0 or row >= height or column >= width:
             continue
-        raised = LOG_ODDS_HIT if (row != last_row) | (column != last_column) else 0  # hard to foresee: no branch
+        raised = LOG_ODDS_HIT if (row != last_row) | (column != last_column) else 0  # unpredictable: no branch
         last_row, last_column, before = row, column, log_odds[row, column]
         log_odds[row, column] = min(before + raised, LOG_ODDS_MAX)
-        if has_spans and -LOG_ODDS_HIT <= before <= 0:  # else it stays free, or a wall
+        if has_spans and -LOG_ODDS_HIT <= before <= 0:  # otherwise the kind does not change
             at = min(max(row - row_low, 0), row_high - row_low)
             spans[at, 0], spans[at, 1] = min(spans[at, 0], column), max(spans[at, 1], column)
     return row_low, row_high
@@ -235,7 +234,7 @@ def _integrate_scan(
 
 @borrowing_kernel
 def _note_spans(log_odds, row_low, row_high, spans, kinds):
-    """`note_kinds` of the squares that hold a cell of the spans."""
+    """`note_kinds` of the squares that contain a cell of the spans."""
     for row in range(row_low - 1, row_high + 1):
         above, here = min(row + 1, row_high) - row_low, max(row, row_low) - row_low
         first, last = min(spans[here, 0], spans[above, 0]), max(spans[here, 1], spans[above, 1])
@@ -246,7 +245,7 @@ def _note_spans(log_odds, row_low, row_high, spans, kinds):
 
 @borrowing_kernel
 def _note_touched(row, first_column, last_column, number, touched):
-    """Write the number of a scan to the blocks in which cells of a row are."""
+    """Write the number of a scan to the blocks that contain these cells of a row."""
     for block in range(first_column // BLOCK_COLUMNS, last_column // BLOCK_COLUMNS + 1):
         touched[row // BLOCK_ROWS, block] = number
 
@@ -255,7 +254,7 @@ def _note_touched(row, first_column, last_column, number, touched):
 def _integrate_inside(
     log_odds, kinds, touched, number, bounds, reached, inverse_m, poses, directions, scans, range_max, room
 ):
-    """Fold in scans that touch no more than the box `reached`, in a grid with these bounds."""
+    """Integrate scans that stay within the box `reached`, in a grid with these bounds."""
     marks, is_inside, spans, corners, edges, rows, cells = room
     noted = spans[: spans.shape[0] if poses.shape[0] == 1 else 0]
     for k in range(poses.shape[0]):
@@ -267,7 +266,7 @@ def _integrate_inside(
             _note_spans(log_odds, row_low, row_high, spans, kinds)
             for row in range(row_low, row_high + 1):
                 _note_touched(row, spans[row - row_low, 0], spans[row - row_low, 1], number, touched)
-    if poses.shape[0] > 1:  # they touch the same cells again and again
+    if poses.shape[0] > 1:  # the scans overlap, so kinds are updated once at the end
         bottom, left = int((reached[1] - bounds[1]) * inverse_m) - 2, int((reached[0] - bounds[0]) * inverse_m) - 2
         top, right = int((reached[3] - bounds[1]) * inverse_m) + 3, int((reached[2] - bounds[0]) * inverse_m) + 3
         note_kinds(log_odds, bottom, left, top, right, kinds)
@@ -277,9 +276,9 @@ def _integrate_inside(
 
 @borrowing_kernel
 def integrate_many(grid, poses, scans):
-    """Fold in scans that lie inside the first box, and widen the second by what these can touch.
+    """Integrate scans that lie inside the first box of `boxes`, and extend the second by the area they can change.
 
-    Writes that box to `reached` (4,); whether it lay inside.
+    Writes that area to `reached` (4,); returns False, without integrating, if it is not inside.
     """
     log_odds, kinds, touched, numbers, boxes, inverse_m, directions, range_max, reached, room = parts_of(grid)
     low_x, low_y, high_x, high_y, reach = np.inf, np.inf, -np.inf, -np.inf, 0.0
@@ -304,9 +303,11 @@ def integrate_many(grid, poses, scans):
 
 
 def folding_room(beams: int, rows: int) -> tuple[Array, ...]:
-    """Marks, what is inside, spans, corners, edges, their rows, and cells of `_integrate_scan`: kept, as new arrays of
-    this size take long to get. Scans reach over as many columns as rows."""
-    words = rows // WORD_CELLS + 2  # one more where the first of them begins at a whole one
+    """Work arrays of `_integrate_scan`: marks, inside bits, spans, corners, edges, their rows, and cells.
+
+    Kept between calls, since allocation is slow. Scans reach over as many columns as rows.
+    """
+    words = rows // WORD_CELLS + 2  # one more if the first column is not a multiple of the word size
     return (
         np.zeros((words + 1, rows), np.uint64),
         np.zeros((words, rows), np.uint64),

@@ -1,7 +1,7 @@
 """Match a scan to a map of lines: point-to-line Gauss-Newton near a guess, correlative search around it.
 
-The map is a `LineField`: each cell within reach of a wall knows the straight line of the wall nearest to it, so a match
-costs one look-up per beam and residuals are exact distances, not distances to cell centres.
+The map is a `LineField`: each cell within reach of a wall stores the line of the nearest wall, so a match costs one
+look-up per beam and residuals are exact distances, not distances to cell centres.
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ FIELD_SIDE_MAX = 10_000
 """Cells along a side of the largest field: 400 MB."""
 NOTHING_DRAWN = np.array([NOWHERE, NOWHERE, 0, 0, 0])
 SIGN_TO_WALL_M = 0.3
-"""A sign hangs on the wall that is at most this far away."""
+"""Maximum distance of a sign from the wall it is assigned to."""
 STOP_M, STOP_RAD = 1e-3, 5e-4
-"""A smaller step ends a match ..."""
+"""A smaller step ends the iteration ..."""
 TRACKING_STOP_M, TRACKING_STOP_RAD = 2e-3, 1e-3
-"""... or one smaller than this where the robot is only tracked: the next would be lost in the noise of the scan."""
+"""... or one below this in tracking, where the next step would be below the noise of the scan."""
 INNOVATION_MAX_M, INNOVATION_MAX_RAD = 0.4, 0.25
-"""A match that jumps further than this from the prediction is not believed."""
+"""A match that deviates further from the prediction is rejected."""
 SLIP_MAX_M, SLIP_MAX_RAD = 0.7, 0.4
-"""So far it may jump where it explains clearly more of the scan than the prediction does: the robot slipped."""
+"""Limit instead of that for a match that explains clearly more of the scan than the prediction: the robot slipped."""
 GAIN_MIN, LOSS_WEIGHT = 0.1, 5.0
-"""That much more, as a share of the beams; weights that beams lose count so often. After a slip hardly any beam fits
-less well; where new walls of a long corridor are taken for known ones, those near the robot do."""
+"""Required gain of such a match, as a share of the beams; weight lost by single beams counts LOSS_WEIGHT times. After a
+slip hardly any beam fits worse; where new walls of a long corridor are mistaken for known ones, nearby beams do."""
 MATCHED_SHARE_MIN = 0.3
-"""No match is believed that explains fewer of the beams."""
+"""Minimum share of matched beams of an accepted match."""
 FIT_MIN = 0.75
-"""A scan that fits less well (mean weight of a beam) is also laid on the map all around the prediction, ..."""
+"""Below this mean weight of a beam, a correlative search around the prediction follows ..."""
 SEARCH_M, SEARCH_RAD, SEARCH_STEP_M, SEARCH_STEP_RAD, SEARCH_BEAMS = 0.6, 0.36, 0.15, 0.06, 45
 """... so far, in such steps, and with about so many beams. That is one step of a thousand."""
 WALL_MARGIN_M = 0.3
@@ -62,11 +62,12 @@ otherwise robots, and what the map holds of one that has left, would fix a corri
 
 @borrowing_kernel
 def match_scan(cells, lines, origin, scan, directions, rule, guess, room, pose, information):
-    """Lay a scan (beams,) on a field near a guess: writes the pose (3,) and its information (3, 3), zeros for none.
+    """Match a scan (beams,) to a field near a guess: writes the pose (3,) and its information (3, 3), zeros if
+    rejected.
 
-    rule: as `LineFields` has it; room: of `matching_room`. Gives whether the pose is to be believed (it is near the
-    guess, and enough beams speak for it), whether it explains clearly more of the scan than the guess does, and the
-    share of the beams that returned which end near walls.
+    rule: as in `LineFields`; room: from `matching_room`. Returns whether the match is accepted (near the guess, with
+    enough beams), whether it explains clearly more of the scan than the guess, and the share of returned beams near
+    walls.
     """
     points, h, start, scratch = room
     was_open, _, _ = open_direction(information)
@@ -74,7 +75,7 @@ def match_scan(cells, lines, origin, scan, directions, rule, guess, room, pose, 
     start[0], start[1], start[2] = guess[0], guess[1], guess[2]
     begun = held = total = 0.0
     near, degenerate = 0, False
-    # At the guess; where that fits badly elsewhere too; and there again where nothing fits clearly better.
+    # First at the guess; if that fits badly, also after a search; again at the guess if nothing fits clearly better.
     for attempt in range(3):
         total, near, degenerate, first = refine_pose(
             cells, lines, origin, rule[1], points, n, start, rule[2], int(rule[5]), rule[3], TRACKING_STOP_M,
@@ -139,18 +140,18 @@ def _facing(field, x, y, from_x, from_y):
 
 
 def matching_room(beams: int) -> tuple:
-    """Room for `match_scan` to work in, for scans of so many beams."""
+    """Work arrays of `match_scan` for scans of this many beams."""
     return np.empty((beams, 2)), np.empty(9), np.empty(3), line_scratch()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """Where a scan fits, and how well each direction is fixed."""
+    """Result of scan matching."""
 
     pose: Array
-    """(3,) of the scan in the frame of the field."""
+    """(3,) pose of the scan in the frame of the field."""
     sums: Array
-    """(9,) over the beams, see `normal_equations`."""
+    """(9,) sums over the beams, see `normal_equations`."""
     weight: float
     """Sum of the beams' weights; below WEIGHT_MIN nothing was matched."""
     is_degenerate: bool
@@ -158,7 +159,7 @@ class Match:
     def information(self, beam_std_m: float, correlation: float) -> Array:
         """(3, 3) information of `pose`, along the field's axes.
 
-        None along a degenerate direction, as a corridor does not fix its own axis.
+        Zero along a degenerate direction, since a corridor does not constrain its own axis.
         """
         information = np.empty((3, 3))
         fill_information(self.sums, self.is_degenerate, beam_std_m**2 * correlation, information)
@@ -166,7 +167,7 @@ class Match:
 
 
 class LineField(BindsAnew):
-    """The walls of a neighbourhood, ready for matching; a square of cells in some fixed frame."""
+    """The walls around a point, indexed for matching: a square of cells in a fixed frame."""
 
     def __init__(
         self,
@@ -176,11 +177,9 @@ class LineField(BindsAnew):
         range_noise_std_m: float = 0.0,
         storage: tuple[Array, Array, Array, Array] | None = None,
     ):
-        """Empty and centred on 0, 0. storage: as of `field_storage`, to use instead of new arrays.
+        """Empty and centred on 0, 0. storage: from `field_storage`, to use instead of new arrays.
 
-        The more ranges err, the longer are the pieces of wall that are made of them.
-
-        Raises ConfigError for sizes that cannot be meant.
+        Larger range noise gives longer wall pieces. Raises ConfigError for invalid sizes.
         """
         if not (0.0 < resolution_m <= size_m <= FIELD_SIDE_MAX * resolution_m and range_max_m > 0.0):
             raise ConfigError(
@@ -192,11 +191,11 @@ class LineField(BindsAnew):
         self._cells, self._lines, self._origin_m, self._drawn = storage or field_storage(size_m, resolution_m)
         self._scratch = line_scratch()
         self._facing: Callable[..., float] | None = None
-        """The kernel of this name with all of this."""
+        """The kernel `_facing` bound to the arrays of this field."""
         self.reset(np.zeros(2))
 
     def reset(self, centre_m: Array) -> None:
-        """Forget all walls and move to another centre."""
+        """Remove all walls and move to another centre."""
         half = 0.5 * len(self._cells) / self._inverse_m
         self._origin_m[:] = centre_m[0] - half, centre_m[1] - half
         left, bottom, right, top, _ = self._drawn.tolist()
@@ -204,9 +203,9 @@ class LineField(BindsAnew):
         self._drawn[:] = NOTHING_DRAWN
 
     def add(self, poses: Array, scans: Array) -> None:
-        """Draw the walls seen by scans (k, beams) [m] at poses (k, 3).
+        """Add the walls seen by scans (k, beams) [m] at poses (k, 3).
 
-        Raises DataError for what is no number or has another shape.
+        Raises DataError for NaN or arrays of another shape.
         """
         if np.ndim(scans) != 2 or np.shape(poses) != (len(scans), 3) or np.shape(scans)[1] == 0:
             raise DataError(
@@ -223,7 +222,7 @@ class LineField(BindsAnew):
     def refine(self, points: Array, guess: Array, distance_max_m: float, iterations: int, degenerate_share: float):
         """Match points (n, 2) of the robot frame from a near guess (point-to-line Gauss-Newton) -> Match.
 
-        This and what follows raises DataError for points and poses of another shape, or not finite.
+        Like the methods below, raises DataError for points and poses of another shape, or not finite.
         """
         points, guess = given_points(points), given_pose(guess, "guess")
         pose, h = np.empty(3), np.zeros(9)
@@ -245,12 +244,12 @@ class LineField(BindsAnew):
         return best, score
 
     def share_near(self, points: Array, pose: Array, near_m: float) -> float:
-        """Share of points (n, 2), seen from pose, that lie within near_m of a wall."""
+        """Share of points (n, 2), transformed by pose, within near_m of a wall."""
         points, pose = given_points(points), given_pose(pose, "pose")
         return share_near(*self._field, points, len(points), pose, near_m)
 
     def facing_at(self, position: Sequence[float] | Array, seen_from: Sequence[float] | Array) -> float:
-        """Outward normal [rad] of the wall at a position, on the side it is seen from; NaN where no wall is near."""
+        """Outward normal [rad] of the wall at a position, on the side it is seen from; NaN if no wall is near."""
         now = *map(float, position), *map(float, seen_from)
         if self._facing is None:
             self._facing = bound(_facing, Lent((self._cells, self._lines, self._origin_m, self._inverse_m)), *now)
@@ -258,7 +257,8 @@ class LineField(BindsAnew):
 
     @property
     def parts(self) -> tuple[Array, Array, Array, float, Array, Array]:
-        """Cells, lines, corner, cells per metre, `drawn` and room, as `draw_scans` and `refine_pose` take them."""
+        """Cells, lines, corner, cells per metre, `drawn` and work arrays, as `draw_scans` and `refine_pose` take
+        them."""
         return self._cells, self._lines, self._origin_m, self._inverse_m, self._drawn, self._scratch
 
     @property
@@ -267,7 +267,7 @@ class LineField(BindsAnew):
 
 
 class LineFields:
-    """One field per robot in common memory, so that all their scans are matched in one compiled call."""
+    """One field per robot in common arrays, so that all their scans are matched in one compiled call."""
 
     def __init__(self, count: int, rule: LocalMapConfig, lidar: LidarConfig, variance_m2: float, robot_radius_m: float):
         """variance_m2: the squared error of one beam, times how many beams count as one."""
@@ -286,8 +286,8 @@ class LineFields:
 
 
 def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Array, Array, Array, Array]:
-    """Cells ([count,] rows, columns) that know no wall; lines ([count,] n, 3): normal and offset; corners ([count,] 2);
-    and `drawn` ([count,] 5), see `draw_scans`."""
+    """Empty cells ([count,] rows, columns); lines ([count,] n, 3): normal and offset; corners ([count,] 2); and `drawn`
+    ([count,] 5), see `draw_scans`."""
     side = max(int(round(size_m / resolution_m)), BLOCK_CELLS)
     return (
         np.full((*count, side, side), NO_WALL),
@@ -298,9 +298,9 @@ def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Arra
 
 
 def scan_points(ranges_m: Array, range_max_m: float) -> Array:
-    """(n, 2) end points, in the robot frame, of the beams that returned from something that stands still.
+    """(n, 2) end points, in the robot frame, of the beams that returned from static objects.
 
-    Raises DataError for ranges that are no row (beams,) of numbers.
+    Raises DataError for ranges that are no array (beams,) of numbers.
     """
     ranges_m = given_rows(ranges_m, (), "ranges_m", rows="beams")
     if len(ranges_m) == 0:

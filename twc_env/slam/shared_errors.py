@@ -1,9 +1,9 @@
-"""Errors that all odometry of a robot has in common, as unknowns of a pose graph: its scale, and how it curls.
+"""Systematic odometry errors of each robot as unknowns of the pose graph: scale and curl (heading per metre).
 
-Where no scan takes them out, these and not noise are what odometry is off by after some metres: the error of a stretch
-grows with its length and not with the root of it, and whatever closure tells how long one stretch was tells it of all.
-Each robot's are unknowns beside its poses (self-calibration as of Kuemmerle, Grisetti and Burgard 2011), eliminated
-with them in one sparse factorisation; at given poses they follow in closed form.
+Without scan matching these dominate noise after some metres: the error of a path grows with its length and not with the
+square root of it, and a closure that determines the length of one part determines that of all. Each robot's errors are
+unknowns beside its poses (self-calibration as in Kuemmerle, Grisetti and Burgard 2011), eliminated with them in one
+sparse factorisation; at given poses they have a closed-form solution.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from twc_env.slam.relative_equations import relative_residuals, wrapped
 from twc_env.slam.small_matrices import invert3
 
 CURL_STD_RAD_M = 0.006
-"""Wheels of unequal size, and what is not yet learned of the gyro's bias."""
+"""Prior of the curl: unequal wheels, and the part of the gyro bias that is not yet estimated."""
 UNOWNED = -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedErrors:
-    """How each edge of a graph depends on the errors of the robot whose odometry it is."""
+    """Dependence of each edge of a graph on the systematic errors of its robot."""
 
     owner: Array
-    """(e,) whose odometry an edge is, robots counted from 0; `UNOWNED` where it is none."""
+    """(e,) robot whose odometry an edge is, counted from 0; `UNOWNED` for other edges."""
     bends: Array
-    """(e, 3, 3) what is added to an edge's residual by errors of one standard deviation; the third is not used."""
+    """(e, 3, 3) change of an edge's residual by errors of one standard deviation; the third column is unused."""
 
     @property
     def count(self) -> int:
-        """How many robots there are."""
+        """Number of robots."""
         return int(self.owner.max(initial=UNOWNED)) + 1
 
     def of(self, kept: Array) -> SharedErrors:
-        """Those of some edges: (e,) bool or indices."""
+        """The subset for some edges: (e,) bool or indices."""
         return SharedErrors(self.owner[kept], self.bends[kept])
 
     def and_none(self, count: int) -> SharedErrors:
-        """With so many more edges that are nobody's odometry."""
+        """With this many unowned edges appended."""
         bends = np.concatenate([self.bends, np.zeros((count, 3, 3))])
         return SharedErrors(np.concatenate([self.owner, np.full(count, UNOWNED)]), bends)
 
@@ -58,7 +58,7 @@ class SharedErrors:
 
 
 def shared_errors(owner: Array, measured: Array, length_m: Array, scale_std: float) -> SharedErrors:
-    """Of edges with measurements (e, 3) over paths of this length (e,), by whose odometry (e,) they are."""
+    """For edges with measurements (e, 3) over path lengths (e,), owned by robots (e,)."""
     c, s = np.cos(measured[:, 2]), np.sin(measured[:, 2])
     ahead, left = c * measured[:, 0] + s * measured[:, 1], c * measured[:, 1] - s * measured[:, 0]
     curl = CURL_STD_RAD_M * length_m
@@ -70,7 +70,7 @@ def shared_errors(owner: Array, measured: Array, length_m: Array, scale_std: flo
 
 
 def std_with_shared(std: Array, length_m: Array, scale_std: float) -> Array:
-    """Standard deviations (k, 3) of ways of this length (k,), with what robots' odometry has in common added."""
+    """Standard deviations (k, 3) over path lengths (k,), with the systematic errors added."""
     shared = length_m[:, None] * np.array([scale_std, scale_std, CURL_STD_RAD_M])
     return np.hypot(std, shared)
 

@@ -1,4 +1,4 @@
-"""What one mapper lacked, in words: cues that never came, robots that fell silent, names and devices that mislead."""
+"""Human-readable diagnostics of one mapper: missing cues, silent robots, repeated names and deviating receivers."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from twc_env.slam.team import TeamMapper
 from twc_env.slam.text_similarity import normalise
 
 SILENT_S = 5.0
-"""A robot that was not heard for longer is named."""
+"""Robots not heard for longer are reported."""
 REPEATED_APART_M, REPEATED_SHARE, NAMES_MIN = 4.0, 0.4, 4
-"""A name at places this far apart in one map is repeated; with this share of the names repeated there is a lack."""
+"""A name at places this far apart in one map is repeated; from this share of repeated names on they are reported."""
 
 
 class Listening:
-    """When each mapper last heard each robot, and for how long at most it did not."""
+    """When each mapper last heard each robot, and its longest silence."""
 
     def __init__(self, listeners: int, robots: int, time_step_s: float):
         self._time_step_s = time_step_s
@@ -30,11 +30,11 @@ class Listening:
         self._silence = np.zeros((listeners, robots, 2), np.int64)
         """First and last step of the longest silence that ended."""
         self._same: Array | None = None
-        """What was heard in the latest step, and in those before it that are not yet noted."""
+        """Contacts of the latest step and of identical steps before it that are not yet recorded."""
         self.last_step = 0
 
     def note(self, step: int, heard: Array) -> None:
-        """What reached whom in a step; heard (listeners, robots) bool, never written to afterwards."""
+        """Record the contacts of a step; heard (listeners, robots) bool, not modified afterwards."""
         if heard is self._same and step == self.last_step + 1:
             self.last_step = step
             return
@@ -51,7 +51,7 @@ class Listening:
             self._last[self._same] = self.last_step
 
     def lines(self, listener: int, robots: Collection[int]) -> list[str]:
-        """Robots that this listener has not heard for long, or once did not."""
+        """Reports of robots that this listener has not heard for long, now or earlier."""
         found, step, time_step_s = [], self.last_step, self._time_step_s
         self._catch_up()
         for robot in robots:
@@ -64,7 +64,7 @@ class Listening:
 
 
 def shortcomings(mapper: TeamMapper) -> list[str]:
-    """One line per lack of a mapper so far, in a fixed order; empty when nothing was amiss."""
+    """One line per problem of a mapper so far, in a fixed order; empty without problems."""
     return [
         *_missing(mapper.keyframes, "signs", "no signs read", lambda k: len(k.signs) > 0),
         *_missing(mapper.keyframes, "WiFi", "no WiFi heard", lambda k: len(k.fingerprint.macs) > 0),
@@ -83,7 +83,7 @@ def _missing(paths: Sequence[Sequence[Keyframe]], what: str, nowhere: str, has) 
 
 
 def _repeated_names(mapper: TeamMapper) -> list[str]:
-    """Names that stand at several places of one map, when they are many."""
+    """Names that occur at several places of one map, if they are many."""
     readings = Counter(sign.text for path in mapper.keyframes for keyframe in path for sign in keyframe.signs)
     names = {text for text, count in readings.items() if count > 1 and len(text) >= LETTERS_MIN}
     repeated = set()
@@ -99,7 +99,7 @@ def _repeated_names(mapper: TeamMapper) -> list[str]:
 
 
 def _odd_devices(paths: Sequence[Sequence[Keyframe]]) -> list[str]:
-    """Robots whose receivers disagree where both read the same name (which may have twins: hence the middle)."""
+    """Robots whose receivers have an offset where both read the same name (median, since names may be duplicated)."""
     devices = DeviceOffsets()
     devices.make_room(len(paths))
     for robot, path in enumerate(paths):
@@ -126,7 +126,7 @@ def _apart(mapper: TeamMapper) -> list[str]:
 
 
 def _refused(mapper: TeamMapper) -> list[str]:
-    """Kinds of reasons for which candidates were refused, the most frequent first."""
+    """Reasons for which candidates were rejected, most frequent first."""
     kinds = Counter(
         re.split(r"[\d(]", closure.reason, maxsplit=1)[0].strip() or "distance from the estimate"
         for closure in mapper.closures

@@ -1,4 +1,4 @@
-"""A sign on one robot's own map: where it hangs, and what all readings of it agree on."""
+"""A sign on one robot's own map: its position and the consensus of all its readings."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from twc_env.geometry import wrap_angle
 from twc_env.messages import Keyframe, SignObservation
 
 SAME_SIGN_SIMILARITY = 0.6
-"""A reading of a sign that was seen before is at least this like one of those before."""
+"""Minimum similarity of a reading to one of the earlier readings of the same sign."""
 READINGS_MAX, VIEWS_MAX = 15, 6
-"""Texts and keyframes kept per sign."""
+"""Maximum number of texts and keyframes kept per sign."""
 Sighting = tuple[Keyframe, SignObservation]
-"""A keyframe, and one of the signs that it read."""
+"""A keyframe and one of its sign readings."""
 
 
 @dataclass(slots=True, eq=False)
@@ -27,20 +27,20 @@ class SignPlace:
 
     robot: int
     position_odom: Array
-    """(2,) of the latest reading."""
+    """(2,) position of the latest reading."""
     travel_m: float
     facing_odom: float = math.nan
-    """The facing that is nearest to all readings of it; NaN where none is known."""
+    """Medoid of the facings of all readings; NaN if none is known."""
     texts: list[str] = field(default_factory=list)
     views: list[Sighting] = field(default_factory=list)
-    """Keyframes that read it, spread over its passes, and what they saw."""
+    """Keyframes that read it, spread over its passes, with their readings."""
     consensus: str = ""
     support: int = 1
-    """How many readings agree on the consensus."""
+    """Number of readings equal to the consensus."""
     _facings: list[float] = field(default_factory=list)
 
     def add(self, text: str, keyframe: Keyframe, sign: SignObservation, position: Array, facing: float) -> None:
-        """Take in one more reading, at a position and facing in the odom frame."""
+        """Add a reading at a position and facing in the odom frame."""
         is_settled = text == self.consensus and self.support == len(self.texts) < READINGS_MAX
         self.texts = [*self.texts[1 - READINGS_MAX :], text]
         if not self.views or self.views[-1][0].index != keyframe.index:
@@ -58,17 +58,17 @@ class SignPlace:
             self._vote()
 
     def reads_like(self, text: str, is_near: bool, similarity_min: float = SAME_SIGN_SIMILARITY) -> bool:
-        """Whether a reading is like any that was kept; nearby, a fragment of the consensus is enough."""
+        """Whether a reading is similar to any kept one; if near, a fragment of the consensus suffices."""
         if is_near and (text in self.consensus or self.consensus in text):
             return True
         return bool(cdist([text], self.texts, scorer=Levenshtein.normalized_similarity).max() >= similarity_min)
 
     def agrees_on(self, text: str, similarity_min: float) -> bool:
-        """Whether a reading is so like what all readings agree on."""
+        """Whether a reading is this similar to the consensus."""
         return Levenshtein.normalized_similarity(text, self.consensus) >= similarity_min
 
     def _vote(self) -> None:
-        """The reading that explains all readings best, as fragments of it or by few wrong characters."""
+        """Set the consensus: the reading with the least cost of explaining all others as fragments or misspellings."""
         cost = np.minimum(3.0 * cdist(self.texts, self.texts, scorer=Levenshtein.distance), 12.0)
         is_part = np.array([[part in whole for part in self.texts] for whole in self.texts])
         total = np.where(is_part, np.minimum(cost, 5.0), cost).sum(axis=1)

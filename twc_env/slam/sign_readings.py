@@ -1,4 +1,4 @@
-"""Every text that was read, by whom and where, and the signs that a group of robots knows from it."""
+"""All sign readings of the robots, and the signs that a group of robots knows from them."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from twc_env.slam.growing import ROOM, grown, only
 from twc_env.team_messages import KnownSigns
 
 SAME_SIGN_M = 1.0
-"""Readings of one text nearer to each other than this are of one sign."""
+"""Readings of one text within this distance are of one sign."""
 ENOUGH, ENOUGH_M = 8, 0.5
-"""Of so many readings of a text by one robot, so near to where it was read again, another tells nothing: signs that are
-passed time and again take no more time and room in the end."""
+"""With this many readings of a text by one robot within ENOUGH_M, further ones are dropped, so that signs passed many
+times cost no more time and memory."""
 _UNKNOWN = (), (-1, np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0, np.int64))
-"""Of a robot whose group's signs are to be looked up anew."""
+"""State of a robot whose group's signs must be recomputed."""
 
 
 @borrowing_kernel
 def _add(rule, poses, readings, local, count, robot, node, text, ahead, left, rank, texts, places, owners):
-    """Put a text that a robot read ahead and to the left of a node behind the `count` readings.
+    """Append a text that a robot read ahead and to the left of a node to the `count` readings.
 
-    Not where enough of these are of it and so near. Gives how many readings there are then, and whether the signs that
-    its group knows may be others now: not where one of these, found by itself or a robot before it, is what it read.
-    rank: its place in the group, -1 where it is not told what is known; else texts, places and owners as
-    `_places_of_signs` writes them.
+    Skipped if enough readings of it are that near. Returns the new number of readings, and whether the known signs of
+    its group may have changed: not if it is a known sign found by the robot itself or one before it. rank: the robot's
+    place in the group, -1 if the known signs are not available; texts, places and owners as written by
+    `_places_of_signs`.
     """
     enough, within_m, same_m = parts_of(rule)
     c, s = math.cos(poses[node, 2]), math.sin(poses[node, 2])
@@ -55,10 +55,10 @@ def _add(rule, poses, readings, local, count, robot, node, text, ahead, left, ra
 
 @kernel
 def _places_of_signs(same_m, poses, readings, local, robots, text_count, texts, places, owners):
-    """Text, place (in the map) and owner of each known sign, robot by robot; all of one text stand together.
+    """Text, position in the map and owner of each known sign, robot by robot, grouped by text.
 
-    readings (n, 3): robot, node, text; local (n, 2): place in the frame of the node. The owner is the one of `robots`
-    (by its place among them) that read it first. Gives how many there are.
+    readings (n, 3): robot, node, text; local (n, 2): position in the frame of the node. The owner is the index in
+    `robots` of the one that read it first. Returns the number of signs.
     """
     found_by, found = np.empty(readings.shape[0], np.int64), np.empty((readings.shape[0], 2))
     latest, earlier = np.full(text_count, -1), np.empty(readings.shape[0], np.int64)
@@ -87,7 +87,7 @@ def _places_of_signs(same_m, poses, readings, local, robots, text_count, texts, 
     for t in range(texts_found):
         first = end
         sign = latest[order[t]]
-        while sign >= 0:  # from the latest to the first, then turned round
+        while sign >= 0:  # from the latest to the first, then reversed
             texts[end], places[end, 0], places[end, 1] = order[t], found[sign, 0], found[sign, 1]
             owners[end] = found_by[sign]
             end += 1
@@ -102,7 +102,8 @@ def _places_of_signs(same_m, poses, readings, local, robots, text_count, texts, 
 
 @kernel
 def _not_repeated(readings, places, is_gone):
-    """(n,) bool: which readings at places (n, 2) stay, see `SignReadings.forget`; is_gone (n,): their nodes."""
+    """(n,) bool: which readings at places (n, 2) are kept, see `SignReadings.forget`; is_gone (n,): of removed
+    nodes."""
     stays = np.empty(readings.shape[0], np.bool_)
     for k in range(readings.shape[0]):
         stays[k] = not is_gone[k]
@@ -120,28 +121,28 @@ def _not_repeated(readings, places, is_gone):
 
 
 class SignReadings(BindsAnew):
-    """The readings of all robots, in the order of their arrival."""
+    """The readings of all robots, in order of arrival."""
 
     def __init__(self, robot_count: int):
         self.news = [0] * robot_count
-        """How often each robot read what may change the signs that its group knows."""
+        """Per robot, counter of readings that may change the signs of its group."""
         self._known: dict[int, tuple[Sequence[int], tuple[int, Array, Array, Array]]] = {}
-        """Of robots whose group's signs are known as they are now: the group, and what `_add` asks of them."""
+        """Robots whose group's known signs are current -> the group, and the arguments of `_add`."""
         self._passed: set[int] = set()
-        """Robots that read only what was known, in this step: should nodes move now, it is news all the same."""
+        """Robots that read only known signs in this step; if nodes move now, these readings count as news."""
         self._numbers: dict[str, int] = {}
-        """Each text that was ever read and its number ..."""
+        """Text -> number ..."""
         self._texts: list[str] = []
-        """... and these texts in order."""
+        """... and the texts by number."""
         self._readings, self._places, self._count = np.zeros((ROOM, 3), np.int64), np.zeros((ROOM, 2)), 0
-        """Robot, node and text of each reading; where it is in the frame of its keyframe; and how many there are."""
+        """Robot, node and text of each reading; its position in the frame of its keyframe; number of readings."""
         self._run: Callable[..., int] | None = None
-        """`_places_of_signs` of readings that are one sign where they are less than SAME_SIGN_M apart."""
+        """`_places_of_signs`, bound with SAME_SIGN_M."""
         self._add: Callable[..., tuple[int, bool]] | None = None
-        """`_add` where ENOUGH of those less than ENOUGH_M away are enough."""
+        """`_add`, bound with ENOUGH and ENOUGH_M."""
 
     def add(self, keyframe: Keyframe, node: int, poses: Array) -> None:
-        """Take in what was read at a keyframe, which is a node of the pose graph; poses (nodes, 3) of all nodes."""
+        """Add the readings of a keyframe, which is a node of the pose graph; poses (nodes, 3) of all nodes."""
         robot = keyframe.robot
         for sign in keyframe.signs:
             text = self._numbers.setdefault(sign.text, len(self._texts))
@@ -163,22 +164,22 @@ class SignReadings(BindsAnew):
                 self._passed.add(robot)
 
     def note_move(self) -> None:
-        """Nodes have moved, and with them what was read there."""
+        """Record that node poses, and so the readings' positions, have changed."""
         self._known.clear()
         for robot in self._passed:
             self.news[robot] += 1
         self._passed.clear()
 
     def end_step(self) -> None:
-        """What is read from now on belongs to another step: signs are looked up once in each that brings news."""
+        """End of a step: known signs are recomputed at most once per step."""
         self._passed.clear()
 
     def forget(self, carrier_of: Array, number_of: Array, poses: Array) -> None:
-        """Let go of readings at nodes that are forgotten, but the first of those that no other repeats.
+        """Remove readings of removed nodes, except the first of those that no remaining one repeats.
 
-        A text that was read once only, and at a forgotten node, was misread: others were read there more often.
-        carrier_of (nodes,): which node keeps what was read at each, itself unless that is forgotten; number_of
-        (nodes,): their numbers from now on; poses (nodes, 3).
+        A text read only once, at a removed node, is treated as a misreading, since correct texts were read there more
+        often. carrier_of (nodes,): node that takes over each node's readings, itself unless removed; number_of
+        (nodes,): new node numbers; poses (nodes, 3).
         """
         readings, local = self._readings[: self._count], self._places[: self._count]
         places = compose(poses[readings[:, 1]], np.pad(local, ((0, 0), (0, 1))))

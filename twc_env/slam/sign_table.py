@@ -1,4 +1,4 @@
-"""Every place where a sign was read, side by side, to find those that one more keyframe may be compared with."""
+"""Table of all places where a sign was read, with their fingerprints, to find those similar to a new keyframe."""
 
 from __future__ import annotations
 
@@ -17,33 +17,34 @@ from twc_env.slam.growing import READINGS_ROOM, ROOM, grown, only
 from twc_env.slam.radio_fingerprint import rssi_similarity
 
 MISSING_AFTER_S = 20.0
-"""A robot that has read, or heard, nothing for so long since the episode began has no use of that cue."""
+"""A robot without any sign reading, or any received transmitter, this long after the start counts as lacking that
+cue."""
 UNLIKE = -1.0
-"""In place of a similarity, of texts that are not alike."""
+"""Similarity value of texts that are not similar."""
 
 
 class RadioRule(NamedTuple):
-    """When the radio of two places is alike."""
+    """Thresholds for the radio similarity of two places."""
 
     mac_similarity_min: float
     rssi_similarity_min: float
     rssi_tolerance_db: float
     spares_deaf: bool = False
-    """Whether all radio is alike to robots that for MISSING_AFTER_S heard nothing."""
+    """Whether the radio test is skipped for robots that received nothing for MISSING_AFTER_S."""
 
     @classmethod
     def of(cls, config: PlaceRecognitionConfig, spares_deaf: bool = False) -> RadioRule:
-        """The rule of a configuration; strengths are left to `rssi_cue` where their mode is not the simple one."""
+        """The thresholds of a config; strengths are left to `rssi_cue` unless the mode is `saturating`."""
         rssi_min = config.rssi_similarity_min - 1e-9 if config.rssi_mode == "saturating" else -math.inf
         return cls(config.mac_similarity_min - 1e-9, rssi_min, config.rssi_tolerance_db, spares_deaf)
 
 
 @kernel
 def _compare(macs, levels, first, end, other_macs, other_levels, offset, faintest, other_faintest, mac_min):
-    """`mac_similarity`, and distance and count of `rssi_distance_db`, of a row of a table and another fingerprint.
+    """`mac_similarity`, and distance and count of `rssi_distance_db`, of a table row and another fingerprint.
 
-    offset [dB]: how much more the other's receiver hears. What that of one would hear below its faintest [dBm] is not
-    missed there. All 0 where one side misses so much that the first of them is below `mac_min`.
+    offset [dB]: how much stronger the other's receiver reads. A transmitter that would be below the other's weakest
+    reading [dBm] does not count as missing. All 0 if one side lacks so many that `mac_similarity` is below `mac_min`.
     """
     i, j, n, squares, length, other_length = first, 0, 0, 0.0, 0, 0
     may_miss, other_may_miss = (1.0 - mac_min) * (end - first), (1.0 - mac_min) * other_macs.shape[0]
@@ -67,7 +68,7 @@ def _compare(macs, levels, first, end, other_macs, other_levels, offset, faintes
 
 @borrowing_kernel
 def _choose(table, place_count, robot, latest, other_macs, other_levels, mac_min, rssi_min, tolerance, spares_deaf):
-    """See `SignTable.like`; gives how many rows of the part of the table for it, (places, 6), were written."""
+    """See `SignTable.like`; writes the rows found to the table's output (places, 6) and returns their number."""
     places, travels, ends, macs, levels, out, likeness, is_skipped, is_deaf, _, offsets, faintest = parts_of(table)
     count = 0
     for k in range(place_count):
@@ -90,7 +91,7 @@ def _choose(table, place_count, robot, latest, other_macs, other_levels, mac_min
 
 @borrowing_kernel
 def _put(table, row, robot, text, travel, is_early, macs, levels):
-    """Write a row behind the others."""
+    """Write a new row."""
     places, travels, ends, all_macs, all_levels, _, _, _, is_deaf, has_heard, _, _ = parts_of(table)
     first = ends[row - 1] if row > 0 else np.int64(0)
     for k in range(macs.shape[0]):
@@ -101,31 +102,31 @@ def _put(table, row, robot, text, travel, is_early, macs, levels):
 
 
 class SignTable(BindsAnew):
-    """A row for each place: who read which text there, how far along its path, and what was heard."""
+    """A row per place: robot, text, path length, and fingerprint."""
 
     def __init__(self) -> None:
         self._places, self._travels_m = np.zeros((ROOM, 2), np.int64), np.zeros(ROOM)
-        """Robot and text; path length."""
+        """Robot and text number; path length."""
         self._ends, self._found = np.zeros(ROOM, np.int64), np.zeros((ROOM, 6))
-        """Where the fingerprint of each row ends; it begins where the one before does. And room for what is found."""
+        """End of each row's fingerprint, which starts at the end of the previous one; output rows of a query."""
         self._macs, self._rssi_dbm = np.zeros(READINGS_ROOM, np.int64), np.zeros(READINGS_ROOM)
-        """Of all fingerprints, one after the other."""
+        """Fingerprints of all rows, concatenated."""
         self._likeness, self._is_skipped = np.full(ROOM, UNLIKE), np.zeros(0, bool)
-        """How alike each text is to the one that is asked for, and which robots are left out: between two questions
-        none."""
+        """Similarity of each text to the query, and robots to skip; reset after each query."""
         self._count = self._end = 0
         self._devices = DeviceOffsets()
         self._is_deaf, self._has_heard = np.zeros(0, bool), np.zeros(0, bool)
         self._first_m: dict[int, dict[int, float]] = {}
-        """Of each text the path length at which each robot first read it."""
+        """Text number -> robot -> path length at which it first read the text."""
         self._choose: Callable[..., int] | None = None
         self._put: Callable[..., None] | None = None
-        """The kernels of these names with all of this."""
+        """The kernels of these names, bound to these arrays."""
 
     def append(self, keyframe: Keyframe, text: str, number: int) -> list[int]:
         """Add a row for a text of this number, read at a keyframe.
 
-        Gives the robots from which the keyframe's receiver is now known to differ: places may be alike that were not.
+        Returns the robots whose receivers are now known to differ from the keyframe's: places may be similar that were
+        not.
         """
         heard, row = keyframe.fingerprint, self._count
         self._count, self._end = row + 1, self._end + len(heard.macs)
@@ -139,8 +140,9 @@ class SignTable(BindsAnew):
         return self._devices.note(keyframe.robot, text, heard)
 
     def keep(self, is_kept: Array, number_of: Array, texts: Collection[str]) -> None:
-        """Of all rows (rows,) bool only some, with new numbers of their texts, by the old ones; `texts` are all of
-        these. What is known of the robots' receivers stays.
+        """Keep only some rows (rows,) bool, with new text numbers by the old ones; `texts` are all remaining texts.
+
+        Receiver offsets stay.
         """
         count, end = self._count, self._end
         of_row = np.repeat(is_kept, np.diff(self._ends[:count], prepend=0))
@@ -163,7 +165,7 @@ class SignTable(BindsAnew):
         first_m[robot] = min(first_m.get(robot, math.inf), travel_m)
 
     def _make_room(self, robot: int, text: int = 0) -> None:
-        """Room for all rows and readings that there are, and for a robot and a text of these numbers."""
+        """Ensure capacity for all rows and readings, and for a robot and a text of these numbers."""
         robots, texts = len(self._is_skipped), len(self._likeness)
         if robot < robots and text < texts and self._end <= len(self._macs) and self._count <= len(self._places):
             return
@@ -191,11 +193,11 @@ class SignTable(BindsAnew):
         self, alike: Sequence[tuple[int, float]], keyframe: Keyframe, skipped_robots: Sequence[int], apart_m: float,
         radio: RadioRule,
     ) -> list[list[float]]:  # fmt: skip
-        """The rows whose texts and radio are like those of a keyframe, ascending.
+        """The rows whose text and radio are similar to those of a keyframe, ascending.
 
-        alike: numbers and similarities of the texts that are. Left out are rows of the skipped robots, and of the
-        keyframe's own those less than apart_m before it along the path. Each comes as its number, the similarity of
-        texts, `mac_similarity`, `rssi_similarity`, and distance [dB] and count of `rssi_distance_db`.
+        alike: numbers and similarities of the texts that qualify. Rows of skipped robots are left out, and rows of the
+        keyframe's own robot less than apart_m before it along the path. Each row: its index, text similarity,
+        `mac_similarity`, `rssi_similarity`, distance [dB] and count of `rssi_distance_db`.
         """
         if keyframe.robot >= len(self._is_skipped):
             self._make_room(keyframe.robot)
@@ -221,7 +223,8 @@ class SignTable(BindsAnew):
     def _has_any(
         self, alike: Sequence[tuple[int, float]], own: int, latest_m: float, skipped_robots: Sequence[int]
     ) -> bool:
-        """Whether a robot that is not skipped has read one of these texts; the keyframe's own not after latest_m."""
+        """Whether a robot that is not skipped has read one of these texts; the keyframe's own robot not after
+        latest_m."""
         for text, _ in alike:
             for robot, first_m in self._first_m.get(text, {}).items():
                 if robot not in skipped_robots and (robot != own or first_m <= latest_m):

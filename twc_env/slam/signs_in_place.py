@@ -1,7 +1,7 @@
-"""Whether two maps have the same signs where they would share a place.
+"""Test whether two maps have the same signs at the places that they share.
 
-Where rooms look alike the names on their doors are nearly alike, too, and every corridor has an exit: closures by such
-signs agree a room or a wing aside. What hangs there then reads otherwise, time and again, on most of the doors.
+In buildings with repeated rooms the names on doors are similar, and every corridor has an exit sign. Closures by such
+signs can agree on a transform that is one room or one wing off. Then most doors have a different text in the two maps.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from twc_env.messages import Keyframe
 from twc_env.slam.text_similarity import normalise
 
 SAME_PLACE_M, SAME_FACING_RAD = 0.6, 0.8
-"""Signs nearer to each other than this, on walls that face the same way, hang in one place."""
+"""Signs within this distance, on walls with the same facing, are at one place."""
 APART_M = 1.5
-"""Readings of one text that lie this far from each other in one map are of two signs."""
+"""Readings of one text further apart than this in one map are of two signs."""
 
 
 class SignsRead:
-    """What was read at the keyframes of each robot, as far as anybody asked."""
+    """Sign readings at the keyframes of each robot, collected on demand."""
 
     def __init__(self) -> None:
         self._number_of: dict[str, int] = {}
         self._readings: dict[int, list[tuple[int, int, float, float, float]]] = {}
-        """Of each robot: place of the keyframe on its path, number of the text, where it hangs and faces there."""
+        """Per robot: index of the keyframe on its path, text number, position and facing in its frame."""
         self._looked_at: dict[int, int] = {}
-        """How many of its keyframes are among these."""
+        """Number of keyframes already processed."""
 
     def by(self, robot: int, path: Sequence[Keyframe]) -> tuple[Array, Array, Array]:
-        """Of all readings of a robot with these keyframes whose walls are known: (n,) place on the path, (n,) number of
-        the text, (n, 3) where it hangs and faces in the frame of that keyframe."""
+        """All readings of a robot with these keyframes whose walls are known: index on the path (n,), text number (n,),
+        pose of the sign in the frame of that keyframe (n, 3)."""
         found, first = self._readings.setdefault(robot, []), self._looked_at.get(robot, 0)
         for place in range(first, len(path)):
             for sign in path[place].signs:
                 if not math.isnan(sign.facing_rad):
-                    text = normalise(sign.text).replace(" ", "")  # the space between two words is what OCR loses most
+                    text = normalise(sign.text).replace(" ", "")  # OCR loses spaces most often
                     number = self._number_of.setdefault(text, len(self._number_of))
                     found.append((place, number, *sign.position_m.tolist(), sign.facing_rad))
         self._looked_at[robot] = len(path)
@@ -47,7 +47,7 @@ class SignsRead:
         return rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), rows[:, 2:]
 
     def clear(self) -> None:
-        """Paths have been thinned: look at all of them anew."""
+        """Drop all data, after keyframes were removed."""
         self._readings.clear()
         self._looked_at.clear()
 
@@ -60,7 +60,7 @@ def _hang_together(a, b):
 
 @kernel
 def _places(poses, is_b):
-    """Of each reading its place, of each place its first reading, and (places, places) which of two maps are one."""
+    """Place of each reading, first reading of each place, and (places, places) which of two maps coincide."""
     count, places = poses.shape[0], 0
     place_of, first = np.empty(count, np.int64), np.empty(count, np.int64)
     for k in range(count):
@@ -79,10 +79,10 @@ def _places(poses, is_b):
     return place_of, first[:places], is_one
 
 
-def hang_apart(texts: Array, positions_m: Array, maps: Array) -> Array:
-    """(texts,) bool, by their numbers: which hang at two places or more of any one map, as exits do in every corridor.
+def found_apart(texts: Array, positions_m: Array, maps: Array) -> Array:
+    """(texts,) bool, by number: texts at two or more places of one map, such as exit signs.
 
-    texts (n,) numbers of readings, positions_m (n, 2) of each in the map (n,) that it is of, numbers as well.
+    texts (n,) numbers of readings, positions_m (n, 2) of each in its map, maps (n,) numbers of the maps.
     """
     count = int(texts.max(initial=-1)) + 1
     low = np.full((int(maps.max(initial=-1)) + 1, count, 2), np.inf)
@@ -93,10 +93,10 @@ def hang_apart(texts: Array, positions_m: Array, maps: Array) -> Array:
 
 
 def count_shared(texts: Array, poses: Array, is_b: Array) -> tuple[int, int]:
-    """In how many places of one map the other reads a sign, too, and the same; and in how many another one.
+    """Number of places of one map where the other map has the same text, and where it has only different ones.
 
-    texts (n,) numbers of readings, poses (n, 3) where each hangs and faces, is_b (n,) whose it is. The same: to the
-    letter at least once. Another: never, although both have read something there twice to the letter.
+    texts (n,) numbers of readings, poses (n, 3) of their signs, is_b (n,) which map. Same: one identical text.
+    Different: none, although both maps have some identical text twice there.
     """
     place_of, first, is_one = _places(poses, is_b)
     names, name_of = np.unique(texts, return_inverse=True)

@@ -1,8 +1,8 @@
-"""How far apart two places are, given how alike their fingerprints are: by binning (radio SLAM Eq. 3).
+"""Distance of two places as a function of the similarity of their fingerprints, by binning (radio SLAM Eq. 3).
 
-The model learns from pairs that lie close along the path, where odometry is still right; it never sees a surveyed
-position. As printed, Eq. 3 averages squared distances and subtracts that from distances; `paper` does so, `repaired`
-averages distances.
+The model is trained on pairs close along the path, where odometry is accurate; it uses no surveyed position. As
+printed, Eq. 3 averages squared distances and subtracts that from distances; `paper` does so, `repaired` averages
+distances.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from numpy.typing import NDArray as Array
 from twc_env.errors import DataError
 
 BIN_STEP = 0.01
-"""Between the centres of neighbouring bins; bins overlap."""
+"""Spacing of bin centres; bins overlap."""
 SAMPLES_MIN = 10
 VARIANCE_MIN_M2 = 0.25
 WINDOW_PER_MEAN = 3.0
-"""Pairs must be taken from a window this many times the mean distance that the model then tells: a narrower one cuts
-off the long distances that belong to a similarity."""
+"""Training pairs must come from a path window of this multiple of the predicted mean distance: a narrower window cuts
+off large distances of that similarity."""
 WINDOWS_M = (30.0, 60.0, 100.0, 150.0, 250.0, 400.0)
 FORMULAS = ("repaired", "paper")
 _log = logging.getLogger(__name__)
@@ -30,26 +30,27 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimilarityModel:
-    """Distance and its variance at bins of similarity, ascending; between bins linear, beyond them constant."""
+    """Mean and variance of the distance per similarity bin, ascending; linear between bins, constant beyond."""
 
     centre: Array
-    """(bins,)."""
+    """(bins,) similarity."""
     mean_m: Array
     variance_m2: Array
     count: Array
-    """(bins,) samples in each."""
+    """(bins,) number of samples."""
     window_m: float
-    """Longest path between two fingerprints of a training pair."""
+    """Maximum path length between the two fingerprints of a training pair."""
 
     def distance(self, similarity: Array) -> tuple[Array, Array]:
-        """Mean [m] and variance [m2] of the distance at similarities (k,). Raises DataError for a model of no bins."""
+        """Mean [m] and variance [m2] of the distance at similarities (k,). Raises DataError for a model without
+        bins."""
         if not len(self.centre):
             raise DataError("the model was trained on too few pairs to hold a bin; record a longer path")
         mean = np.interp(similarity, self.centre, self.mean_m)
         return mean, np.maximum(np.interp(similarity, self.centre, self.variance_m2), VARIANCE_MIN_M2)
 
     def is_truncated(self, similarity_min: float) -> bool:
-        """Whether a bin in use tells more than its window allows (papers.md R5)."""
+        """Whether a bin in use predicts more than its window supports (papers.md R5)."""
         used = self.mean_m[self.centre >= similarity_min]
         return bool(len(used) and used.max() * WINDOW_PER_MEAN > self.window_m)
 
@@ -57,7 +58,7 @@ class SimilarityModel:
 def train(
     similarity: Array, distance_m: Array, window_m: float, bin_width: float = 0.05, formula: str = "repaired"
 ) -> SimilarityModel:
-    """A model from training pairs (k,). Raises DataError for a formula that there is not."""
+    """A model from training pairs (k,). Raises DataError for an unknown formula."""
     if formula not in FORMULAS:
         raise DataError(f"a formula is one of {', '.join(FORMULAS)}; got {formula!r}")
     order = np.argsort(similarity, kind="stable")
@@ -87,7 +88,7 @@ def train_on_path(
 ) -> SimilarityModel:
     """A model from one path: similarity (n, n), path length (n,) and dead-reckoned positions (n, 2) of its places.
 
-    Without a window the narrowest that is wide enough is taken, or the widest; `warns` of one that is too narrow.
+    Without a window, the narrowest sufficient one is used, or the widest; `warns` if it is too narrow.
     """
     windows = WINDOWS_M if window_m is None else (window_m,)
     model = None
@@ -105,7 +106,7 @@ def train_on_path(
 
 @lru_cache
 def warn_cut_off(similarity_min: float, window_m: float) -> None:
-    """Say once in a process that models of such a window tell too short distances."""
+    """Log once per process that models of such a window underestimate distances."""
     _log.warning(
         "the similarity model is truncated: at similarity %.2f it predicts more than a third of its %.0f m window",
         similarity_min, window_m,
@@ -113,7 +114,7 @@ def warn_cut_off(similarity_min: float, window_m: float) -> None:
 
 
 def _pairs_within(travel_m: Array, window_m: float) -> tuple[Array, Array]:
-    """Pairs i < j that lie within a path length of each other; travel ascends."""
+    """Pairs i < j within a path length of each other; travel ascends."""
     last = np.searchsorted(travel_m, travel_m + window_m, side="right")
     size = last - np.arange(len(travel_m)) - 1
     i = np.repeat(np.arange(len(travel_m)), size)

@@ -1,4 +1,4 @@
-"""Symmetric 3 x 3 matrices, such as covariances of poses: their inverses and squared errors, without LAPACK."""
+"""Inverses and quadratic forms of symmetric 3 x 3 matrices (covariances), without LAPACK."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def invert_symmetric(matrix: Array) -> Array:
 
 @borrowing_kernel
 def squared_error(error, covariance, inverse):
-    """e^T C^-1 e of an error (3,) with its symmetric covariance (3, 3), whose inverse is written to a third array."""
+    """e^T C^-1 e of an error (3,) with its symmetric covariance (3, 3); writes the inverse to a third array."""
     invert3(covariance, inverse)
     total = 0.0
     for i in range(3):

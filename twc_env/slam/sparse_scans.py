@@ -1,7 +1,7 @@
-"""Beams between those of a scan that has few of them, so that walls are drawn without gaps.
+"""Interpolates beams of scans with few beams, so that walls are mapped without gaps.
 
-What a scan saw through ends on the straight lines between neighbouring end points anyway. Where these are near each
-other, a wall stands on the line.
+The free space of a scan ends on the straight lines between neighbouring end points. Where these are close to each
+other, the line is mapped as a wall.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from twc_env.kernels import borrowing_kernel
 from twc_env.slam.lost_beams import NEAR_M
 
 BEAMS_ENOUGH = 180
-"""Scans of so many beams are drawn as they are."""
+"""Scans with at least this many beams are not interpolated."""
 JUMP_MAX_M = 0.5
-"""Neighbouring end points that are further apart have no wall between them: it may be a doorway."""
+"""No wall is assumed between neighbouring end points further apart: it may be a doorway."""
 
 
 @borrowing_kernel
 def _fill(scans, directions, range_max, ends, is_met, filled):
-    """`SparseScans.filled`; ends (2, beams) and is_met (beams,): room."""
+    """`SparseScans.filled`; ends (2, beams) and is_met (beams,) are work arrays."""
     x, y, beams = ends[0], ends[1], scans.shape[1]
     times = filled.shape[1] // beams
     for k in range(scans.shape[0]):
@@ -41,19 +41,19 @@ def _fill(scans, directions, range_max, ends, is_met, filled):
 
 
 class SparseScans:
-    """Scans of one scanner, given as many beams as it takes."""
+    """Interpolation of the scans of one scanner."""
 
     def __init__(self, beams: int, range_max_m: float):
         self._times, self._range_max_m = max(1, -(-BEAMS_ENOUGH // beams)), range_max_m
         self.beam_count = self._times * beams
-        """How many beams there are then."""
+        """Number of beams after interpolation."""
         self.directions = beam_directions(self.beam_count)
-        """(beam_count, 2) of these."""
+        """(beam_count, 2) cosine and sine."""
         self._room = np.empty((2, beams)), np.empty(beams, bool)
 
     def filled(self, scans: Array) -> Array:
-        """Scans (k, beams) with beams between theirs, (k, beam_count), that end on the straight line from one end point
-        to the next; negative, free up to there without a wall, where these are far apart or a beam met nothing."""
+        """Scans (k, beams) with interpolated beams, (k, beam_count), that end on the line between neighbouring end
+        points; negative (free up to there, without a wall) where these are far apart or a beam had no return."""
         if self._times == 1:
             return scans
         filled = np.empty((len(scans), self.beam_count))

@@ -1,4 +1,4 @@
-"""What keyframes that lie near each other saw, in the frame of one of them: as walls, and as points to lay on walls."""
+"""The scans of neighbouring keyframes in a common frame: as walls, and as points to match to walls."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from twc_env.slam.wall_drawing import draw_scan, drawing_room, forget_walls
 FIELD_CELL_M = 0.2
 NEAR_WALL_M = 0.15
 REFINE_REACH_M, REFINE_ITERATIONS, DEGENERATE_SHARE = 0.4, 20, 0.04
-"""Tracking asks for half that share (`slam.local_map.degenerate_share`), as it knows where the robot was a step before:
-along bare corridors most closures held by so few are false."""
+"""Tracking requires half that share (`slam.local_map.degenerate_share`), since it knows the pose one step before; along
+bare corridors most closures constrained by fewer beams are false."""
 SEEN_THROUGH_M = 0.35
-"""A point this far in front of a beam's end was seen through."""
+"""A point this far in front of a beam's end contradicts it (seen through)."""
 
 
 @borrowing_kernel
 def _relative(base, pose, out):
-    """The pose seen from base, both in one frame."""
+    """The pose relative to base."""
     c, s = math.cos(base[2]), math.sin(base[2])
     dx, dy = pose[0] - base[0], pose[1] - base[1]
     out[0], out[1], out[2] = c * dx + s * dy, c * dy - s * dx, pose[2] - base[2]
@@ -40,9 +40,9 @@ def _relative(base, pose, out):
 
 @borrowing_kernel
 def _draw(walls, is_first, base, pose, ranges):
-    """Draw a scan taken at a pose into the walls around another pose, the first instead of all that was there.
+    """Add a scan taken at a pose to the walls in the frame of `base`; the first scan replaces all walls.
 
-    False for a scan or a pose that is not sound.
+    Returns False for a scan or a pose that is not finite.
     """
     (cells, lines, origin, inverse_m, drawn, _), (directions, range_max, room, here, _), _ = parts_of(walls)
     if is_first:
@@ -53,7 +53,8 @@ def _draw(walls, is_first, base, pose, ranges):
 
 @borrowing_kernel
 def _join(walls, base, pose, ranges, points, count):
-    """Write the end points of a scan taken at a pose, seen from another pose, behind so many; gives their number."""
+    """Append the end points of a scan taken at a pose, in the frame of `base`, to `count` points; returns their
+    number."""
     _, (directions, range_max, _, here, _), _ = parts_of(walls)
     _relative(base, pose, here)
     c, s = math.cos(here[2]), math.sin(here[2])
@@ -68,7 +69,7 @@ def _join(walls, base, pose, ranges, points, count):
 
 @borrowing_kernel
 def _lay(walls, points, guess, priors, pose, covariance):
-    """See `TargetWalls.refine`; gives the overlap."""
+    """See `TargetWalls.refine`; returns the overlap."""
     (cells, lines, origin, inverse_m, _, scratch), _, (variance, sums, information, room) = parts_of(walls)
     count = points.shape[0]
     _, _, is_degenerate, _ = refine_pose(
@@ -82,7 +83,7 @@ def _lay(walls, points, guess, priors, pose, covariance):
 
 @borrowing_kernel
 def _share_seen_through(seen, directions, pose, ranges, range_max, margin):
-    """Share of one scan's end points, seen from pose in another scan's frame, well inside that scan's free space."""
+    """Share of one scan's end points that lie inside the other scan's free space by more than `margin`."""
     beams = ranges.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     through = compared = 0
@@ -95,7 +96,7 @@ def _share_seen_through(seen, directions, pose, ranges, range_max, margin):
         if r >= range_max:
             continue
         bearing = math.atan2(y, x) * beams / (2 * math.pi)
-        low = int(math.floor(bearing))  # within a turn: no remainder, which takes as long as the bearing
+        low = int(math.floor(bearing))  # within one turn: no modulo, which is as slow as atan2
         low += beams if low < 0 else 0
         free = min(abs(ranges[low]), abs(ranges[low + 1 if low + 1 < beams else 0]))
         compared += 1
@@ -106,7 +107,7 @@ def _share_seen_through(seen, directions, pose, ranges, range_max, margin):
 
 @borrowing_kernel
 def _contradict(walls, target, source, pose):
-    """The larger share of one scan's points that the other scan saw through; pose is the source's in the target."""
+    """The larger share of one scan's points that the other saw through; pose of the source in the target's frame."""
     _, (directions, range_max, _, back, origin), _ = parts_of(walls)
     _relative(pose, origin, back)
     return max(
@@ -116,7 +117,7 @@ def _contradict(walls, target, source, pose):
 
 
 class _Kernels(NamedTuple):
-    """The kernels above with all that they need every time."""
+    """The kernels above, bound to their constant arguments."""
 
     draw: Callable[..., bool]
     join: Callable[..., int]
@@ -125,31 +126,31 @@ class _Kernels(NamedTuple):
 
 
 class WallMatch(NamedTuple):
-    """Points laid on walls."""
+    """Result of matching points to walls."""
 
     pose: Array
-    """(3,) where they fit."""
+    """(3,) pose of the points."""
     covariance: Array
-    """(3, 3) of that, along its own axes, see `closure_covariance`."""
+    """(3, 3) covariance in the frame of the pose, see `closure_covariance`."""
     overlap: float
-    """Share of the points that then lie on walls."""
+    """Share of the points on walls."""
 
 
 class TargetWalls:
-    """The walls that a keyframe and its neighbours saw, in its own frame.
+    """The walls seen from a keyframe and its neighbours, in its own frame.
 
-    What is given is not looked at: points are those of `points`, guesses poses (3,) of float64.
+    Arguments are not checked: points as returned by `points`, guesses poses (3,) of float64.
     """
 
     def __init__(self, size_m: float, lidar: LidarConfig, variance_m2: float):
-        """variance_m2: the squared error of a point on a wall, times how many points count as one."""
+        """variance_m2: squared error of a point on a wall, times the number of correlated points that count as one."""
         self._variance_m2 = variance_m2
         self.field = LineField(size_m, FIELD_CELL_M, lidar.range_max_m)
-        """To be searched far from a guess."""
+        """For correlative search far from a guess."""
         self._noise_m = lidar.range_noise_std_m
         self._bound: _Kernels | None = None
         self._beams = 0
-        """How many a scan has for which these are bound."""
+        """Beam count for which the kernels are bound."""
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_bound": None}
@@ -170,9 +171,9 @@ class TargetWalls:
         return self._bound
 
     def draw(self, keyframes: Sequence[Keyframe]) -> None:
-        """Forget all walls, and draw those that these saw around the first of them.
+        """Replace all walls by those seen from these keyframes, in the frame of the first.
 
-        Raises DataError for scans and poses that hold no numbers.
+        Raises DataError for scans and poses that are not finite.
         """
         first = keyframes[0]
         for keyframe in keyframes:
@@ -181,7 +182,7 @@ class TargetWalls:
                 raise DataError("scans hold numbers alone (infinite: no return), poses finite ones")
 
     def points(self, keyframes: Sequence[Keyframe], width_m: float = 0.0) -> Array:
-        """(n, 2) what these saw, without things narrower than so much, in the frame of the first of them."""
+        """(n, 2) scan points of these keyframes in the frame of the first, without objects narrower than `width_m`."""
         first, count = keyframes[0], 0
         points = np.empty((sum([len(keyframe.ranges_m) for keyframe in keyframes]), 2))
         for keyframe in keyframes:
@@ -192,11 +193,11 @@ class TargetWalls:
         return points[:count]
 
     def refine(self, points: Array, guess: Array, priors: Array) -> WallMatch:
-        """Points (n, 2) laid on the walls from a guess (3,); priors: its own, see `closure_covariance`."""
+        """Match points (n, 2) to the walls from a guess (3,); priors: see `closure_covariance`."""
         pose, covariance = np.empty(3), np.empty((3, 3))
         return WallMatch(pose, covariance, self._kernels(self._beams).lay(points, guess, priors, pose, covariance))
 
     def contradiction(self, target: Keyframe, source: Keyframe, pose: Array) -> float:
-        """The larger share of what one saw that the other saw through; pose (3,) of the source in the target."""
+        """The larger share of points of one scan that the other saw through; pose (3,) of the source in the target."""
         scan = plain(target.ranges_m)
         return self._kernels(len(scan)).contradict(scan, plain(source.ranges_m), pose)

@@ -1,4 +1,4 @@
-"""What one mapper holds of its team: keyframes of all robots as nodes of one pose graph, and the edges between them."""
+"""The pose graph of one mapper: keyframes of all robots as nodes, odometry and closures as edges."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from twc_env.team_messages import KnownSigns
 
 
 class TeamGraph(GraphArrays):
-    """Nodes are keyframes in the order of their arrival, edges odometry and closures; everything is kept in arrays.
+    """Nodes are keyframes in order of arrival; data is stored in arrays.
 
-    With `keeps_refused`, closures that the map contradicts are edges that are not used, so that they can return. With
-    `odometry_scale_std` odometry errs all along a path, too (`shared_errors`): where no scans take that out.
+    keeps_refused: rejected closures stay as unused edges, so that they can be accepted again. odometry_scale_std:
+    odometry has a systematic scale error (`shared_errors`), for engines without scan matching.
     """
 
     def __init__(
@@ -42,19 +42,19 @@ class TeamGraph(GraphArrays):
         self._scale_std = odometry_scale_std
         self._keeps_refused = keeps_refused
         self.changes = 0
-        """Grows whenever a keyframe arrives, poses move or a closure is believed or refused."""
+        """Counter of added keyframes, pose changes, and accepted or rejected closures."""
         self.refusals = 0
-        """How often a well measured closure was refused."""
-        self._sound: set[int] = set()
+        """Number of rejections of verified closures."""
+        self._verified_numbers: set[int] = set()
         self.keyframes: list[list[Keyframe]] = [[] for _ in range(robot_count)]
-        """Of each robot those that are held."""
+        """Per robot, the keyframes held."""
         self.closures: list[LoopClosure] = []
-        """The closures that were verified, with what became of them, but those between keyframes that are forgotten."""
+        """Verified closures with their status, except those between removed keyframes."""
         self.closures_verified = 0
-        """How many there ever were."""
+        """Number of closures ever added."""
         self.waiting = WaitingClosures()
         self._nodes: list[MutableSequence[int]] = [array("q") for _ in range(robot_count)]
-        """Of each of these keyframes its node."""
+        """Node index of each of these keyframes."""
         self._forgotten = ForgottenPaths()
         self._odometry_only = OdometryOnlyMotions(robot_count)
         self._readings = SignReadings(robot_count)
@@ -62,68 +62,68 @@ class TeamGraph(GraphArrays):
 
     @property
     def sign_news(self) -> list[int]:
-        """How often each robot read what may change the signs that its group knows."""
+        """Per robot, counter of readings that may change the known signs."""
         return self._readings.news
 
     def poses_of(self, robot: int) -> Array:
-        """(keyframes, 3) of one robot, with those that are forgotten."""
+        """(keyframes, 3) poses of one robot, including removed keyframes."""
         poses = self.poses[self.path_of(robot)]
         if not len(self._forgotten):
             return poses
         return self._forgotten.poses_among(robot, self._indices_of(robot), poses, self.poses)
 
     def steps_of(self, robot: int) -> Array:
-        """(keyframes,) the step at which each was taken."""
+        """(keyframes,) step at which each was taken."""
         steps = self.step_of_node[self.path_of(robot)]
         if not len(self._forgotten):
             return steps
         return self._forgotten.steps_among(robot, self._indices_of(robot), steps)
 
     def _indices_of(self, robot: int) -> Array:
-        """(k,) which of all its keyframes a robot's held ones are."""
+        """(k,) keyframe indices of a robot's held keyframes."""
         return np.array([keyframe.index for keyframe in self.keyframes[robot]], np.int64)
 
     @property
     def arrived_count(self) -> int:
-        """How many keyframes ever came."""
+        """Number of keyframes ever added."""
         return self.node_count + len(self._forgotten)
 
     def latest_pose_of(self, robot: int) -> Array:
-        """(3,) of the robot's newest keyframe."""
+        """(3,) pose of the robot's newest keyframe."""
         pose: Array = self.poses[self._nodes[robot][-1]]
         return pose
 
     def scans_of(self, robot: int) -> list[Array]:
-        """(beams,) of each of one robot's keyframes that are held [m]."""
+        """(beams,) scan of each of one robot's held keyframes [m]."""
         return [self._scans[node] for node in self.path_of(robot).tolist()]
 
     def nodes_of(self, robots: Sequence[int]) -> Array:
         """(k,) nodes of some robots, ascending."""
-        return np.flatnonzero(self._are(robots)[self.robot_of_node])
+        return np.flatnonzero(self._mask(robots)[self.robot_of_node])
 
-    def _are(self, robots: Sequence[int]) -> Array:
-        """(robots,) bool: which of all robots these are."""
+    def _mask(self, robots: Sequence[int]) -> Array:
+        """(robots,) bool mask of these robots."""
         chosen = np.zeros(len(self.keyframes), bool)
         chosen[list(robots)] = True
         return chosen
 
     def node(self, key: tuple[int, int]) -> int:
-        """The node of a robot's keyframe, one that is held."""
+        """The node of a robot's keyframe, which must be held."""
         return self._nodes[key[0]][path_position(self.keyframes[key[0]], key[1])]
 
     def keyframe(self, key: tuple[int, int]) -> Keyframe:
-        """A robot's keyframe, one that is held."""
+        """A robot's keyframe, which must be held."""
         path = self.keyframes[key[0]]
         return path[path_position(path, key[1])]
 
     def pose_map_odom(self, robot: int) -> Array:
-        """(3,) where the robot's odom frame lies in its group's map; a robot without keyframes is its own map."""
+        """(3,) pose of the robot's odom frame in its group's map frame; identity for a robot without keyframes."""
         if not self._nodes[robot]:
             return np.zeros(3)
         return compose(self.poses[self._nodes[robot][-1]], inverse(self.keyframes[robot][-1].pose_odom))
 
     def add_keyframe(self, keyframe: Keyframe) -> int:
-        """The node of a new keyframe, put where odometry leads from the robot's last one."""
+        """Add a keyframe at the pose predicted by odometry; returns its node."""
         robot = keyframe.robot
         self.changes += 1
         node = self.add_node(keyframe)
@@ -135,7 +135,8 @@ class TeamGraph(GraphArrays):
         return node
 
     def learn_scale(self, keyframe: Keyframe) -> bool:
-        """Put right what odometry alone told by what a robot knows of it at this keyframe; whether anything was."""
+        """Correct edges measured by odometry alone with the scale estimate of this keyframe; returns whether any
+        changed."""
         corrections = self._odometry_only.corrections(keyframe.robot, keyframe.odometry_scale[0])
         if corrections is None:
             return False
@@ -147,7 +148,7 @@ class TeamGraph(GraphArrays):
         return True
 
     def add_closure(self, closure: LoopClosure) -> None:
-        """Note a verified closure."""
+        """Add a verified closure."""
         self.closures_verified += 1
         closure.number = len(self.closures)
         self.closures.append(closure)
@@ -155,38 +156,38 @@ class TeamGraph(GraphArrays):
             self.waiting.add([closure])
 
     def set_pending(self, closures: Sequence[LoopClosure]) -> None:
-        """Noted closures between two maps wait for others that agree with them."""
+        """Set closures between two maps to pending, until others agree with them."""
         for closure in closures:
             closure.status, closure.reason = "pending", "waits for closures that agree"
         self.waiting.add(closures)
 
     def accept(self, closure: LoopClosure) -> None:
-        """Use a noted closure as an edge."""
+        """Use an added closure as an edge."""
         closure.status, closure.reason = "accepted", ""
         self.changes += 1
         for key in (closure.candidate.target, closure.candidate.source):
             self.last_closure_node[key[0]] = max(self.last_closure_node[key[0]], self.node(key))
-        self._tie(closure, True)
+        self._set_edge(closure, True)
 
     def refuse(self, closure: LoopClosure, reason: str) -> None:
-        """A noted closure, well measured, contradicts the map: use it no more."""
+        """Reject a verified closure that contradicts the map; its edge is no longer used."""
         closure.status, closure.reason = "rejected", reason
-        self._sound.add(closure.number)
+        self._verified_numbers.add(closure.number)
         self.refusals += 1
         if self._keeps_refused or closure.number in self._edge_of_closure:
-            self._tie(closure, False)
+            self._set_edge(closure, False)
         self.changes += 1
         for key in (closure.candidate.target, closure.candidate.source):
             if self.last_closure_node[key[0]] == self.node(key):
                 self.last_closure_node[key[0]] = self._last_tied(key[0])
 
     def _last_tied(self, robot: int) -> int:
-        """The node of the robot's last keyframe with an accepted closure; its first without any."""
+        """The node of the robot's last keyframe with an accepted closure; its first node without any."""
         used = [c.candidate for c in self.closures if c.status == "accepted"]
         last = max((i for c in used for r, i in (c.target, c.source) if r == robot), default=0)
         return self.node((robot, last))
 
-    def _tie(self, closure: LoopClosure, is_used: bool) -> None:
+    def _set_edge(self, closure: LoopClosure, is_used: bool) -> None:
         number = closure.number
         if number in self._edge_of_closure:
             self.is_used[self._edge_of_closure[number]] = is_used
@@ -196,25 +197,25 @@ class TeamGraph(GraphArrays):
         self.add_edge(ends, closure.pose_target_source, closure.covariance, number, is_used)
 
     def disagreement(self, closure: LoopClosure) -> tuple[float, float, float]:
-        """How far a closure lies from the estimate [m] and [rad], and the squared error of that by its covariance."""
+        """Deviation of a closure from the estimate [m] and [rad], and its squared Mahalanobis error."""
         target, source = self.node(closure.candidate.target), self.node(closure.candidate.source)
         return self.residual(target, source, closure.pose_target_source, closure.covariance)
 
     def closures_between(self, a: Sequence[int], b: Sequence[int], status: str) -> list[LoopClosure]:
-        """Closures of one status with one end among robots a and the other among b; none that failed verification."""
+        """Closures of one status between robots a and robots b, without those that failed verification."""
         out = []
         for closure in self.closures:
-            if closure.status != status or (status == "rejected" and closure.number not in self._sound):
+            if closure.status != status or (status == "rejected" and closure.number not in self._verified_numbers):
                 continue
             if closure.joins(a, b):
                 out.append(closure)
         return out
 
     def forget(self, nodes: Array, carriers: Array) -> Array:
-        """Let go of keyframes (k,), each of which moves from now on with another one (k,) that is held.
+        """Remove keyframes (k,), each of which is from now on attached to another one (k,) that is held.
 
-        Closures go with them, but those that the nodes that stay take over; so do those that failed verification.
-        Gives those nodes that stay, by their numbers until now.
+        Their closures are removed too, unless transferred to remaining nodes, and so are those that failed
+        verification. Returns the remaining nodes by their old indices.
         """
         carrier_of, indices = np.arange(self.node_count), np.empty(self.node_count, np.int64)
         carrier_of[nodes] = carriers
@@ -224,7 +225,7 @@ class TeamGraph(GraphArrays):
         self._forgotten.add(gone, nodes, carrier_of, self.poses)
         is_gone = carrier_of != np.arange(self.node_count)
         edges = thinned(Edges(self.ends, self.measured, self.information, self.closure_of_edge, self.is_used), is_gone)
-        self._hand_over(edges, indices)
+        self._update_moved_closures(edges, indices)
         edges = edges.numbered(self._keep_closures(edges))
         for robot, path in enumerate(self.keyframes):
             own = ~is_gone[self.path_of(robot)]
@@ -238,8 +239,8 @@ class TeamGraph(GraphArrays):
         self.changes += 1
         return kept
 
-    def _hand_over(self, edges: Edges, indices: Array) -> None:
-        """Closures of which other nodes are the ends from now on are told of these; indices (nodes,) of keyframes."""
+    def _update_moved_closures(self, edges: Edges, indices: Array) -> None:
+        """Update closures whose ends were transferred to other nodes; indices (nodes,) of the nodes' keyframes."""
         tying = np.flatnonzero(edges.closure != ODOMETRY)
         before = self.ends[[self._edge_of_closure[number] for number in edges.closure[tying].tolist()]]
         for k in np.flatnonzero((edges.ends[tying] != before).any(axis=1)).tolist():
@@ -255,13 +256,14 @@ class TeamGraph(GraphArrays):
             closure.pose_target_source, closure.covariance = measured, invert_symmetric(edges.information[edge])
 
     def _keep_closures(self, edges: Edges) -> Array:
-        """Only those closures that are edges or wait for a merge, which are numbered anew; the numbers (closures,)."""
+        """Keep only closures that are edges or pending, and renumber them; returns the new numbers (closures,), -1 if
+        removed."""
         tying = set(edges.closure.tolist())
         stay = [c for c in self.closures if c.number in tying or c.status == "pending"]
         number_of = np.full(len(self.closures), -1)
         number_of[[closure.number for closure in stay]] = np.arange(len(stay))
         now: list[int] = number_of.tolist()
-        self._sound = {now[number] for number in self._sound if now[number] >= 0}
+        self._verified_numbers = {now[number] for number in self._verified_numbers if now[number] >= 0}
         for closure in stay:
             closure.number = now[closure.number]
         self.waiting = WaitingClosures(c for c in stay if c.status == "pending")
@@ -270,18 +272,18 @@ class TeamGraph(GraphArrays):
         return number_of
 
     def place(self, nodes: Sequence[int] | Array, poses: Array) -> None:
-        """Move nodes to new poses."""
+        """Set the poses of nodes."""
         self.poses[nodes] = poses
         self._readings.note_move()
         self.changes += 1
 
     def subgraph(self, robots: Sequence[int], first: int = 0) -> tuple[Array, Array, Graph, Array]:
-        """Nodes (n,) and edges (e,) among some robots, these as a graph of their own, and which edges are used (e,).
+        """Nodes (n,) and edges (e,) among some robots, the subgraph of these, and which edges are used (e,).
 
-        Of the nodes before `first` only those with edges to later ones, and none of the edges between them.
+        Of the nodes before `first` only those with edges to later ones are included, and no edges among them.
         """
         nodes, edges, local, measured, information, is_closure, is_used = subgraph_of(
-            self._are(robots), first, self.robot_of_node, self.ends, self.measured, self.information,
+            self._mask(robots), first, self.robot_of_node, self.ends, self.measured, self.information,
             self.closure_of_edge, self.is_used,
         )  # fmt: skip
         shared = None
@@ -292,18 +294,18 @@ class TeamGraph(GraphArrays):
         return nodes, edges, Graph(local, measured, information, is_closure, shared), is_used
 
     def refused_count(self, robots: Sequence[int]) -> int:
-        """How many closures among some robots are edges that are not used."""
+        """Number of closures among some robots that are unused edges."""
         refused = self.ends[~self.is_used]
-        return int(np.count_nonzero(self._are(robots)[self.robot_of_node[refused]].all(axis=1)))
+        return int(np.count_nonzero(self._mask(robots)[self.robot_of_node[refused]].all(axis=1)))
 
     def strain(self, robots: Sequence[int]) -> tuple[float, int]:
-        """Squared error of the odometry of some robots, and for how many closures that are used it pays that."""
+        """Sum of squared odometry errors of some robots, and the number of used closures among them."""
         nodes, _, graph, is_used = self.subgraph(robots)
         squared = graph.squared_errors(self.poses[nodes])
         return float(squared[~graph.is_closure].sum()), int(np.count_nonzero(is_used & graph.is_closure))
 
     def places_among(self, robots: Sequence[int], nodes: Array) -> dict[tuple[int, int], int]:
-        """Where among ascending nodes (n,) each keyframe (robot, index) of some robots is."""
+        """Index among ascending nodes (n,) of each keyframe (robot, index) of some robots."""
         return {
             (robot, keyframe.index): place
             for robot in robots
@@ -318,7 +320,7 @@ class TeamGraph(GraphArrays):
         return [self.closures[number] for number in numbers[numbers != ODOMETRY].tolist()]
 
     def mark(self, edges: Array, is_used: Array, reasons: dict[int, str]) -> None:
-        """Note which edges (e,) are used now; `reasons` by position in `edges` say why closures are not."""
+        """Update which edges (e,) are used; `reasons` by position in `edges` state why closures are rejected."""
         for k in np.flatnonzero(self.is_used[edges] != is_used).tolist():
             closure = self.closures[self.closure_of_edge[edges[k]]]
             if is_used[k]:
@@ -335,7 +337,7 @@ class TeamGraph(GraphArrays):
         return self._readings.known(self.poses, robots)
 
     def as_arrays(self) -> dict[str, Array | list[str]]:
-        """The graph of what is used: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
+        """The graph of used edges: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
         ids = np.zeros((self.node_count, 2), np.int64)
         for robot in range(len(self.keyframes)):
             indices = self._indices_of(robot)

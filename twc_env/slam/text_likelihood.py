@@ -1,4 +1,4 @@
-"""How likely a text is to be read where another one stands: a noisy channel for OCR."""
+"""Probability of reading one text where another stands: a noisy-channel model of OCR."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from rapidfuzz.distance import Levenshtein
 from rapidfuzz.process import cdist
 
 FRAGMENT_PROBABILITY, CHARACTER_ERROR_PROBABILITY = 0.07, 0.03
-"""How often OCR gives a fragment, and how often it gets a character wrong (papers.md T3)."""
+"""Probability that OCR returns a fragment, and that it misreads a character (papers.md T3)."""
 INDEPENDENT_READINGS_MAX = 2
-"""More readings that agree prove no more: the mistakes of one reader with one sign stay the same."""
+"""Agreeing readings beyond this number add nothing: errors of one reader on one sign are correlated."""
 WRONG_CHARACTERS = 6.0
-"""A wrong character is one of about this many (most are look-alikes)."""
+"""Number of likely substitutes of a misread character (mostly look-alikes)."""
 LANGUAGE_CHARACTERS = 12.0
-"""An unknown text is as hard to guess as if each character were one of this many."""
+"""Effective alphabet size of an unknown text."""
 
 
 def log_text_likelihood(reading: str, others: Sequence[str], reading_count: int, other_counts: Array) -> Array:
-    """(others,) log probability of a reading if the sign is the one that gave each of the others.
+    """(others,) log probability of a reading if its sign is the one that gave each of the others.
 
-    A noisy channel twice: characters go wrong singly, or only a fragment is left (papers.md T3). Counts say how many
-    readings agreed on a text: the more, the less likely it is wrong.
+    Both texts pass a noisy channel: single characters are misread, or only a fragment is left (papers.md T3). The
+    counts are the numbers of readings that agree on a text: more of them reduce its error probability.
     """
     if not others:
         return np.zeros(0)
@@ -44,5 +44,5 @@ def log_text_likelihood(reading: str, others: Sequence[str], reading_count: int,
 
 
 def log_unknown_text(reading: str) -> float:
-    """Log probability of a reading if nothing is known of the sign."""
+    """Log probability of a reading of an unknown sign."""
     return -len(reading) * math.log(LANGUAGE_CHARACTERS)

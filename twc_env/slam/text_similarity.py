@@ -1,4 +1,4 @@
-"""How alike two readings of a sign are (TWC-SLAM Eq. 5, papers.md T4)."""
+"""Similarity of two sign readings (TWC-SLAM Eq. 5, papers.md T4)."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from rapidfuzz.distance import Levenshtein
 from rapidfuzz.process import extract
 
 ROUNDING, SLACK = 1e-9, 0.01
-"""A similarity this little below the minimum meets it; the library cuts off above equality, so it is asked for more."""
+"""Tolerance at the threshold; `extract` excludes equality, so it gets a lower cutoff."""
 
 
 @lru_cache(maxsize=4096)
 def normalise(text: str) -> str:
-    """Upper case, no spaces at the ends, single spaces between words."""
+    """Upper case, without leading and trailing spaces, single spaces between words."""
     return " ".join(text.upper().split())
 
 
 def text_similarity(a: str, b: str) -> float:
-    """(m - d) / m with m the longer length and d the edit distance; an empty text is like nothing."""
+    """(m - d) / m with m the longer length and d the edit distance; 0 for an empty text."""
     return Levenshtein.normalized_similarity(a, b) if a and b else 0.0
 
 
-class AlikeTexts:
-    """Distinct texts, and which of them are alike: each pair is compared once, however often the texts are read."""
+class SimilarTexts:
+    """Distinct texts and their similar pairs; each pair is compared once, however often the texts are read."""
 
     def __init__(self, similarity_min: float):
         self._similarity_min = similarity_min
         self._number_of: dict[str, int] = {}
         self._texts: list[str] = []
         self._alike: list[list[tuple[int, float]]] = []
-        """Of each text the numbers of those that are alike, itself included, with their similarity."""
+        """Per text, numbers and similarities of similar texts, itself included."""
         self._compared: tuple[str, int, list[tuple[int, float]]] = ("", 0, [])
-        """The text compared last, with how many others, and what was found."""
+        """Cache of the last comparison: the text, number of texts at that time, and the result."""
 
     def number_of(self, text: str) -> int:
         """The text's number; a new text gets the next one."""
@@ -52,7 +52,7 @@ class AlikeTexts:
         return number
 
     def keep(self, texts: Collection[str]) -> Array:
-        """Only some of the texts, in their order; gives the new number of each old one, -1 where there is none."""
+        """Keep only some texts, in their order; returns the new number of each old one, -1 if removed."""
         kept = [number for number, text in enumerate(self._texts) if text in texts]
         number_of = np.full(len(self._texts), -1)
         number_of[kept] = np.arange(len(kept))
@@ -71,7 +71,7 @@ class AlikeTexts:
         return text in self._number_of
 
     def alike(self, text: str) -> list[tuple[int, float]]:
-        """(number, similarity) of the numbered texts that are at least as similar as the minimum."""
+        """(number, similarity) of the numbered texts that reach the minimum similarity."""
         held = self._number_of.get(text)
         return self._compare(text) if held is None else self._alike[held]
 

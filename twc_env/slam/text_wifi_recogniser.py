@@ -1,4 +1,4 @@
-"""Places recognised by like texts, with WiFi (TWC-SLAM's Algorithm 1) or without."""
+"""Place recognition by similar sign texts, with WiFi (TWC-SLAM's Algorithm 1) or without."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from twc_env.geometry import wrap_one
 from twc_env.messages import Fingerprint, Keyframe, LoopCandidate, SignObservation
 from twc_env.slam.place_cues import rssi_cue, similarities
 from twc_env.slam.sign_table import RadioRule, SignTable
-from twc_env.slam.text_similarity import AlikeTexts, normalise
+from twc_env.slam.text_similarity import SimilarTexts, normalise
 
 SAME_PLACE_M = 0.5
 """The same text read again within this path length ..."""
 SAME_SIGN_M = 1.0
-"""... at a place nearer than this is not remembered twice."""
+"""... and this distance is not stored twice."""
 
 
 class TextWifiRecogniser:
-    """Algorithm 1 of TWC-SLAM: like text, then shared transmitters, then like strengths (papers.md T9).
+    """Algorithm 1 of TWC-SLAM: similar text, then shared transmitters, then similar strengths (papers.md T9).
 
-    Every text that was ever read is kept with its keyframe; a new keyframe is compared with all of them, of its own
-    robot (when enough path lies between) and of the others.
+    All readings are stored with their keyframes. A new keyframe is compared with all of them: of its own robot, if far
+    enough along the path, and of the others.
     """
 
     name = "twc"
 
     def __init__(self, config: PlaceRecognitionConfig):
         self._config = config
-        self._texts = AlikeTexts(config.text_similarity_min - 1e-9)
+        self._texts = SimilarTexts(config.text_similarity_min - 1e-9)
         self._radio = RadioRule.of(config, config.spares_missing_cues)
         self._recent: dict[tuple[int, str], deque[tuple[float, tuple[float, float]]]] = {}
         self._places: list[tuple[Keyframe, SignObservation]] = []
         self._table = SignTable()
-        """The same places."""
+        """The same places as `_places`."""
         self.is_wanted: Callable[[Keyframe, Keyframe], bool] | None = None
-        """Asked of target and source before a candidate is made of them; None: all are."""
+        """Filter of candidates by target and source; None accepts all."""
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
-        """See `Recogniser`; the better of two texts speaks for a pair."""
+        """See `Recogniser`; of several matching texts of a pair the most similar counts."""
         if not keyframe.signs:
             return []
         readings = [(self._key(sign.text), sign) for sign in keyframe.signs]
@@ -57,7 +57,7 @@ class TextWifiRecogniser:
     def _compare(
         self, keyframe: Keyframe, readings: Sequence[tuple[str, SignObservation]], skipped_robots: Sequence[int]
     ) -> list[LoopCandidate]:
-        """Candidates between a keyframe that read these texts and all places known; one for each other keyframe."""
+        """Candidates between a keyframe with these readings and all stored places; one per target keyframe."""
         best: dict[tuple[int, int], tuple[float, int, SignObservation, float, float]] = {}
         for text, sign in readings:
             if math.isnan(sign.facing_rad):
@@ -76,7 +76,7 @@ class TextWifiRecogniser:
         ]
 
     def _compare_anew(self, robot: int, other: int) -> list[LoopCandidate]:
-        """Candidates between all places of one robot and those of another, once their receivers are told apart."""
+        """Candidates between all places of two robots, after the offset of their receivers became known."""
         skipped = {place.robot for place, _ in self._places} - {other}
         return [
             candidate
@@ -88,7 +88,7 @@ class TextWifiRecogniser:
     def _candidate(
         self, source: Keyframe, similarity: float, number: int, sign: SignObservation, macs: float, rssi: float
     ) -> LoopCandidate:
-        """Of a sign seen from a keyframe and a place of that number."""
+        """The candidate of a sign seen from a keyframe and the stored place of that number."""
         target, target_sign = self._places[number]
         return LoopCandidate(
             target.key, source.key, meet_at_sign(target_sign, sign), self.name, target_sign.position_m,
@@ -96,16 +96,16 @@ class TextWifiRecogniser:
         )  # fmt: skip
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
-        """The smallest of the three similarities: at this threshold for all of them the pair would just pass."""
+        """The smallest of the three similarities: the largest common threshold that the pair passes."""
         cues = similarities(target, source, self._config)
         return min(cues.text, cues.macs, cues.rssi)
 
     def _passing(self, rows: list[list[float]], heard: Fingerprint) -> list[tuple[int, float, float, float]]:
-        """Places, by number, of those rows of the table whose strengths are like what was heard.
+        """Numbers of the places in these table rows whose strengths are similar to `heard`.
 
         With the similarities of texts, transmitters and strengths.
         """
-        if self._config.rssi_mode == "saturating":  # judged before, with the transmitters
+        if self._config.rssi_mode == "saturating":  # already tested by the table
             return [(int(row[0]), row[1], row[2], row[3]) for row in rows]
         passed = []
         for row, text, macs, _, distance_db, shared in rows:
@@ -116,9 +116,9 @@ class TextWifiRecogniser:
         return passed
 
     def _remember(self, text: str, keyframe: Keyframe, sign: SignObservation) -> list[int]:
-        """Keep a reading, unless no wall is known behind it or the same robot read the same just before.
+        """Store a reading, unless no wall is known behind it or the same robot read the same text just before.
 
-        See `SignTable.append` for what it gives.
+        Returns as `SignTable.append`.
         """
         if math.isnan(sign.facing_rad):
             return []
@@ -146,7 +146,7 @@ class TextWifiRecogniser:
 
 
 class TextRecogniser(TextWifiRecogniser):
-    """Like text alone."""
+    """Similar texts alone."""
 
     name = "text"
 
@@ -155,7 +155,7 @@ class TextRecogniser(TextWifiRecogniser):
         self._radio = RadioRule(-math.inf, -math.inf, config.rssi_tolerance_db)
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
-        """Similarity of the two texts most alike."""
+        """Similarity of the most similar pair of texts."""
         return similarities(target, source, self._config).text
 
     def _passing(self, rows: list[list[float]], heard: Fingerprint) -> list[tuple[int, float, float, float]]:
@@ -163,7 +163,7 @@ class TextRecogniser(TextWifiRecogniser):
 
 
 def meet_at_sign(target: SignObservation, source: SignObservation) -> Array:
-    """(3,) pose of the source in the target's frame if both see one sign: lay the two sign frames on each other."""
+    """(3,) pose of the source in the target's frame if both see one sign: the two sign frames coincide."""
     (x, y), heading = source.position_m.tolist(), source.facing_rad
     c, s = math.cos(heading), math.sin(heading)
     x, y, turn = -c * x - s * y, s * x - c * y, wrap_one(-heading)  # the source in the frame of the sign

@@ -1,10 +1,10 @@
-"""Aligns many short walks with unknown starts in one frame by radio alone.
+"""Align many short walks with unknown start poses in one frame by radio alone.
 
-Each walk knows its own shape and, by compass, about where north is. Where two walks pass each other, one scan of each
-is the other walk's best match, both ways. A first layout puts such scans at one place, which needs no guess: with
-headings known it is linear. Then each walk moves as one piece until it fits the fields of signal strength around it,
-robustly. Fields alone swell a map, matches alone shrink it (their scans do not lie at quite one place): both act
-together. With weighting `paper`, alike fingerprints lie as far apart as a model says, learnt from dead reckoning.
+Each walk has its own dead reckoning and an approximate north from the compass. Where two walks pass the same place, two
+scans are mutual best matches. An initial layout puts matched scans at one place; with known headings this is a linear
+problem. Then each walk is moved as a rigid body to fit the signal strength fields around it, robustly. Fields alone
+expand a map, matches alone contract it (their scans are not at exactly the same place), so both are used together. With
+weighting `paper`, similar fingerprints have a distance given by a model trained on dead reckoning.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from twc_env.slam.radio_similarity import all_similarities, feature_rows
 from twc_env.slam.similarity_model import SimilarityModel, train
 
 APART_M = 10_000.0
-"""Path length put between two walks, so that nothing is averaged across."""
+"""Path length offset between two walks, so that nothing is averaged across."""
 SHARPNESS = 2.5
-"""Power to which strengths above the faintest are raised: what is loud tells more about a place than what is faint."""
+"""Exponent of strengths above the weakest: strong readings carry more information about a place."""
 MATCH_ALIKE_MIN, MATCH_WALKS = 0.3, 3
-"""Matches of a scan are at least this alike, and lie in this many of the most alike other walks."""
+"""Minimum similarity of a match, and the number of other walks, most similar first, in which each scan is matched."""
 MATCH_POWER = 8
-"""A match weighs as much as this power of its likeness."""
+"""Weight of a match as a power of its similarity."""
 MATCH_STD_M = 4.0
-"""How far apart the scans of a match lie, once the fields speak too."""
+"""Standard deviation of the distance of matched scans, used together with the fields."""
 LAYOUT_ROUNDS, LAYOUT_SCALE_M, LAYOUT_FIRST_M, LAYOUT_SHRINK = 30, 8.0, 100.0, 0.8
-"""Residual at which a neighbour has lost half of its weight: from the first, shrinking, to the last."""
+"""Residual at which a match has half of its weight: starts at LAYOUT_FIRST_M and shrinks to LAYOUT_SCALE_M."""
 COMPASS_STD_RAD = 0.1
-"""How far a walk's headings are off as a whole: the phone's angle in the hand, magnetic disturbance. Held tighter
-than compasses of real phones are good for: what radio says of headings is worse."""
+"""Standard deviation of a walk's heading offset: angle of the phone in the hand, magnetic disturbance. Lower than for
+compasses of real phones, since radio constrains headings even less."""
 WINDOW_M = 60.0
 ROUNDS = 40
 STEP_M = 0.02
@@ -54,9 +54,9 @@ CAUCHY = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """One walk: its scans (n) in a frame of its own whose axes are about those of the compass.
+    """One walk: its scans (n) in a frame of its own, whose axes are approximately those of the compass.
 
-    Raises DataError for parts that do not fit together.
+    Raises DataError for parts of inconsistent shape.
     """
 
     poses: Array
@@ -79,17 +79,17 @@ class Joined:
     """Walks in one frame."""
 
     poses: Array
-    """(walks, 3) where each walk's frame lies; NaN for those that nothing ties to the others."""
+    """(walks, 3) pose of each walk's frame; NaN for walks not connected to the others."""
     positions_m: tuple[Array, ...]
     """Per walk (n, 2) positions of its scans."""
     is_joined: Array
-    """(walks,) bool: those of the largest group that fingerprints hold together."""
+    """(walks,) bool: the largest connected component."""
 
 
 def join(traces: Sequence[Trace], config: RadioSlamConfig) -> Joined:
-    """One frame for all walks that are tied to each other; `config.weighting` as in `radio_slam`.
+    """One frame for all connected walks; `config.weighting` as in `radio_slam`.
 
-    Raises DataError where there is no scan to join.
+    Raises DataError if there is no scan.
     """
     if not any(len(trace.poses) for trace in traces):
         raise DataError(f"there is nothing to join: none of {len(traces)} walks has a scan")
@@ -140,7 +140,7 @@ class _Joiner:
         return Distances(np.column_stack([i, j]), mean, variance)
 
     def _largest_group(self, pairs: Array) -> Array:
-        """(walks,) bool: those that pairs of scans (k, 2) connect to most others."""
+        """(walks,) bool: the largest component connected by pairs of scans (k, 2)."""
         ends = self._walk[pairs]
         count = len(self._traces)
         links = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
@@ -150,7 +150,7 @@ class _Joiner:
     # --- layout
 
     def _matches(self) -> tuple[Array, Array]:
-        """Pairs (k, 2) of scans of two walks that are each other's best, and how much each weighs (k,)."""
+        """Pairs (k, 2) of scans of two walks that are mutual best matches, and their weights (k,)."""
         alike = np.where(self._walk[:, None] == self._walk[None], -1.0, self._similarity)
         starts = np.flatnonzero(np.diff(self._walk, prepend=-1))
         column = np.cumsum(np.diff(self._walk, prepend=-1) != 0) - 1  # of a scan's walk among those with scans
@@ -162,12 +162,12 @@ class _Joiner:
         i, other = np.nonzero(is_mutual & (rank < MATCH_WALKS) & (level > MATCH_ALIKE_MIN))
         return np.column_stack([i, best[i, other]]), level[i, other] ** MATCH_POWER
 
-    def _first_layout(self, matches: Array, worth: Array) -> Array:
-        """(walks, 3) with headings as the compass has them: robust linear least squares on places."""
+    def _first_layout(self, matches: Array, match_weight: Array) -> Array:
+        """(walks, 3) with headings from the compass: robust linear least squares on positions."""
         (i, j), count = matches.T, len(self._traces)
         a, b = self._walk[i], self._walk[j]
         apart = self._local[j, :2] - self._local[i, :2]
-        weight, place = worth, np.zeros((count, 2))
+        weight, place = match_weight, np.zeros((count, 2))
         for round_ in range(LAYOUT_ROUNDS):
             laplacian = np.diag(np.bincount(a, weight, count) + np.bincount(b, weight, count) + 1e-6)
             links = np.bincount(a * count + b, weight, count * count).reshape(count, count)
@@ -178,22 +178,22 @@ class _Joiner:
             place = np.linalg.solve(laplacian, pull)
             missed = np.linalg.norm(place[a] - place[b] - apart, axis=1)
             scale_m = max(LAYOUT_SCALE_M, LAYOUT_FIRST_M * LAYOUT_SHRINK**round_)
-            weight = worth / (1.0 + (missed / scale_m) ** 2)
+            weight = match_weight / (1.0 + (missed / scale_m) ** 2)
         return np.column_stack([place, np.zeros(count)])
 
     # --- fitting
 
-    def _fit(self, poses: Array, pulls: Distances | radio_field.Ties) -> Array:
-        """Walks as rigid pieces: damped Gauss-Newton on distances or ties, and the compass."""
+    def _fit(self, poses: Array, constraints: Distances | radio_field.FieldConstraints) -> Array:
+        """Walks as rigid bodies: damped Gauss-Newton on distances or field constraints, and the compass."""
         poses = poses.copy()
-        damping, cost = 1e-3, self._cost(poses, pulls)
+        damping, cost = 1e-3, self._cost(poses, constraints)
         for _ in range(ROUNDS):
-            hessian, gradient = self._linearise(poses, pulls)
+            hessian, gradient = self._linearise(poses, constraints)
             scale = np.diag(hessian).copy()
             for _ in range(8):
                 step = np.linalg.solve(hessian + np.diag(damping * scale + 1e-9), -gradient).reshape(-1, 3)
                 moved = poses + step
-                moved_cost = self._cost(moved, pulls)
+                moved_cost = self._cost(moved, constraints)
                 if moved_cost <= cost:
                     break
                 damping *= 4
@@ -205,8 +205,8 @@ class _Joiner:
                 break
         return poses
 
-    def _cost(self, poses: Array, pulls: Distances | radio_field.Ties) -> float:
-        squared = _squared(pulls, compose(poses[self._walk], self._local))
+    def _cost(self, poses: Array, constraints: Distances | radio_field.FieldConstraints) -> float:
+        squared = _squared(constraints, compose(poses[self._walk], self._local))
         return float((poses[:, 2] ** 2).sum() / COMPASS_STD_RAD**2 + self._loss(squared).sum())
 
     def _loss(self, squared: Array) -> Array:
@@ -215,17 +215,21 @@ class _Joiner:
     def _weight(self, squared: Array) -> Array:
         return 1.0 / (1.0 + squared / CAUCHY**2) if self._is_ours else np.ones(len(squared))
 
-    def _linearise(self, poses: Array, pulls: Distances | radio_field.Ties) -> tuple[Array, Array]:
+    def _linearise(self, poses: Array, constraints: Distances | radio_field.FieldConstraints) -> tuple[Array, Array]:
         count = len(poses)
         placed = compose(poses[self._walk], self._local)
         arm = placed[:, :2] - poses[self._walk, :2]
-        swing = np.column_stack([-arm[:, 1], arm[:, 0]])  # how a scan moves when its walk turns
-        weight, pairs, ends = self._weight(_squared(pulls, placed)), pulls.pairs, self._walk[pulls.pairs]
-        if isinstance(pulls, Distances):
-            by_first, error = pulls.jacobian(placed)[:, None], pulls.residuals(placed)[:, None]
+        swing = np.column_stack([-arm[:, 1], arm[:, 0]])  # derivative of a scan's position by its walk's heading
+        weight, pairs, ends = (
+            self._weight(_squared(constraints, placed)),
+            constraints.pairs,
+            self._walk[constraints.pairs],
+        )
+        if isinstance(constraints, Distances):
+            by_first, error = constraints.jacobian(placed)[:, None], constraints.residuals(placed)[:, None]
         else:
-            root = np.swapaxes(np.linalg.cholesky(pulls.information + 1e-9 * np.eye(2)), 1, 2)
-            by_first, error = -root, (root @ _tie_errors(pulls, placed)[..., None])[..., 0]
+            root = np.swapaxes(np.linalg.cholesky(constraints.information + 1e-9 * np.eye(2)), 1, 2)
+            by_first, error = -root, (root @ _constraint_errors(constraints, placed)[..., None])[..., 0]
         slopes = [
             sign * np.concatenate([by_first, (by_first @ swing[pairs[:, end], :, None])], axis=2)
             for end, sign in ((0, 1.0), (1, -1.0))
@@ -249,27 +253,29 @@ class _Joiner:
         feature = self._rows.toarray()
         matched = weight[:, None, None] * np.eye(2) / MATCH_STD_M**2
         apart_m = np.column_stack([APART_M * self._walk, np.zeros(len(self._walk))])
-        worth = radio_field.learn_worth(feature, self._local[:, :2] + apart_m, self._travel_m, BANDWIDTH_M)
+        field_weight = radio_field.learn_weight(feature, self._local[:, :2] + apart_m, self._travel_m, BANDWIDTH_M)
         for _ in range(FIELD_ROUNDS):
             placed = compose(poses[self._walk], self._local)[:, :2]
-            ties = radio_field.ties(feature, placed, self._travel_m, BANDWIDTH_M, APART_M / 2, worth)
-            both = radio_field.Ties(
-                np.concatenate([ties.pairs, matches]),
-                np.concatenate([ties.offset_m, np.zeros(matches.shape)]),
-                np.concatenate([ties.information, matched]),
+            found = radio_field.field_constraints(
+                feature, placed, self._travel_m, BANDWIDTH_M, APART_M / 2, field_weight
+            )
+            both = radio_field.FieldConstraints(
+                np.concatenate([found.pairs, matches]),
+                np.concatenate([found.offset_m, np.zeros(matches.shape)]),
+                np.concatenate([found.information, matched]),
             )
             poses = self._fit(poses, both)
         return poses
 
 
-def _tie_errors(ties: radio_field.Ties, placed: Array) -> Array:
-    """(k, 2) how much further the second place lies from the first than the field asks for."""
-    return placed[ties.pairs[:, 1], :2] - placed[ties.pairs[:, 0], :2] - ties.offset_m
+def _constraint_errors(constraints: radio_field.FieldConstraints, placed: Array) -> Array:
+    """(k, 2) residual of each field constraint."""
+    return placed[constraints.pairs[:, 1], :2] - placed[constraints.pairs[:, 0], :2] - constraints.offset_m
 
 
-def _squared(pulls: Distances | radio_field.Ties, placed: Array) -> Array:
+def _squared(constraints: Distances | radio_field.FieldConstraints, placed: Array) -> Array:
     """(k,) squared length of each residual."""
-    if isinstance(pulls, Distances):
-        return pulls.residuals(placed) ** 2
-    error = _tie_errors(pulls, placed)
-    return np.einsum("ki,kij,kj->k", error, pulls.information, error)
+    if isinstance(constraints, Distances):
+        return constraints.residuals(placed) ** 2
+    error = _constraint_errors(constraints, placed)
+    return np.einsum("ki,kij,kj->k", error, constraints.information, error)

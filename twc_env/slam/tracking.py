@@ -1,6 +1,6 @@
-"""Track all robots from one set of frames to the next: odometry and gyro, mates out of the scan, scan match, arrival.
+"""Track all robots: odometry and gyro, removal of mates from the scan, scan matching, test for a new keyframe.
 
-One compiled call does it for all of them; no robot's estimate depends on another's.
+One compiled call processes all robots; their estimates are independent.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def _see(
     robots, ranges, states, directions, opening, mate_radius, marked, discs, disc_counts, cells, lines, origins, rule,
     has_lidar, room, matched, information, is_matched, is_clear, explained,
 ):  # fmt: skip
-    """Mark lost beams and mates in the scans and lay what is left on the fields, near the robots' states."""
+    """Mark lost beams and mates in the scans and match the rest to the fields, near the robots' states."""
     (is_jump, jumps), (is_lost, bridged), for_match = room
     for a in range(robots.shape[0]):
         k = robots[a]
@@ -53,10 +53,10 @@ def _see(
 
 @borrowing_kernel
 def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, poses, travels, steps, is_new):
-    """Poses after the step, path lengths, and whether each robot has come to a new place.
+    """Poses after the step, path lengths, and whether each robot needs a new keyframe.
 
-    rule: share of explained beams from which a place is known; then how far a new one is, how far where little is
-    known, and how far turned. Gives whether one of them has.
+    rule: minimum share of explained beams of a known place; distance to a new keyframe, distance where less is known,
+    and turn. Returns whether any robot needs one.
     """
     has_arrived = False
     for a in range(robots.shape[0]):
@@ -76,9 +76,10 @@ def _arrive(robots, odometry, dts, states, explained, rule, keyframe_poses, pose
 
 @borrowing_kernel
 def _note_open(robots, before, states, information, by_odometry):
-    """Add to by_odometry (n, 2) what matched scans left open of robots' motions from before (n, 2), in odom frames.
+    """Add to by_odometry (n, 2) the motion from before (n, 2) along directions that matched scans left open, in odom
+    frames.
 
-    Where no scan is matched nothing is added.
+    Nothing is added where no scan was matched.
     """
     for a in range(robots.shape[0]):
         k = robots[a]
@@ -91,7 +92,8 @@ def _note_open(robots, before, states, information, by_odometry):
 
 @borrowing_kernel
 def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose, macs, levels, ages, heard):
-    """A whole step with the compiled filters, and what was heard in it; whether a robot has come to a new place."""
+    """A complete step with the compiled filters, including WiFi scans; returns whether any robot needs a new
+    keyframe."""
     (
         states, covariances, noise, believes_scans, directions, opening, mate_radius, marked, discs, disc_counts, cells,
         lines, origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels, steps,
@@ -126,11 +128,11 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
 
 
 class Tracker(BindsAnew):
-    """Where all robots are, each in its own odom frame (it starts at 0, 0, 0), matched against their local maps."""
+    """Poses of all robots, each in its own odom frame (start at 0, 0, 0), matched to their local maps."""
 
     def __init__(self, config: EnvConfig, count: int):
         self.radio = ScanWindows(count, config.slam.keyframe.fingerprint_scans_max)
-        """What each robot heard of late."""
+        """Recent WiFi scans of each robot."""
         noise, beams, rule = config.slam.odometry_filter, config.lidar.beam_count, config.slam.keyframe
         self._filters = make_filters(noise, count, config.slam.oracle != "poses")
         variance_m2 = noise.match_std_m**2 * noise.match_correlation
@@ -139,24 +141,24 @@ class Tracker(BindsAnew):
         self.fields = fields
         """The local maps of all robots."""
         self.poses_odom = np.zeros((count, 3))
-        """(n, 3) the estimates after the latest frames; a new array with every update."""
+        """(n, 3) estimates after the latest frames; a new array after every update."""
         self.marked_m = np.zeros((count, beams))
-        """(n, beams) scans; beams that met a mate or may be lost are negative: free up to there, but no wall."""
+        """(n, beams) scans; beams on mates and beams that may be lost are negative: free up to there, but no wall."""
         self.discs, self.disc_counts = np.zeros((count, DISCS_MAX, 4)), np.zeros(count, np.int64)
-        """A row (x [m], y [m], first beam, beams) for each mate last seen, its centre in the robot frame; and how many
-        there are (n,)."""
+        """A row (x [m], y [m], first beam, beams) for each mate in the last scan, centre in the robot frame; and their
+        number (n,)."""
         self.information = np.zeros((count, 3, 3))
-        """(n, 3, 3) of the latest matches; zeros where nothing was matched."""
+        """(n, 3, 3) information of the latest matches; zeros if not matched."""
         self.keyframe_poses = np.full((count, 3), np.nan)
-        """(n, 3) where each robot's last keyframe was taken; NaN before the first. Whoever takes one notes it here."""
+        """(n, 3) pose of each robot's last keyframe; NaN before the first. Written by the code that takes keyframes."""
         self.times_s, self.travels_m, self.steps = np.zeros(count), np.zeros(count), np.zeros(count, np.int64)
-        """(n,) of each robot: time of its latest frame, length of its path, steps since its last keyframe."""
+        """(n,) per robot: time of its latest frame, path length, steps since its last keyframe."""
         self.is_new, self.has_arrived = np.zeros(count, bool), False
-        """(n,) whether it has come to a new place; and whether one of those in the latest frames has."""
+        """(n,) whether each robot needs a new keyframe; and whether any in the latest frames does."""
         self._by_odometry_m = np.zeros((count, 2))
-        """What no scan told of the robots' motions since the last time that they were asked, in their odom frames."""
+        """Motion that no scan constrained since `take_by_odometry` was last called, in the odom frames."""
         self._has_been_alone = [False] * count
-        """Whether each robot has ever gone by odometry alone."""
+        """Whether each robot ever moved by odometry alone."""
         masks = rule.mask_mates and config.robots > 1
         mate_radius_m = robot_radius_m if masks else 0.0
         opening = opening_beams(beams, config.lidar.dropout_probability)
@@ -167,11 +169,11 @@ class Tracker(BindsAnew):
         self._has_lidar = config.slam.cues.lidar
         self._matching = (fields.cells, fields.lines, fields.origins_m, fields.rule, self._has_lidar, room)
         self._run: Callable[..., bool] | None = None
-        """`_track` with all that it needs in every step."""
+        """`_track` bound to its constant arguments."""
         self._keyframe_rule = np.array([rule.explained_min, rule.distance_m, rule.distance_new_m, rule.turn_rad])
 
     def update(self, robots: Array, frames: TeamFrames) -> None:
-        """Take in the frames of these robots (k,), a row for each."""
+        """Process the frames of these robots (k,), one row each."""
         self.poses_odom = self.poses_odom.copy()
         whose, macs, rssi_dbm, counts = frames.scans
         if macs.shape[1] > self.radio.width:
@@ -191,10 +193,9 @@ class Tracker(BindsAnew):
         self.has_arrived = self._run(*now)
 
     def take_by_odometry(self, robot: int) -> tuple[()] | tuple[tuple[float, float], tuple[float, float]]:
-        """What no scan told of a robot's motions since this was asked last, along its axes [m].
+        """The motion that no scan constrained since the last call, along the robot's axes [m].
 
-        And by what share its odometry reads too long as far as it knows, with one sigma of that. Nothing while scans
-        told of all motions.
+        And the odometry scale error with its standard deviation. Empty while scans constrained all motion.
         """
         x, y = self._by_odometry_m[robot].tolist()
         if x == y == 0.0 and not self._has_been_alone[robot]:
@@ -206,7 +207,7 @@ class Tracker(BindsAnew):
         return (c * x + s * y, c * y - s * x), (float(scale), math.sqrt(variance))
 
     def _packed(self, filters: CompiledFilters) -> Lent:
-        """What `_track` needs in every step."""
+        """The constant arguments of `_track`."""
         count = len(self.poses_odom)
         is_matched, is_clear = np.zeros(count, bool), np.zeros(count, bool)
         room = np.empty(count), np.empty((count, 3)), is_matched, is_clear, np.zeros(count), np.empty((count, 2))
@@ -218,7 +219,7 @@ class Tracker(BindsAnew):
         return Lent(parts)
 
     def _update_stepwise(self, robots: Array, frames: TeamFrames) -> None:
-        """The same, with filters that are not compiled."""
+        """The same for filters that are not compiled."""
         count = len(self.poses_odom)
         matched, explained = np.empty((count, 3)), np.zeros(count)
         is_matched, is_clear = np.zeros(count, bool), np.zeros(count, bool)

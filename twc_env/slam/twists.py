@@ -1,6 +1,6 @@
-"""SE(2) as a Lie group: twists (x [m], y [m], turn [rad]) and how they and their covariances change frames.
+"""SE(2) as a Lie group: twists (x [m], y [m], turn [rad]) and the transformation of twists and covariances.
 
-Twists in the world frame add up along a chain of odometry, however far it turns, and so do their covariances.
+World-frame twists along an odometry chain can be summed, however far it turns, and so can their covariances.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from twc_env.geometry import wrap_angle
 
 
 def adjoint(poses: Array) -> Array:
-    """(..., 3, 3): moves a twist from the pose's own frame into the world frame."""
+    """(..., 3, 3) adjoint: maps a twist from the pose's own frame to the world frame."""
     out = np.zeros((*poses.shape[:-1], 3, 3))
     c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
     out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = c, -s, poses[..., 1]
@@ -30,7 +30,7 @@ def logarithm(poses: Array) -> Array:
 
 
 def turned(matrix: Array, covariance: Array) -> Array:
-    """(..., 3, 3): the covariance of matrix times what has this covariance."""
+    """(..., 3, 3): matrix @ covariance @ matrix^T."""
     return matrix @ covariance @ np.swapaxes(matrix, -1, -2)
 
 

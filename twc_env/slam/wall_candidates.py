@@ -1,7 +1,7 @@
-"""Where walls may stand, by a path alone: short pieces beside it, and midway between two tracks (papers.md K7, K10).
+"""Candidate walls from a path alone: short pieces beside it, and midway between two tracks (papers.md K7, K10).
 
-A robot that walks a building along its walls never crosses one, and has one beside it. Pieces on both sides of the path
-are offered; which of them are walls is for the radio to say (`k_visibility`).
+A robot that follows the walls of a building never crosses one and has one beside it. Pieces on both sides of the path
+are candidates; `k_visibility` decides by radio which of them are walls.
 """
 
 from __future__ import annotations
@@ -17,34 +17,36 @@ from twc_env.kernels import kernel
 SPACING_M = 0.1
 _PIECE_M = 0.05
 _NEAR, _FAR = 1.2, 2.8
-"""Two tracks between these many standoffs apart may have a wall midway."""
+"""Two tracks between these multiples of the standoff apart may have a wall midway."""
 _FACING_COS = 0.6
 _CLEAR_SHARE, _TIP_SHARE = 0.85, 0.9
-"""A piece nearer to any part of the path than this share of its own distance cannot be a wall; at ends, the other."""
+"""A piece nearer to any part of the path than this share of its own offset is no wall; the second share is for line
+ends."""
 _DIRECTION_RAD = np.deg2rad(20.0)
-"""Tracks run along a direction when they differ from it by less."""
+"""Tracks follow a direction if they deviate by less."""
 _STRAIGHT_RAD = np.deg2rad(8.0)
-"""Only what runs along it this nearly tells a wall's own direction."""
+"""Maximum deviation of the parts that estimate a wall's own direction."""
 _TIP_RAD = np.deg2rad(40.0)
-"""The same around the end of a wall, where the track bends."""
+"""Maximum deviation around the end of a wall, where the track bends."""
 _DIRECTION_SHARE = 0.08
-"""A direction counts when this share of the path runs along it."""
+"""Minimum share of the path along a main direction."""
 _RUN_MIN_M, _BEND_MIN_M = 0.15, 0.5
 _STRAIGHT_SHARE = 0.6
-"""Where more of the path than this runs along main directions, walls beside its bends are not offered."""
+"""If a larger share of the path follows main directions, walls beside its bends are no candidates."""
 _TURN_BACK_RAD, _STUB_M = np.deg2rad(75.0), 0.6
-"""A path that turns by more within half a circle goes around the end of a wall, which is offered so far."""
+"""A path that turns by more within half a circle goes around the end of a wall, which then gets a candidate of
+STUB_M."""
 _LINE_MIN_M = 0.25
-"""Shorter lines are the blunt ends of walls."""
+"""Shorter lines are the blunt ends of walls and are dropped."""
 _REACH_M = 0.1
-"""A wall goes on beyond the end of the track beside it by the standoff, for the corner, and this much."""
+"""A wall extends beyond the end of the track beside it by the standoff, for the corner, plus this."""
 _SAME_LINE = 0.6
-"""Two lines nearer than this share of the standoff are one wall seen from both sides."""
+"""Two parallel lines within this share of the standoff are one wall seen from both sides."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallCandidates:
-    """Short straight pieces, in lines along the path."""
+    """Short straight pieces, grouped in lines along the path."""
 
     ends_m: Array
     """(pieces, 4) x1, y1, x2, y2."""
@@ -53,18 +55,18 @@ class WallCandidates:
     is_between: Array
     """(pieces,) bool: midway between two tracks."""
     before: Array
-    """(pieces,) piece that it continues, -1 at a line's start."""
+    """(pieces,) previous piece of the line, -1 at its start."""
     after: Array
-    """(pieces,) piece that continues it, -1 at a line's end."""
+    """(pieces,) next piece of the line, -1 at its end."""
     stretch: Array
-    """(pieces,) number of the line it belongs to: one wall, one loss."""
+    """(pieces,) number of the line; all its pieces have one wall loss."""
     standoff_m: Array
     """(pieces,) distance from the path."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Line:
-    """Pieces in a row beside one run of the path."""
+    """A line of pieces beside one run of the path."""
 
     corners_m: Array
     """(pieces + 1, 2)."""
@@ -72,11 +74,11 @@ class _Line:
     offset_m: float
     is_between: bool
     beyond: Array
-    """(pieces,) bool: beyond the end of the run, so that only clearance tells where the wall ends."""
+    """(pieces,) bool: beyond the end of the run, where only clearance limits the wall."""
 
 
 def wall_candidates(path_m: Array, standoff_m: float) -> WallCandidates:
-    """Pieces beside a path (k, 2) at `standoff_m`, or at half the gap where another track runs beyond."""
+    """Pieces beside a path (k, 2) at `standoff_m`, or at half the gap where another track runs on the other side."""
     length_m = travelled_m(path_m)[-1]
     vertices = points_along(path_m, np.linspace(0.0, length_m, max(int(length_m / SPACING_M) + 1, 3)))
     tangent = np.gradient(vertices, axis=0)
@@ -91,7 +93,7 @@ def wall_candidates(path_m: Array, standoff_m: float) -> WallCandidates:
         if (line := _line(vertices[run], tangent[run], direction, side, gaps[side, run], standoff_m)) is not None
     ]
     lines += _ends_turned_around(vertices, tangent, standoff_m)
-    # Walls between two tracks are told twice: the longer run tells first.
+    # Walls between two tracks are found twice: the longer run has priority.
     lines.sort(key=lambda line: (not line.is_between, -len(line.corners_m)))
     ends = np.concatenate(
         [np.hstack([line.corners_m[:-1], line.corners_m[1:]]) for line in lines] or [np.zeros((0, 4))]
@@ -116,7 +118,7 @@ def wall_candidates(path_m: Array, standoff_m: float) -> WallCandidates:
 
 
 def _runs(tangent: Array, has_tip: Array) -> list[tuple[slice, float | None]]:
-    """Parts of the path that run along one of its main directions, with the direction, and long bends, with None."""
+    """Parts of the path along one of its main directions, with the direction, and long bends, with None."""
     heading = np.arctan2(tangent[:, 1], tangent[:, 0])
     is_used = np.zeros(len(heading), bool)
     runs: list[tuple[slice, float | None]] = []
@@ -135,7 +137,7 @@ def _runs(tangent: Array, has_tip: Array) -> list[tuple[slice, float | None]]:
 
 
 def _main_directions(heading: Array) -> list[float]:
-    """Directions in [0, pi) along which much of the path runs, the strongest first."""
+    """Directions in [0, pi) along which much of the path runs, strongest first."""
     rest = heading.copy()
     found: list[float] = []
     while len(rest) >= _DIRECTION_SHARE * len(heading):
@@ -160,7 +162,7 @@ def _where(flags: Array) -> list[slice]:
 def _line(
     vertices: Array, tangent: Array, direction: float | None, side: int, gaps: Array, standoff_m: float
 ) -> _Line | None:
-    """The pieces beside one run of the path; None where another track is too near for a wall."""
+    """The pieces beside one run of the path; None if another track is too near for a wall in between."""
     is_between = (gaps >= _NEAR * standoff_m) & (gaps <= _FAR * standoff_m)
     if np.mean(gaps < _NEAR * standoff_m) > 0.5:
         return None
@@ -171,7 +173,7 @@ def _line(
         corners = vertices + offset * sign * np.column_stack([-tangent[:, 1], tangent[:, 0]])
         return _Line(corners, side, offset, bool(has_track), np.zeros(len(corners) - 1, bool))
     ahead = np.array([np.cos(direction), np.sin(direction)])
-    if len(vertices) * SPACING_M >= 3 * _BEND_MIN_M:  # long enough to tell its own direction
+    if len(vertices) * SPACING_M >= 3 * _BEND_MIN_M:  # long enough to estimate its own direction
         straight = vertices[np.abs(wrap_angle(np.arctan2(tangent[:, 1], tangent[:, 0]) - direction)) < _STRAIGHT_RAD]
         if len(straight) >= 2:
             own = np.linalg.svd(straight - straight.mean(axis=0), full_matrices=False)[2][0]
@@ -192,7 +194,7 @@ def _line(
 
 
 def _ends_turned_around(vertices: Array, tangent: Array, standoff_m: float) -> list[_Line]:
-    """Where the path turns back within a half circle, a wall ends at its centre and goes on behind it."""
+    """Walls whose end the path goes around in a half circle: they start at its centre."""
     heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     half = max(int(0.5 * np.pi * standoff_m / SPACING_M), 2)
     if len(heading) <= 2 * half:
@@ -229,7 +231,7 @@ def _distance_to_path(ends: Array, vertices: Array) -> Array:
 
 @kernel
 def _drop_repeated(ends, stretch, reach, keep):
-    """Pieces that lie along one of an earlier line are the same wall."""
+    """Drop pieces that coincide with a piece of an earlier line."""
     for j in range(ends.shape[0]):
         if not keep[j]:
             continue
@@ -254,7 +256,7 @@ def _drop_repeated(ends, stretch, reach, keep):
 
 @kernel
 def _opposite_tracks(vertices, tangent, reach, gaps):
-    """For each vertex and side: distance to the next track along the normal; inf: none."""
+    """For each vertex and side: distance to the next track along the normal; inf without one."""
     count = vertices.shape[0]
     for i in range(count):
         for side in range(2):

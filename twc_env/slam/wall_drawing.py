@@ -1,6 +1,6 @@
-"""Draw the walls that scans saw into a field of lines, in which each cell knows the wall nearest to it.
+"""Draw the walls seen by scans into a line field, in which each cell stores the nearest wall.
 
-Neighbouring end points are joined to straight pieces of wall, and each piece tells the cells around it of its line.
+Neighbouring end points are joined to straight wall pieces, and each piece writes its line to the cells around it.
 """
 
 from __future__ import annotations
@@ -14,32 +14,32 @@ from twc_env.kernels import borrowing_kernel
 from twc_env.slam.wall_cells import LINES_MAX, NO_WALL, distance_in, line_in, wall_cell
 
 REACH_M = 0.49
-"""Cells further from a wall than this know nothing of it; less than half a metre (`wall_cells`)."""
+"""Cells further from a wall do not store it; below half a metre (`wall_cells`)."""
 SAME_WALL_M = 0.02
-"""A piece of wall this near to a line that is already known adds nothing."""
+"""A wall piece this near to a known line is not added."""
 JUMP_MAX_M, JUMP_BEAMS = 0.5, 180
-"""Neighbouring beams whose end points are further apart lie on different surfaces; where a turn has fewer beams than
-so many, as much further as there are fewer. But what then is further apart than the first needs a third point that
-lies on the same line: alone, it may be two edges of a doorway."""
+"""Neighbouring end points further apart are on different surfaces. With fewer than JUMP_BEAMS beams per turn the limit
+grows in proportion, but points further apart than JUMP_MAX_M then need a third one on the same line: two alone may be
+the edges of a doorway."""
 PIECE_M, PIECE_NOISES = 0.3, 30.0
-"""Neighbouring end points are joined to pieces of wall about this long, or as many times as long as ranges err: the
-shorter a piece for the error of its points, the more it lies askew."""
+"""Length of a wall piece, or as a multiple of the range noise: the shorter a piece relative to the noise, the less
+accurate is its direction."""
 STRAIGHT_M, STRAIGHT_NOISES = 0.02, 2.0
-"""None of them is further than this from the chord ..."""
+"""Maximum distance of a piece's points from its chord ..."""
 CUT_MIN_M, CUT_NOISES = 0.1, 10.0
-"""... of which no shorter one is looked at: end points that lie as close as they err give it any direction, and pieces
-of walls that run across a corridor hold the robot back."""
+"""... tested from this chord length on: points as close as their noise have an arbitrary direction, and wall pieces
+across a corridor would hold the robot back."""
 LINES = 4
-"""Where `drawn` counts the lines."""
+"""Index in `drawn` of the number of lines."""
 NOWHERE = 2**31
-"""Left and bottom end of what is drawn, while there is nothing."""
+"""Left and bottom of the drawn box while it is empty."""
 BLOCK_CELLS = 16
-"""Cells of a row that are told of a wall at once: a few too many are quicker than a remainder."""
+"""Cells of a row that are updated at once: a few too many are faster than a remainder loop."""
 
 
 @borrowing_kernel
 def _knows(cells, lines, inverse_m, nx, ny, mx, my):
-    """Whether the place (mx, my) [m from the field's corner] lies on a wall that is drawn, of nearly this normal."""
+    """Whether the point (mx, my) [m from the field's corner] lies on a drawn wall with nearly this normal."""
     column, row = int(mx * inverse_m), int(my * inverse_m)
     if not (0 <= row < cells.shape[0] and 0 <= column < cells.shape[1]):
         return False
@@ -51,7 +51,7 @@ def _knows(cells, lines, inverse_m, nx, ny, mx, my):
 
 @borrowing_kernel
 def _stamp(cells, lines, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn):
-    """Tell the cells around the wall piece a-b [m from the field's corner] of its line, where it is the nearest."""
+    """Write the line of the wall piece a-b [m from the field's corner] to the cells for which it is the nearest."""
     height, width = cells.shape
     ex, ey = bx - ax, by - ay
     length = math.sqrt(ex * ex + ey * ey)
@@ -74,7 +74,7 @@ def _stamp(cells, lines, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn):
     along_step, across_step, end = np.float32(cell * ex), np.float32(-cell * ey), np.float32(length)
     for r in range(bottom, top):
         dy, row = (r + 0.5) * cell - ay, cells[r]
-        for first in range(left, right, BLOCK_CELLS):  # many cells at once, as all of this is 32 bits wide
+        for first in range(left, right, BLOCK_CELLS):  # vectorises, as all values have 32 bits
             start = min(first, width - BLOCK_CELLS)
             dx = (start + 0.5) * cell - ax
             along, across = np.float32(dx * ex + dy * ey), np.float32(dy * ex - dx * ey)
@@ -90,10 +90,10 @@ def _stamp(cells, lines, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn):
 
 @borrowing_kernel
 def _place_ends(x, y, c, s, directions, ranges, range_max, limits, ends, follows):
-    """Where beams end, the last one first and last: ends (2, beams + 1), NaN where they met nothing.
+    """End points of the beams, the last one also first: ends (2, beams + 1), NaN without return.
 
-    follows (beams + 1,): whether an end point lies on the same surface as the one before. For many beams at once.
-    limits: of `drawing_limits`.
+    follows (beams + 1,): whether an end point is on the same surface as the previous one. Vectorised over beams.
+    limits: from `drawing_limits`.
     """
     beams, along, across = ranges.shape[0], ends[0], ends[1]
     for i in range(beams):
@@ -109,7 +109,7 @@ def _place_ends(x, y, c, s, directions, ranges, range_max, limits, ends, follows
 
 @borrowing_kernel
 def _is_straight(ends, first, last, limits):
-    """Whether the end points between first and last lie near the chord from one to the other."""
+    """Whether the end points between first and last are near the chord."""
     ax, ay = ends[0, first], ends[1, first]
     ex, ey = ends[0, last] - ax, ends[1, last] - ay
     squared = ex * ex + ey * ey
@@ -125,9 +125,9 @@ def _is_straight(ends, first, last, limits):
 
 @borrowing_kernel
 def _cut_run(ends, begin, end, limits, pieces, count):
-    """Cut one surface, end points that follow each other without a jump, into straight pieces behind the `count` first.
+    """Split one surface, consecutive end points without a jump, into straight pieces appended to the first `count`.
 
-    pieces (2, n): number of the first and the last end point. Gives how many pieces there are then.
+    pieces (2, n): index of the first and last end point. Returns the new number of pieces.
     """
     first = begin
     for i in range(begin + 1, end):
@@ -146,7 +146,7 @@ def _cut_run(ends, begin, end, limits, pieces, count):
 
 @borrowing_kernel
 def _sum_up(ends, first, last, p, sums):
-    """Sums over the end points of a piece of wall, seen from the first of them, to column p of sums."""
+    """Moments of the end points of a piece, relative to the first of them, to column p of sums."""
     ax, ay = ends[0, first], ends[1, first]
     sx = sy = xx = xy = yy = 0.0
     for i in range(first, last + 1):
@@ -161,9 +161,9 @@ def _sum_up(ends, first, last, p, sums):
 
 @borrowing_kernel
 def _fit_lines(count, sums, fits):
-    """The straight lines of least squares through pieces of wall, from sums (6, n) over their end points.
+    """Least-squares lines through wall pieces, from the moments (6, n) of their end points.
 
-    fits (4, n): a normal, and the middle of the end points seen from the first. For many pieces at once.
+    fits (4, n): normal, and centroid of the end points relative to the first. Vectorised over pieces.
     """
     sum_x, sum_y, sum_xx, sum_xy, sum_yy, number = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
     normal_x, normal_y, middle_x, middle_y = fits[0], fits[1], fits[2], fits[3]
@@ -183,11 +183,11 @@ def _fit_lines(count, sums, fits):
 
 @borrowing_kernel
 def _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_max, room, drawn):
-    """Where beams end, the pieces of wall that they make up, the lines of these, and the cells around them."""
+    """End points, wall pieces, their lines, and the cells around them."""
     ends, follows, pieces, sums, fits, limits = room
     x, y = pose[0] - origin[0], pose[1] - origin[1]
     _place_ends(x, y, math.cos(pose[2]), math.sin(pose[2]), directions, ranges, range_max, limits, ends, follows)
-    begin = count = 0 * ranges.shape[0]  # a plain 0 is a type of its own, for which the callees are compiled again
+    begin = count = 0 * ranges.shape[0]  # a literal 0 has another type, for which the callees would be compiled again
     for i in range(1, follows.shape[0] + 1):
         if i == follows.shape[0] or not follows[i]:
             count = _cut_run(ends, begin, i, limits, pieces, count)
@@ -206,7 +206,7 @@ def _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_m
 
 @borrowing_kernel
 def _is_sound(pose, ranges):
-    """Whether a pose is finite, and ranges numbers; infinite ones mean no return."""
+    """Whether a pose is finite and no range is NaN or -inf; +inf means no return."""
     is_sound = math.isfinite(pose[0]) and math.isfinite(pose[1]) and math.isfinite(pose[2])
     for i in range(ranges.shape[0]):
         is_sound &= ranges[i] > -np.inf
@@ -226,10 +226,10 @@ def draw_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_m
 def draw_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_max, room, drawn):
     """Draw scans (k, beams) [m] taken at poses (k, 3) into cells (rows, columns), see `wall_cells`, and lines (n, 3).
 
-    A line is a normal and an offset. origin (2,): the field's corner, from which the offsets are measured. directions
-    (beams, 2): cosine and sine. room: of `drawing_room`. drawn (5,): left, bottom, right and top end of
-    the cells drawn so far, widened here, and how many lines there are. Gives False, and draws nothing, where a range is
-    no number or a pose is not finite; walls for which there are no lines left are left out.
+    A line is a normal and an offset from the field's corner `origin` (2,). directions (beams, 2): cosine and sine.
+    room: from `drawing_room`. drawn (5,): left, bottom, right and top end of the drawn cells, extended here, and the
+    number of lines. Returns False and draws nothing if a range is NaN or a pose is not finite; when no lines are left,
+    further walls are dropped.
     """
     for k in range(poses.shape[0]):
         if not _is_sound(poses[k], scans[k]):
@@ -241,7 +241,7 @@ def draw_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_
 
 @borrowing_kernel
 def forget_walls(cells, drawn):
-    """Let the cells drawn so far know no wall."""
+    """Reset the drawn cells to no wall."""
     for row in range(drawn[1], drawn[3]):
         for column in range(drawn[0], drawn[2]):
             cells[row, column] = NO_WALL
@@ -249,8 +249,8 @@ def forget_walls(cells, drawn):
 
 
 def drawing_limits(beams: int, range_noise_std_m: float) -> Array:
-    """(5,) squares [m2]: how far end points may be apart that follow each other, and two of which there is no third;
-    the shortest chord that is looked at, how far points may be from one, and how long a piece is."""
+    """(5,) squares [m2]: maximum distance of consecutive end points, and of two without a third; shortest chord tested,
+    maximum distance of points from it, and length of a piece."""
     noise_m = range_noise_std_m
     return np.square([
         JUMP_MAX_M * max(1.0, JUMP_BEAMS / beams), JUMP_MAX_M, max(CUT_MIN_M, CUT_NOISES * noise_m),
@@ -259,7 +259,7 @@ def drawing_limits(beams: int, range_noise_std_m: float) -> Array:
 
 
 def drawing_room(beams: int, range_noise_std_m: float) -> tuple[Array, ...]:
-    """Room for `draw_scans` to work in, for scans of so many beams that err by so much: where they end and whether on
-    the surface of the one before, pieces of wall, their sums and lines; and `drawing_limits`."""
+    """Work arrays of `draw_scans` for scans with this many beams and this noise: end points, same-surface flags, wall
+    pieces, their moments and lines; and `drawing_limits`."""
     ends, pieces = (np.empty((2, beams + 1)), np.empty(beams + 1, bool)), np.empty((2, beams), np.int64)
     return *ends, pieces, np.empty((6, beams)), np.empty((4, beams)), drawing_limits(beams, range_noise_std_m)

@@ -1,7 +1,7 @@
-"""Which wall candidates are walls: Gibbs sampling of all of them against all readings at once.
+"""Select the walls among candidates by Gibbs sampling over all of them against all readings.
 
-Each ray from a router to a reading has an excess loss that the walls on it must add up to. Candidates are binary; their
-prior knows which side of the path usually has the wall, and that neighbours along a wall agree.
+Each ray from a router to a reading has an excess loss that must equal the sum of the walls on it. Candidates are
+binary; their prior depends on the side of the path and couples neighbours along a wall.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ import numpy as np
 from twc_env.kernels import kernel
 
 COUPLING = 2.0
-"""Log-odds by which a piece follows its neighbour. In flips of whole runs and in the energy it counts twice."""
+"""Log-odds coupling of neighbouring pieces. In flips of whole runs and in the energy it counts twice."""
 _TAIL = 4.0
-"""Degrees of freedom of the noise: gross errors cost little more than large ones."""
+"""Degrees of freedom of the noise (Student's t), which limits the cost of outliers."""
 _RUN_MAX = 50
 
 
 @kernel
 def find_crossings(ends, near, far, is_heard, first, members):
-    """Pieces (p, 4) met by each ray near[i] -> far[i]: count into first, or fill members when it has room.
+    """Pieces (p, 4) crossed by each ray near[i] -> far[i]: count into first, or fill members if it has capacity.
 
     Rays of piece j are members[first[j] : first[j + 1]].
     """
@@ -63,12 +63,12 @@ def sample_walls(
     is_wall, summed, loss, first, members, before, after, base, excess, variance, weight, temperature, sweeps, random,
     on_count,
 ):  # fmt: skip
-    """Gibbs sweeps and flips of whole runs, in place; a temperature of 1 dwells on probable states.
+    """Gibbs sweeps and flips of whole runs, in place, at a temperature.
 
-    How often is not exactly as they are probable: mixed runs are made even in one move, and there is none back. Strict
-    sampling found slightly worse walls (`reproduce sfw-table1 --flats`): what is sought is the best state above all.
-    is_wall (p,) and summed (rays,) loss on each ray are the state; base (p,) prior log-odds; on_count (p,)
-    gathers how often each piece was a wall, or is empty.
+    The stationary distribution is not exactly the posterior: a mixed run is made uniform in one move without a reverse
+    move. Exact sampling found slightly worse walls (`reproduce sfw-table1 --flats`), and the aim is the best state.
+    is_wall (p,) and summed (rays,) loss on each ray are the state; base (p,) prior log-odds; on_count (p,) counts how
+    often each piece was a wall, or is empty.
     """
     pieces, rays = is_wall.shape[0], summed.shape[0]
     stamp = np.full(rays, -1, np.int64)
@@ -78,7 +78,7 @@ def sample_walls(
     for _ in range(sweeps):
         for j in range(pieces):
             sign = -1.0 if is_wall[j] else 1.0
-            delta = 0.0  # cost of being a wall minus cost of being none
+            delta = 0.0  # cost of being a wall minus cost of not being one
             for m in range(first[j], first[j + 1]):
                 i = members[m]
                 error = excess[i] - summed[i]
@@ -146,7 +146,7 @@ def sample_walls(
 
 @kernel
 def _boundary(neighbour, old, new):
-    """How much better a run's end agrees with its neighbour after the flip (coupled as above)."""
+    """Change of the coupling between a run's end and its neighbour by the flip."""
     before = COUPLING if neighbour == old else -COUPLING
     after = COUPLING if neighbour == new else -COUPLING
     return after - before

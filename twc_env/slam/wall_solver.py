@@ -1,4 +1,4 @@
-"""Walls beside a path and the signal that they weaken, estimated in turn from all rays of all routers at once."""
+"""Alternating estimation of walls beside a path and the parameters of the signal, from all rays of all routers."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from twc_env.slam.wall_sampler import COUPLING, find_crossings, sample_walls
 
 _COOLING = (3.0, 2.0, 1.5, 1.0, 3.0, 2.0, 1.5, 1.2, 1.0, 1.0, 1.0)
 _FIXED_ROUNDS = 4
-"""Rounds in which the signal's parameters stay as the signal model gave them."""
+"""First rounds, in which the signal parameters keep the values of the signal model."""
 _OPEN_ROUNDS, _BARRED_ODDS = 3, -10.0
 _COOLING_SWEEPS, _ROUNDS, _SWEEPS = 30, 6, 50
 _STANDOFF_SHARE, _APART_ODDS = 0.12, -2.0
-"""Pieces whose distance from the path differs more from the standoff are no walls that the walker followed."""
+"""Pieces whose distance from the path deviates more from the standoff are not walls that the walker followed."""
 _SIDE_ODDS_MAX = 3.0
 _TURNED_COUNT = 4.0
-"""What is known of the side across the path weighs as much as so many pieces."""
+"""Weight, in pieces, of what is known about the other side of the path."""
 _VOTE_M = 0.5
-"""Length of wall for which the side of the path speaks once."""
+"""Length of wall that counts as one vote for the side."""
 _MEAN_LOSS_FACTOR = 1.25
-"""The mean loss of a wall stays this near to what the signal alone says."""
+"""Maximum factor between the mean wall loss and the estimate from the signal alone."""
 _ROUTER_CLEAR_M = 0.25
-"""A piece nearer to a router would only take the place of the router's power."""
+"""A piece nearer to a router is not distinguishable from a lower transmit power."""
 _LOSS_SPREAD, _LOSS_MIN_SHARE = 0.25, 0.7
-"""Walls of one building differ by this share in what they take; what takes less than the other share is none."""
+"""Relative standard deviation of wall losses within a building; and the minimum loss relative to the mean."""
 _CORRELATION_M = 0.3
-"""Binned readings within this length count as one: the same shadowing."""
+"""Binned readings within this length count as one, since they share shadowing."""
 _NOISE_MIN_DB = 1.2
 _CROSSINGS_FULL, _SWEEPS_SHARE_MIN = 150_000, 0.2
-"""With more crossings of rays and pieces than this, sweeps are fewer in proportion, down to this share."""
+"""With more crossings of rays and pieces, the number of sweeps is reduced in proportion, down to this share."""
 
 
 class WallSolver:
-    """Candidates, rays and the signal's parameters, estimated in turn."""
+    """Candidates, rays and signal parameters, estimated in turn."""
 
     def __init__(
         self, bins: PathBins, router_m: Array, fits: list[SignalFit], candidates: WallCandidates,
@@ -66,7 +66,7 @@ class WallSolver:
         self.variance_db2 = max(float(np.median([fit.noise_db for fit in fits])), _NOISE_MIN_DB) ** 2
         counts = np.maximum(bins.count.ravel(), 1.0)
         self._noise_share = (1.0 + 16.0 / (4.0 * counts)) / np.mean(1.0 + 16.0 / (4.0 * counts))
-        """A bin of few readings is noisier than one of many: white noise of 4 dB on shadowing of 2 dB."""
+        """Relative variance by readings per bin: white noise of 4 dB on shadowing of 2 dB."""
         self._weight = np.full(len(self._level), min(1.0, bins.step_m / _CORRELATION_M))
         self._is_wall = np.zeros(len(candidates.ends_m), np.bool_)
         self._side_odds = np.zeros(2)
@@ -78,7 +78,7 @@ class WallSolver:
         self.probability = np.zeros(len(candidates.ends_m))
 
     def solve(self, barred_side: int | None = None) -> None:
-        """Anneal, at first without the pieces that lie only on `barred_side`, then sample."""
+        """Anneal, at first without pieces that are only on `barred_side`, then sample."""
         candidates = self.candidates
         is_barred = np.zeros(len(candidates.side), bool)
         if barred_side is not None:
@@ -101,19 +101,19 @@ class WallSolver:
         self.probability = on_count / (_ROUNDS * sweeps)
 
     def standoffs_m(self) -> Array:
-        """(k,) distances from the path of the walls found between two tracks; none when there are few."""
+        """(k,) distances from the path of the walls found between two tracks; empty if there are few."""
         sure = self.candidates.is_between & (self.probability > 0.8)
         return self.candidates.standoff_m[sure & (sure.sum() >= 8)]
 
     @property
     def is_crossed(self) -> Array:
-        """(pieces,) bool: some ray crosses it, so that readings bear on it."""
+        """(pieces,) bool: crossed by some ray, so that readings carry information about it."""
         return np.diff(self._first) > 0
 
     def count_walls(self, position_m: Array, rssi_dbm: Array) -> Array:
-        """(n, routers) walls between routers and positions (n, 2), where rssi (n, routers) was read, NaN if not heard.
+        """(n, routers) walls between routers and positions (n, 2) with readings rssi (n, routers), NaN if not received.
 
-        The map says what k is nearly everywhere; where exactly it changes, the readings nearby say better.
+        The map gives the count nearly everywhere; the positions where it changes are refined from the readings.
         """
         walls, loss = self._through_walls(position_m)
         apart_m = np.linalg.norm(position_m[:, None] - self._routers, axis=2)
@@ -124,7 +124,7 @@ class WallSolver:
         return walls
 
     def _through_walls(self, position_m: Array) -> tuple[Array, Array]:
-        """(n, routers) pieces that are walls between each router and each position, and their summed loss."""
+        """(n, routers) number of wall pieces between each router and each position, and their summed loss."""
         is_wall = self.probability > 0.5
         ends = np.ascontiguousarray(self.candidates.ends_m[is_wall])
         routers = len(self._routers)
@@ -146,7 +146,7 @@ class WallSolver:
         )  # fmt: skip
 
     def _prior_odds(self) -> Array:
-        """(pieces,) log-odds of being a wall before any ray is looked at: one vote per length of wall."""
+        """(pieces,) prior log-odds of being a wall: one vote per length of wall."""
         odds = np.where(self._is_beside, self._side_odds[self.candidates.side], _APART_ODDS)
         return odds * self._votes + self._barred
 
@@ -155,7 +155,7 @@ class WallSolver:
         return np.bincount(self._members, per_member, minlength=len(self._level))
 
     def _refit(self, with_stretches: bool) -> None:
-        """Power and exponent of each router, the loss of each stretch, the noise, and which side has the walls."""
+        """Refit power and exponent of each router, the loss of each line, and the noise variance."""
         routers = len(self._routers)
         on = np.repeat(self._is_wall, np.diff(self._first))
         piece = np.repeat(self.candidates.stretch, np.diff(self._first))[on]
@@ -193,7 +193,7 @@ class WallSolver:
         self.variance_db2 = max(float((robust * error**2 / self._noise_share)[self._heard].mean()), _NOISE_MIN_DB**2)
 
     def _energy(self) -> float:
-        """Minus the logarithm of the posterior of the present state, up to a constant."""
+        """Negative log posterior of the present state, up to a constant."""
         variance, error = self._variance(), self._errors()
         misfit = self._weight * (2.5 * np.log1p(error**2 / (4.0 * variance)) + 0.5 * np.log(variance))
         before = self.candidates.before
@@ -208,20 +208,20 @@ class WallSolver:
         return self.variance_db2 * self._noise_share
 
     def _excess(self) -> Array:
-        """(rays,) by how much less was read than expected without walls [dB]."""
+        """(rays,) loss relative to the expectation without walls [dB]."""
         return self.power_dbm[self._router_of] - self.exponent[self._router_of] * self._decades - self._level
 
     def _errors(self) -> Array:
         return self._excess() - self._summed(self._stretch_loss[self.candidates.stretch])
 
     def _learn_sides(self) -> None:
-        """How often a piece on the left, and on the right, is a wall, told by those that rays cross."""
+        """Prior log-odds of a wall on the left and on the right, from pieces that rays cross."""
         told = (np.diff(self._first) >= 2) & self._is_beside
         mine = [told & (self.candidates.side == side) for side in (0, 1)]
         on = [float(self._is_wall[m].sum()) for m in mine]
         count = [float(m.sum()) for m in mine]
         for side in (0, 1):
-            # A walker along walls has one on one side: what rays say of the other side counts, turned around.
+            # A walker along walls has one on one side, so the complement of the other side counts as evidence.
             turned = 1.0 - (on[1 - side] + 1.0) / (count[1 - side] + 2.0)
             share = (on[side] + _TURNED_COUNT * turned) / (count[side] + _TURNED_COUNT)
             self._side_odds[side] = np.clip(np.log(share / (1 - share)), -_SIDE_ODDS_MAX, _SIDE_ODDS_MAX)

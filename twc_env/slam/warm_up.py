@@ -1,6 +1,6 @@
-"""Run the engine for a moment on made-up frames, so that its kernels are compiled and stand on disk.
+"""Runs the engine briefly on synthetic frames, so that its kernels are compiled and cached on disk.
 
-The helper of a first start begins with this (`twc_env.exploration.warm_up`).
+The helper process of the first start begins with this (`twc_env.exploration.warm_up`).
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from twc_env.team_messages import TeamFrames
 ROBOTS, STEPS, BEAMS = 2, 3, 180
 DISC_AWAY_M, DISC_RADIUS_M = 1.0, 0.2
 PLACES, BACK, FALSE = 40, 4, 6
-"""Keyframes of a straight path, from each a closure with the one so many before; and how many of these are false."""
+"""Keyframes of a straight path, distance in keyframes of its closures, and number of false closures."""
 
 
-def made_up_frames(step: int) -> TeamFrames:
-    """What two robots in the middle of a square room would sense that creep on, with something round ahead."""
+def synthetic_frames(step: int) -> TeamFrames:
+    """Frames of two robots that move slowly in the middle of a square room, with a disc ahead."""
     angles = 2 * np.pi * np.arange(BEAMS) / BEAMS
     walls_m = 3.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
     inside = DISC_RADIUS_M**2 - (DISC_AWAY_M * np.sin(angles)) ** 2
@@ -39,12 +39,13 @@ def main() -> None:
     """A few steps of the default engine."""
     engine = CooperativeSlam(EnvConfig(), ROBOTS)
     for step in range(STEPS):
-        engine.update(made_up_frames(step))
+        engine.update(synthetic_frames(step))
         engine.beliefs()
 
 
-def doubt_closures() -> BackendResult:
-    """Weigh closures of which some are false: many episodes have too few of these to need all that judges them."""
+def reject_false_closures() -> BackendResult:
+    """Evaluate closures of which some are false: many episodes have too few of these to compile all kernels
+    involved."""
     path = np.zeros((PLACES, 3))
     path[:, 0] = np.arange(PLACES)
     steps, closures = [[(k, k + apart) for k in range(PLACES - apart)] for apart in (1, BACK)]

@@ -1,4 +1,4 @@
-"""Places recognised without signs, every metre along the way: by WiFi alone, for robots that read none, or by scans."""
+"""Place recognition without signs, at regular path intervals: by WiFi alone, for robots that read none, or by scans."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from twc_env.slam.scan_descriptor import compare, compare_many, describe, ring_k
 from twc_env.slam.sign_table import MISSING_AFTER_S, RadioRule, SignTable
 
 STEP_M = 1.0
-"""Recognisers that need no sign compare and remember a place this often along a path."""
+"""Path interval of stored places and queries."""
 RING_KEY_NEIGHBOURS = 10
-"""Places whose rings are most alike are compared under every turn."""
+"""Number of places with the most similar ring keys that are compared at all rotations."""
 CANDIDATES_MAX = 5
-"""Most candidates of one keyframe where no sign limits them."""
+"""Maximum number of candidates per keyframe."""
 
 
-class PlacesOnTheWay:
+class PathPlaces:
     """Keyframes about STEP_M apart along each robot's path, with the descriptors of their scans."""
 
     def __init__(self, range_max_m: float):
@@ -33,7 +33,7 @@ class PlacesOnTheWay:
         self._last_m: dict[int, float] = {}
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> Array:
-        """See `Recogniser`; (places,) bool: those that stay."""
+        """See `Recogniser`; returns which places are kept (places,) bool."""
         is_kept = np.array([is_held(keyframe) for keyframe in self.keyframes], bool)
         kept = np.flatnonzero(is_kept).tolist()
         self.keyframes = [self.keyframes[k] for k in kept]
@@ -41,18 +41,18 @@ class PlacesOnTheWay:
         return is_kept
 
     def is_due(self, keyframe: Keyframe) -> bool:
-        """Whether the robot has gone far enough since its last remembered place."""
+        """Whether the robot has moved STEP_M since its last stored place."""
         return keyframe.travel_m - self._last_m.get(keyframe.robot, -math.inf) >= STEP_M
 
     def add(self, keyframe: Keyframe, descriptor: Array) -> None:
-        """Remember a place."""
+        """Store a place."""
         self._last_m[keyframe.robot] = keyframe.travel_m
         self.keyframes.append(keyframe)
         self._descriptors.append(descriptor)
         self._keys.append(ring_key(descriptor))
 
     def others(self, keyframe: Keyframe, skipped_robots: Sequence[int], revisit_travel_m: float) -> Array:
-        """Numbers of the places a keyframe may be compared with."""
+        """Indices of the places that a keyframe may be compared with."""
         return np.array(
             [
                 k
@@ -63,8 +63,8 @@ class PlacesOnTheWay:
             int,
         )
 
-    def most_alike(self, numbers: Array, descriptor: Array) -> tuple[Array, Array, Array]:
-        """Of these places those with like rings: their numbers, similarities and turns, the best first."""
+    def most_similar(self, numbers: Array, descriptor: Array) -> tuple[Array, Array, Array]:
+        """Those of these places with similar ring keys: indices, similarities and rotations, best first."""
         keys = np.array([self._keys[k] for k in numbers])
         near = numbers[np.argsort(((keys - ring_key(descriptor)) ** 2).sum(axis=1), kind="stable")]
         near = near[:RING_KEY_NEIGHBOURS]
@@ -73,7 +73,7 @@ class PlacesOnTheWay:
         return near[order], similarity[order], turn[order]
 
     def guess(self, number: int, descriptor: Array) -> Array:
-        """(3,) pose of a scan in the frame of a remembered one, of which its heading alone is told."""
+        """(3,) pose guess of a scan in the frame of a stored one: rotation only."""
         return np.array([0.0, 0.0, compare(self._descriptors[number], descriptor)[1]])
 
     def describe(self, keyframe: Keyframe) -> Array:
@@ -82,19 +82,19 @@ class PlacesOnTheWay:
 
 
 class WifiRecogniser:
-    """Shared transmitters and like strengths alone; the scans only tell how the two keyframes are turned."""
+    """Shared transmitters and similar strengths alone; scans only give the rotation guess."""
 
     name = "wifi"
 
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
         self._config = config
-        self._places = PlacesOnTheWay(range_max_m)
+        self._places = PathPlaces(range_max_m)
         self._table = SignTable()
-        """The same places, as if one sign were read at all of them."""
+        """The same places, as if one sign was read at all of them."""
         self._radio = RadioRule.of(config)
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
-        """See `Recogniser`; the few most alike."""
+        """See `Recogniser`; returns the most similar places."""
         if not self._places.is_due(keyframe):
             return []
         rule, found = self._config, []
@@ -126,23 +126,24 @@ class WifiRecogniser:
 
 
 class SignlessRecogniser:
-    """Compares by WiFi robots that have read no sign for long with all others, until each has read one.
+    """Compares robots that have read no sign for long with all others by WiFi, until each has read one.
 
-    A cue that is missing altogether says nothing against a place; Algorithm 1 of TWC-SLAM would never compare such
-    robots, as it asks for like texts first.
+    A missing cue is no evidence against a place. Algorithm 1 of TWC-SLAM would never compare such robots, since it
+    requires similar texts first.
     """
 
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float, robot_count: int):
         self._wifi = WifiRecogniser(config, range_max_m)
         self._unread, self._readers = set(range(robot_count)), list[int]()
         self._kept: list[Keyframe] = []
-        """Until one is needed."""
+        """Keyframes stored until the first robot lacks signs."""
         self._is_needed = False
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
-        """Candidates between this keyframe and earlier ones of robots that are not skipped, of which one reads none.
+        """Candidates between this keyframe and earlier ones of robots that are not skipped, of which one has read no
+        sign.
 
-        As soon as the first robot turns out to read none, also those between all earlier ones.
+        When the first robot is found to read none, also those between all earlier keyframes.
         """
         if keyframe.signs and keyframe.robot in self._unread:
             self._unread.remove(keyframe.robot)
@@ -168,21 +169,21 @@ class SignlessRecogniser:
 
 
 class ScanRecogniser:
-    """Scan Context: like scans under some turn."""
+    """Scan Context: similar scans at some rotation."""
 
     name = "lidar"
 
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
         self._config, self._range_max_m = config, range_max_m
-        self._places = PlacesOnTheWay(range_max_m)
+        self._places = PathPlaces(range_max_m)
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
-        """See `Recogniser`; the few most alike."""
+        """See `Recogniser`; returns the most similar places."""
         if not self._places.is_due(keyframe):
             return []
         descriptor = self._places.describe(keyframe)
         numbers = self._places.others(keyframe, skipped_robots, self._config.revisit_travel_m)
-        alike = zip(*self._places.most_alike(numbers, descriptor), strict=True) if len(numbers) else ()
+        alike = zip(*self._places.most_similar(numbers, descriptor), strict=True) if len(numbers) else ()
         candidates = [
             LoopCandidate(self._places.keyframes[k].key, keyframe.key, np.array([0.0, 0.0, turn]), self.name)
             for k, similarity, turn in alike
@@ -196,6 +197,6 @@ class ScanRecogniser:
         self._places.forget(is_held)
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
-        """Similarity of the two scans at the best turn."""
+        """Similarity of the two scans at the best rotation."""
         scans = (describe(keyframe.ranges_m, self._range_max_m) for keyframe in (target, source))
         return compare(*scans)[0]
