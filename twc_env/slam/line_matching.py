@@ -53,10 +53,8 @@ def weakest_direction(h):
 
 @borrowing_kernel
 def is_held_by_wall(cells, lines, origin, inverse_m, points, n, pose, distance_max, h, width_min_m):
-    """Whether a wall this wide, neighbouring points (n, 2) on lines across it, fixes the weakest direction of h.
-
-    Narrower things may be robots, or what the map holds of one that has left.
-    """
+    """Whether a wall at least width_min_m wide constrains the weakest direction of h: a run of successive points (n, 2)
+    near lines across that direction. Narrower objects may be robots, present or drawn earlier."""
     vx, vy = weakest_direction(h)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     low, high = math.inf, -math.inf
