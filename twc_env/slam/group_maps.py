@@ -44,7 +44,7 @@ def _have_moved(poses, drawn):
 
 
 class PartialMap(NamedTuple):
-    """Cached grid of some of a group's nodes: the grid, the nodes (n,), and their poses (n, 3) when drawn."""
+    """Cached grid of some nodes of a group: grid, nodes (n,), and their poses (n, 3) when drawn."""
 
     grid: OccupancyGrid
     nodes: Array
@@ -76,7 +76,7 @@ class GroupMaps:
         """Keys of the scans to request, in order."""
 
     def add(self, keyframe: Keyframe, node: int) -> None:
-        """Draw the scan of a new keyframe, or request it if a robot uses the map."""
+        """Draw the scan of a new keyframe; request it if it is missing and a robot uses the map."""
         if node == len(self._drawn):
             self._drawn, self._has_scan = grown(self._drawn), grown(self._has_scan)
         self._has_scan[node] = not self._on_request or keyframe.robot == self._home
