@@ -7,6 +7,7 @@ import pytest
 
 import twc_env
 from twc_env.slam import map_merging
+from twc_env.slam.robot_sightings import RobotSightings, Sightings
 
 
 @dataclass
@@ -56,10 +57,12 @@ def wrong_merges(monkeypatch):
         return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool), (9, 9, 9))
 
     lies = {"largest_agreement": agree, "wall_contradiction": lambda *_: 0.0, "wifi_agrees": lambda *_: True}
-    told = {name: getattr(map_merging, name) for name in lies}
+    told = [(map_merging, name, getattr(map_merging, name)) for name in lies]
+    told.append((RobotSightings, "count", RobotSightings.count))
     for name, lie in lies.items():
         monkeypatch.setattr(map_merging, name, lie)
-    return lambda: [monkeypatch.setattr(map_merging, name, honest) for name, honest in told.items()]
+    monkeypatch.setattr(RobotSightings, "count", lambda *_: Sightings(0, 0))
+    return lambda: [monkeypatch.setattr(*honest) for honest in told]
 
 
 def same_observation(a: dict, b: dict) -> bool:

@@ -26,7 +26,7 @@ def played(explore):
     verify = LoopVerifier.verify
 
     def watched(self, candidate, target_path, source_path):
-        looked_at.append((self, self.compared(candidate, target_path, source_path)))
+        looked_at.append((self, self.scans_needed(candidate, target_path, source_path)))
         return verify(self, candidate, target_path, source_path)
 
     frames, contacts = [], []
