@@ -1,1 +1,1 @@
-"""Real map formats and logs, read into floor plans and sensor frames."""
+"""Readers of map formats and recorded logs: floor plans and sensor frames."""

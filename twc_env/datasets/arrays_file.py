@@ -1,4 +1,4 @@
-"""Files of arrays (.npz) of our own: which are missing, cut off, of another kind or incomplete is said in one line."""
+"""Our own .npz files, with one-line errors for files that are missing, truncated, of another kind or incomplete."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twc_env.errors import DataError
 
 
 def write_arrays(path: str | Path, **arrays: Any) -> None:
-    """Write a compressed file of this very name; numpy alone would put .npz behind other names."""
+    """Write a compressed file with exactly this name; numpy alone would append .npz."""
     with Path(path).open("wb") as file:
         np.savez_compressed(file, **arrays)
 
@@ -22,7 +22,7 @@ def write_arrays(path: str | Path, **arrays: Any) -> None:
 def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], remedy: str) -> dict[str, Array]:
     """All arrays of a file that names its `form` and holds at least these keys.
 
-    `kind` is what the file should be and `remedy` what to do when it is not, in the words of errors. Raises DataError.
+    `kind` names the expected file and `remedy` the advice in error messages. Raises DataError.
     """
     path = Path(path)
     try:

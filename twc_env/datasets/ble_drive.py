@@ -1,7 +1,7 @@
 """The drives of the flat as sensor frames: laser scans, open-loop odometry from the commands, and BLE strengths.
 
-Files as `ble_flat` describes them; scans hold a line of unix seconds, then [angles, millidegrees] and [ranges, cm] that
-are wrapped over lines; commands are lines `unix_s,command,speed`.
+Files as described in `ble_flat`; a scan is a line of unix seconds, then [angles, millidegrees] and [ranges, cm],
+wrapped over lines; commands are lines `unix_s,command,speed`.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ SPEED_M_S = 0.28 / 0.15
 """Metres per second for each unit of commanded speed."""
 TURN_RAD_S = {"left": np.pi / 2 / 1.2 / 0.15, "right": -np.pi / 2 / 1.1 / 0.15}
 SCAN_S = 0.52
-"""One turn of the scanner, which ends at the scan's time; a scan during which the robot turned is smeared: left out."""
+"""Duration of one scanner revolution, which ends at the time of the scan; scans while the robot turns are left out."""
 RANGE_MIN_M, RANGE_RELIABLE_M = 0.2, 15.0
 DRIVES = ("calib3", "calib4")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """What the robot measured, and where its tag was tracked."""
+    """Measurements of the robot, and the tracked positions of its tag."""
 
     frames: list[SensorFrame]
     tracked_m: Array
@@ -40,7 +40,7 @@ class Drive:
 
 
 def read_ble_drive(folder: str | Path, run: str, beam_count: int, range_max_m: float) -> Drive:
-    """One drive, "calib3" or "calib4", a frame per scan. Raises DataError for missing or broken files."""
+    """One drive, "calib3" or "calib4", one frame per scan. Raises DataError for missing or invalid files."""
     if run not in DRIVES:
         raise DataError(f"the flat has no drive {run!r}; known are {', '.join(DRIVES)}")
     folder = Path(folder)
@@ -73,7 +73,7 @@ def read_ble_drive(folder: str | Path, run: str, beam_count: int, range_max_m: f
 
 
 def _heard(rssi_dbm: Array) -> WifiScan | None:
-    """The mean of the readings (rows, anchors) since the last frame; None where there is no row."""
+    """The mean of the readings (rows, anchors) since the last frame; None without any."""
     heard = np.isfinite(rssi_dbm).any(axis=0) if len(rssi_dbm) else np.zeros(0, bool)
     if not heard.any():
         return None
@@ -81,7 +81,8 @@ def _heard(rssi_dbm: Array) -> WifiScan | None:
 
 
 def _scans(path: Path) -> tuple[Array, list[Array], list[Array]]:
-    """Times (scans,), and angles [rad] and ranges [m] of each scan; too near and too far ranges are 0: nothing told."""
+    """Times (scans,), and angles [rad] and ranges [m] of each scan; ranges too near or too far are 0 (no
+    information)."""
     text = read_text(path)
     times = re.findall(r"^(\d+\.\d+)\s*$", text, flags=re.MULTILINE)
     try:
@@ -96,7 +97,7 @@ def _scans(path: Path) -> tuple[Array, list[Array], list[Array]]:
 
 
 def _commanded(path: Path, times_s: Array) -> tuple[Array, Array]:
-    """Poses (k, 3) by the commands alone in the middle (k,) of each scan, and whether the robot turned during it."""
+    """Poses (k, 3) according to the commands, in the middle of each scan, and whether the robot turned during it."""
     try:
         lines = [line.split(",") for line in read_text(path).splitlines() if line.strip()]
         starts = np.array([float(line[0]) for line in lines])
@@ -120,5 +121,5 @@ def _commanded(path: Path, times_s: Array) -> tuple[Array, Array]:
 
 
 def _moved(ahead_m_s: float, turn_rad_s: float, time_s: float) -> Array:
-    """Motion at constant speeds; the robot never does both at once."""
+    """Motion at constant speeds; the robot never drives and turns simultaneously."""
     return np.array([ahead_m_s * time_s, 0.0, turn_rad_s * time_s])

@@ -1,6 +1,6 @@
 """BLE strengths and 2D LiDAR of a robot in a flat with a known wall plan (Kolakowski 2021, CC BY 4.0).
 
-Six fixed receivers hear one moving tag; by reciprocity they are read here as six transmitters heard by the robot.
+Six fixed receivers hear one moving tag; by reciprocity they are treated as six transmitters heard by the robot.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ POSE_LAYOUT_RUN = {
     "calib3": (0.43, 6.31, _HALF_TURN_RAD),
     "calib4": (0.47, 6.34, _HALF_TURN_RAD),
 }
-"""Where each run's own frame lies in the frame of the wall plan."""
+"""Pose of the frame of each run in the frame of the wall plan."""
 ANCHORS = {"calibration": (1, 2, 3, 4, 5, 6), "calib3": (3, 4, 5, 8, 10, 11), "calib4": (3, 4, 5, 8, 10, 11)}
-"""The numbers that each run gives the six fixed radios, in the order of the plan."""
+"""Numbers of the six fixed radios in each run, in the order of the plan."""
 _PAUSE_NS = 60e9
-"""A longer pause parts the drives of a run."""
+"""A longer pause separates the drives of a run."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +39,7 @@ class Flat:
 
 
 def read_flat(folder: str | Path) -> Flat:
-    """The outline and the anchors. Raises DataError for missing or broken files."""
+    """The outline and the anchors. Raises DataError for missing or invalid files."""
     ring = read_numbers(Path(folder) / "layout.csv", ("x", "y"))
     anchors = read_numbers(Path(folder) / "anchors.csv", ("id", "x", "y", "z"))
     return Flat(ring[:-1] if np.array_equal(ring[0], ring[-1]) else ring, anchors[:, 1:3])
@@ -48,7 +48,7 @@ def read_flat(folder: str | Path) -> Flat:
 def read_ble_run(folder: str | Path, run: str) -> RadioSurvey:
     """The run "calibration", "calib3" or "calib4", in the frame of the wall plan.
 
-    The calibration holds four drives, each a walk of its own: walk 2 is calib3 and walk 3 is calib4.
+    The calibration consists of four drives, walks 0 to 3: walk 2 is calib3 and walk 3 is calib4.
     """
     if run not in POSE_LAYOUT_RUN:
         raise DataError(f"the flat has no run {run!r}; known are {', '.join(POSE_LAYOUT_RUN)}")

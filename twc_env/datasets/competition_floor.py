@@ -1,4 +1,4 @@
-"""A floor of the indoor-location-competition-20: places are closed blocks, and what lies between them is floor."""
+"""A floor of the indoor-location-competition-20: places are closed blocks, and the area between them is floor."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from twc_env.world.floorplan import Floorplan, Room, Sign
 from twc_env.world.floorplan_file import load_json
 
 DRAWING_CLASSES = frozenset({"fuzhumian", "feikaifangquyu", "xishoujianfuzhumian", "kongpu", "zhongkong"})
-"""Names that mark how an area is drawn (auxiliary, closed, vacant, void), not what a sign there says."""
+"""Names of drawing classes (auxiliary, closed, vacant, void), which are not texts of signs."""
 _RASTER_M = 0.2
 
 
 def competition_floor(features: list[dict], path: Path, name: str) -> Floorplan:
-    """Feature 0 is the floor's outline; all other polygons are closed."""
+    """The floor plan: feature 0 is the outline of the floor, all other polygons are closed blocks."""
     size_m = _floor_size(path)
     outline = [ring for polygon in polygons_of(features[0], path.name) for ring in polygon]
     if not outline:
@@ -74,7 +74,7 @@ def _point_between(floor: list[Array], blocks: list[Area], size_m: Array, where:
     """A point deep in the largest part of the floor that no block covers."""
     columns, rows = (np.ceil(size_m / _RASTER_M).astype(int) + 2).tolist()
     free = np.zeros((rows, columns), np.bool_)
-    for ring in floor:  # holes of the outline flip back
+    for ring in floor:  # filling a hole clears it
         fill_ring(np.ascontiguousarray(ring), _RASTER_M, free)
     for block in blocks:
         first = np.clip(np.floor(block.ring_m.min(axis=0) / _RASTER_M).astype(int) - 1, 0, None)
@@ -92,7 +92,7 @@ def _point_between(floor: list[Array], blocks: list[Area], size_m: Array, where:
 
 
 def _sign_on(plan: Floorplan, block: Area) -> Sign | None:
-    """The block's name on its longest side that faces the floor."""
+    """A sign with the name of the block, on its longest side that faces the floor."""
     ends = sides_of(block.ring_m)
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     for i in np.argsort(-lengths):
@@ -106,7 +106,7 @@ def _sign_on(plan: Floorplan, block: Area) -> Sign | None:
 
 
 def _distinct(areas: Iterable[Area]) -> list[Area]:
-    """Coincident polygons once, under the name that one of them has."""
+    """Areas without duplicates; of coincident ones a named one is kept."""
     found: dict[tuple, Area] = {}
     for area in areas:
         key = tuple(

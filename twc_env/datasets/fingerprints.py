@@ -1,4 +1,4 @@
-"""Radio fingerprints taken at known places: the record all sets are read into, and what their readers share."""
+"""Radio fingerprints at known positions: the common record of all data sets, and helpers of their readers."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from twc_env.errors import DataError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadioSurvey:
-    """Scans at known places. Arrays are shaped by scans (s) and transmitters (t)."""
+    """Scans at known positions. Array dimensions are scans (s) and transmitters (t)."""
 
     name: str
     position_m: Array
     """(s, 2)."""
     floor: Array
-    """(s,) int, storey of the scan."""
+    """(s,) int, floor number of the scan."""
     time_s: Array
-    """(s,) since the first scan; zeros where the set tells no time."""
+    """(s,) time since the first scan; zeros if the set has no times."""
     walk: Array
-    """(s,) int: scans of one number were taken on one walk."""
+    """(s,) int, number of the walk on which the scan was taken."""
     addresses: tuple[str, ...]
     """(t,) names of the transmitters."""
     rssi_dbm: Array
     """(s, t) float32, NaN where a scan did not hear the transmitter."""
     transmitter_m: Array | None = None
-    """(t, 2) true places, where the set tells them."""
+    """(t, 2) true positions, if known."""
     transmitter_floor: Array | None = None
     """(t,) int."""
     is_high_band: Array | None = None
     """(t,) bool: 5 GHz."""
     age_s: Array | None = None
-    """(s, t) float32, how long before its scan each reading was really heard; NaN where not heard."""
+    """(s, t) float32, age of each reading at the time of its scan; NaN where not heard."""
     room_kind: Array | None = None
-    """(s,) int, what kind of room each scan was taken in, where the set tells it."""
+    """(s,) int, type of room of each scan, if known."""
 
     def fresh(self, age_max_s: float) -> RadioSurvey:
-        """Without the readings that a scan repeats from longer ago; all of a set that tells no ages."""
+        """The survey without readings older than this; unchanged if the set has no ages."""
         if self.age_s is None:
             return self
         young = self.age_s <= age_max_s
@@ -52,12 +52,12 @@ class RadioSurvey:
         return dataclasses.replace(self, rssi_dbm=rssi, age_s=age)
 
     def at_scans(self, chosen: Array) -> RadioSurvey:
-        """Only some of the scans (numbers or a mask)."""
+        """The survey with a subset of the scans (indices or a mask)."""
         told = self._told("position_m", "floor", "time_s", "walk", "rssi_dbm", "age_s", "room_kind")
         return dataclasses.replace(self, **{name: values[chosen] for name, values in told.items()})
 
     def of_transmitters(self, chosen: Array) -> RadioSurvey:
-        """Only some of the transmitters (numbers or a mask)."""
+        """The survey with a subset of the transmitters (indices or a mask)."""
         rows, tables = self._told("transmitter_m", "transmitter_floor", "is_high_band"), self._told("rssi_dbm", "age_s")
         parts = {name: values[chosen] for name, values in rows.items()}
         parts |= {name: values[:, chosen] for name, values in tables.items()}
@@ -65,26 +65,26 @@ class RadioSurvey:
         return dataclasses.replace(self, addresses=tuple(addresses), **parts)
 
     def _told(self, *names: str) -> dict[str, Array]:
-        """Those of these arrays that the set tells."""
+        """Those of these arrays that are not None."""
         return {name: values for name in names if (values := getattr(self, name)) is not None}
 
     @property
     def room_kinds(self) -> Array:
-        """(s,) kinds of rooms of a set that tells them; DataError for others."""
+        """(s,) types of rooms; raises DataError if unknown."""
         if self.room_kind is None:
             raise DataError(f"survey {self.name} has no room types; use one that does")
         return self.room_kind
 
     @property
     def transmitters(self) -> tuple[Array, Array, Array]:
-        """Places (t, 2), storeys (t,) and 5 GHz flags (t,) of a set that tells them; DataError for others."""
+        """Positions (t, 2), floor numbers (t,) and 5 GHz flags (t,); raises DataError if unknown."""
         if self.transmitter_m is None or self.transmitter_floor is None or self.is_high_band is None:
             raise DataError(f"survey {self.name} has no transmitter positions; use one that does")
         return self.transmitter_m, self.transmitter_floor, self.is_high_band
 
 
 def read_table(path: Path, columns: tuple[str, ...] = ()) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of a CSV file without its empty lines; DataError if `columns` are missing or a row is cut off."""
+    """Header and non-empty rows of a CSV file; DataError if `columns` are missing or a row is incomplete."""
     try:
         rows = list(csv.reader(io.StringIO(read_text(path))))
     except csv.Error as error:
@@ -98,7 +98,7 @@ def read_table(path: Path, columns: tuple[str, ...] = ()) -> tuple[list[str], li
 
 
 def numbers(rows: list[list[str]], path: Path) -> Array:
-    """Rows of text as (rows, columns) floats, empty cells as NaN; DataError for no rows and what is no number."""
+    """Rows of text as (rows, columns) floats, empty cells as NaN; DataError without rows, or for invalid numbers."""
     if not rows:
         raise DataError(f"{path} holds no rows; fetch the file again")
     try:
@@ -108,13 +108,13 @@ def numbers(rows: list[list[str]], path: Path) -> Array:
 
 
 def read_numbers(path: Path, columns: tuple[str, ...]) -> Array:
-    """(rows, columns) the columns named of a CSV file of numbers; DataError as of `read_table` and `numbers`."""
+    """(rows, columns) the named columns of a CSV file; DataError as from `read_table` and `numbers`."""
     header, rows = read_table(path, columns)
     return numbers(rows, path)[:, [header.index(name) for name in columns]]
 
 
 def heard_only(rssi: Array) -> Array:
-    """Readings with the marks for "not heard" (100, -105 and the like) turned into NaN."""
+    """Readings with NaN instead of the values that mean "not heard" (such as 100 and -105)."""
     return np.where((rssi < 0) & (rssi > -105), rssi, np.nan).astype(np.float32)
 
 
@@ -128,15 +128,15 @@ def from_rows(
     rssi_dbm: Array,
     age_s: Array | None = None,
 ) -> RadioSurvey:
-    """A survey from single readings: `scan` (readings,) numbers the scan, whose place, time and walk the others tell.
+    """A survey from single readings: `scan` (readings,) is the number of the scan; the others are its position etc.
 
-    Of several readings of one transmitter in one scan the strongest counts.
+    Of several readings of one transmitter in a scan the strongest is kept.
     """
     _, first, which = np.unique(scan, return_index=True, return_inverse=True)
     addresses = sorted(set(address))
     column = {a: i for i, a in enumerate(addresses)}
     cells = (which, np.array([column[a] for a in address], int))
-    # Written in rising order: the strongest reading of a cell stays.
+    # Written in rising order, so that the strongest reading of a cell is kept.
     rising = np.argsort(rssi_dbm, kind="stable")
     tables = []
     for values in (rssi_dbm, age_s):

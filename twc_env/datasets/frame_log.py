@@ -1,4 +1,4 @@
-"""Recorded sensor frames, without ground truth, on which the engine can be run again."""
+"""Logs of recorded sensor frames, without ground truth, which the engine can replay."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def write_frame_log(
 
 
 def _ages(scans: Sequence[WifiScan]) -> dict[str, Any]:
-    """The column of ages; none where the receivers repeat no old readings."""
+    """The column of ages; none if no scan has ages."""
     if all(scan.age_s is None for scan in scans):
         return {}
     ages = [np.zeros(len(scan.macs)) if scan.age_s is None else scan.age_s for scan in scans]
@@ -99,9 +99,9 @@ def read_frame_log(path: str | Path) -> tuple[EnvConfig, list[tuple[SensorFrame,
 
 
 def wifi_readings(steps: Sequence[Sequence[SensorFrame]], robot: int = 0) -> tuple[Array, Array, Array]:
-    """One robot's WiFi scans as a table: frame numbers (scans,) among its frames, addresses (m,), dBm (scans, m).
+    """WiFi scans of one robot: indices of its frames (scans,), addresses (m,), and dBm (scans, m), NaN where not heard.
 
-    NaN where an address was not heard, as `k_visibility.map_structure` takes them.
+    In the form that `k_visibility.map_structure` takes.
     """
     own = [frame for frames in steps for frame in frames if frame.robot == robot]
     heard = [(k, frame.wifi) for k, frame in enumerate(own) if frame.wifi is not None]
@@ -156,7 +156,7 @@ def _read(path: str | Path) -> dict[str, Array]:
 
 
 def _fault(log: dict[str, Array]) -> str | None:
-    """What does not fit together in columns of right length."""
+    """The first inconsistency of columns of correct length, or None."""
     for key in ("robot", "wifi_count", "step_frames"):
         if key in log and log[key].dtype.kind not in "iu":
             return f"{key} of type {log[key].dtype}, whole numbers are possible"

@@ -1,4 +1,4 @@
-"""Signs and access points on maps: placed by seed where there are none, or hung where a name belongs."""
+"""Signs and access points on maps: placed by seed on maps without any, or at given places."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ AREA_PER_LABEL_M2 = 20.0
 AREA_PER_REPEATED_SIGN_M2 = 40.0
 SIGN_SPACING_M = 1.5
 REPEATED = ("EXIT", "FIRE EXTINGUISHER")
-"""Texts that hang in several places, as in every building: the trap of text-only place recognition."""
+"""Texts of repeated signs, as in every building, which mislead text-only place recognition."""
 _WALL_STEP_M = 0.5
 _POOL_MAX = 300_000
-"""Of larger floors only every second, third ... cell can hold an access point."""
+"""On larger floors only every second, third, ... cell is a candidate for an access point."""
 _NOUNS = (
     "ARCHIVE", "BAKERY", "CERAMICS", "DARKROOM", "ELECTRONICS", "FOUNDRY", "GREENHOUSE", "HERBARIUM", "INTAKE",
     "JOINERY", "KITCHEN", "LIBRARY", "MAILROOM", "NURSERY", "OPTICS", "PHARMACY", "QUIET STUDY", "RECORDS", "SEMINAR",
@@ -30,7 +30,7 @@ _NOUNS = (
 
 
 def furnish(plan: Floorplan, seed: int = 0) -> Floorplan:
-    """The same plan with unique room labels, repeated signs and access points. Equal seeds furnish equally."""
+    """The plan with unique room labels, repeated signs and access points, which depend only on the seed."""
     random = random_stream(seed, "furnish")
     return dataclasses.replace(plan, signs=place_signs(plan, random), access_points=place_access_points(plan, random))
 
@@ -54,7 +54,7 @@ def place_access_points(
 ) -> tuple[AccessPoint, ...]:
     """Access points far from each other over the free space, with 2 or 3 addresses each.
 
-    As many as said, or one per 25 m2, 6 to 40.
+    `count` of them, or one per 25 m2, at least 6 and at most 40.
     """
     cells = plan.cells()
     free = np.argwhere(cells.free)
@@ -74,7 +74,7 @@ def place_access_points(
 
 
 def hung_sign(plan: Floorplan, text: str, at: Array, normal: Array) -> Sign | None:
-    """A sign there, if open floor lies before it."""
+    """A sign at this point of a wall, or None if there is no open floor in front of it."""
     front = at + SIGN_FRONT_M * normal
     if not plan.cells().is_free(np.stack([front, at + 2 * SIGN_FRONT_M * normal])).all():
         return None
@@ -85,7 +85,7 @@ def hung_sign(plan: Floorplan, text: str, at: Array, normal: Array) -> Sign | No
 
 
 def room_label(number: int) -> str:
-    """The label of the n-th room: every number another text."""
+    """The label of room `number`, unique for every number."""
     wing, place = divmod(number, 40)
     noun = _NOUNS[(number * 7) % len(_NOUNS)]
     second = (number // len(_NOUNS)) % len(_NOUNS)
@@ -94,7 +94,7 @@ def room_label(number: int) -> str:
 
 
 def _wall_faces(plan: Floorplan) -> tuple[Array, Array]:
-    """Where a sign can hang: (k, 2) places on walls, (k,) directions into the free space before them."""
+    """Possible places of signs: (k, 2) points on walls, (k,) directions into the free space in front."""
     begins, ends = plan.walls_m[:, 0], plan.walls_m[:, 1]
     lengths = np.linalg.norm(ends - begins, axis=1)
     walls, places = [], []
@@ -119,7 +119,7 @@ def _wall_faces(plan: Floorplan) -> tuple[Array, Array]:
 
 
 def _spread(places: Array, random: np.random.Generator, spacing_m: float) -> list[int]:
-    """Numbers of places in random order, each clear of those before it."""
+    """Indices of places in random order, each at least `spacing_m` from all before it."""
     order: list[int] = []
     is_near = np.zeros(len(places), bool)
     for i in random.permutation(len(places)):

@@ -19,15 +19,15 @@ from twc_env.geometry import compose, inverse
 
 _UPPER = np.triu_indices(3)
 _COUNTS = {"VERTEX_SE2": 5, "EDGE_SE2": 12}
-"""Words on a line of each kind."""
+"""Number of words on a line of each kind."""
 _ID_MAX = 2**63 - 1
 
 
 def write_g2o(path: str | Path, graph: Mapping[str, Any]) -> None:
     """Write a graph: nodes (k, 3), edges_ij (e, 2), edges_z (e, 3), edges_information (e, 3, 3); packed for .gz.
 
-    Vertices are numbered as in `nodes`; the first is fixed. Raises DataError when the shapes do not belong together,
-    and for what is not finite.
+    Vertices are numbered as in `nodes`; the first is fixed. Raises DataError for inconsistent shapes and non-finite
+    values.
     """
     nodes, ij, z, information = _checked(graph)
     lines = [f"VERTEX_SE2 {i} {_numbers(pose)}" for i, pose in enumerate(nodes)]
@@ -88,7 +88,7 @@ def _graph(vertices: dict[int, list[float]], edges: list[tuple[int, int, list[fl
 
 
 def _laid_along(edges: list[tuple[int, int, list[float], int]], path) -> dict[int, list[float]]:
-    """Poses of all vertices that edges name, by closures only where no odometry leads."""
+    """Poses of all vertices along the edges; closures are used only where there is no odometry."""
     ways: dict[int, list[tuple[int, Array]]] = {}
     for i, j, values, _ in edges:
         ways.setdefault(i, []).append((j, np.array(values[:3])))

@@ -12,13 +12,13 @@ from twc_env.errors import MapError
 
 SIMPLIFY_M = 0.05
 EXTENT_MAX_M = 2000.0
-"""Of one floor, from side to side."""
+"""Maximum extent of one floor."""
 _DOOR_WIDTH_M = 1.0
 _DOOR_WIDTHS_M = (0.9, 3.0)
 _DEGREES = ("CRS84", ":4326")
-"""How the names of WGS 84 in degrees end."""
+"""Last parts of the names of WGS 84 in degrees."""
 _NO_FLOOR = ("shell", "wall", "door", "yes", "no")
-"""Tags of outlines, not of what one walks on."""
+"""Tags of outlines and openings, which are not floor."""
 _REMEDY = "export it in longitude and latitude (WGS 84, EPSG:4326)"
 
 
@@ -30,7 +30,7 @@ class Area:
     ring_m: Array
     """(k, 2), not closed, counter-clockwise."""
     holes_m: tuple[Array, ...] = ()
-    """The same, clockwise: what they go around is no part of it."""
+    """Holes, clockwise."""
 
 
 def walls_of(ring: Array) -> Array:
@@ -40,25 +40,25 @@ def walls_of(ring: Array) -> Array:
 
 
 def signed_area_m2(ring: Array) -> float:
-    """Positive when the ring runs counter-clockwise."""
+    """Area of a ring (k, 2), positive if it is counter-clockwise."""
     x, y = ring.T
     return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
 
 
 def properties_of(feature: dict) -> dict:
-    """The table of properties; an empty one where there is none."""
+    """The properties of a feature, or an empty dictionary."""
     properties = feature.get("properties")
     return properties if isinstance(properties, dict) else {}
 
 
 def name_of(feature: dict) -> str:
-    """The name among the properties; "" where there is none."""
+    """The name in the properties, or ""."""
     name = properties_of(feature).get("name")
     return name.strip() if isinstance(name, str) else ""
 
 
 def tag_of(feature: dict, key: str) -> str:
-    """An OpenStreetMap tag, which stands in a table of its own or among the properties; "" where there is none."""
+    """An OpenStreetMap tag, from `tags` or from the properties themselves, or ""."""
     own = properties_of(feature)
     tags = own.get("tags")
     value = (tags if isinstance(tags, dict) else own).get(key, "")
@@ -68,13 +68,13 @@ def tag_of(feature: dict, key: str) -> str:
 
 
 def part_of(feature: dict) -> str:
-    """What part of a building an OpenStreetMap feature is, in either scheme of tags; "" where it is none."""
+    """The kind of building part of an OpenStreetMap feature, in either tagging scheme, or ""."""
     kind = tag_of(feature, "buildingpart") or tag_of(feature, "indoor")
     return kind if kind not in _NO_FLOOR else ""
 
 
 def levels_of(feature: dict) -> list[str]:
-    """The levels that an OpenStreetMap feature is part of: those of its relations, or its own, as in "0;1"."""
+    """The levels of an OpenStreetMap feature: those of its relations, or its own, as in "0;1"."""
     relations = properties_of(feature).get("relations")
     tables = [r.get("reltags") for r in relations if isinstance(r, dict)] if isinstance(relations, list) else []
     related = [t["level"] for t in tables if isinstance(t, dict) and isinstance(t.get("level"), str)]
@@ -82,7 +82,7 @@ def levels_of(feature: dict) -> list[str]:
 
 
 def width_m_of(feature: dict) -> float:
-    """Width of a door, as tagged or else usual."""
+    """Width of a door, as tagged or by default, within plausible limits."""
     try:
         width_m = float(tag_of(feature, "width").removesuffix("m"))
     except ValueError:
@@ -93,8 +93,8 @@ def width_m_of(feature: dict) -> float:
 def polygons_of(feature: dict, where: str) -> list[list[Array]]:
     """Polygons of a feature, each as its rings (k, 2) [degrees]; [] for other shapes.
 
-    The outer ring comes first, counter-clockwise; the others, clockwise, go around holes. Rings of less than three
-    corners are left out, with their holes.
+    The outer ring comes first, counter-clockwise; the others are holes, clockwise. Rings of fewer than three corners
+    are left out, with their holes.
     """
     geometry = feature.get("geometry")
     kind = geometry.get("type") if isinstance(geometry, dict) else None
@@ -116,7 +116,7 @@ def _is_ring(values: Array) -> bool:
 
 
 def _opened(ring: Array, is_outer: bool, where: str) -> Array:
-    """Corners (k, 2) of a ring, the first not once more at its end, in the direction that it should run."""
+    """Corners (k, 2) of a ring without the repeated first one, in the required direction."""
     is_closed = np.array_equal(ring[0, :2], ring[-1, :2])
     ring = without_repeats(ring[: -1 if is_closed else len(ring), :2])
     _check_degrees(ring, where)
@@ -136,7 +136,7 @@ def point_of(feature: dict, where: str) -> Array:
 
 
 def check_reference(values: dict, where: str) -> None:
-    """Raise MapError where a file's `crs`, which only the format's first version has, is not WGS 84 in degrees."""
+    """Raise MapError if the `crs` of a file (first version of the format only) is not WGS 84 in degrees."""
     crs = values.get("crs")
     if crs is None:
         return
@@ -147,7 +147,7 @@ def check_reference(values: dict, where: str) -> None:
 
 
 def _check_degrees(places: Array, where: str) -> None:
-    """Raise MapError where places (k, 2) cannot be longitudes and latitudes."""
+    """Raise MapError if points (k, 2) cannot be longitudes and latitudes."""
     is_odd = ~(np.abs(places) <= (180.0, 90.0)).all(axis=1)
     if is_odd.any():
         x, y = places[is_odd][0]

@@ -1,7 +1,7 @@
 """HouseExpo plans (Li et al., 2019): one JSON per flat, the contour of its free space traced from a 1 cm raster.
 
-The free space is the inside of one contour; walls are notches about 0.1 m thick. Some contours touch themselves, and
-room boxes can lie anywhere: neither is trusted.
+The free space is the inside of one contour; walls are notches about 0.1 m thick. Contours may touch themselves, and
+boxes of rooms may be misplaced.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from twc_env.world.floorplan_check import COORDINATE_MAX_M, validate
 from twc_env.world.floorplan_file import load_json
 
 SIMPLIFY_M = 0.01
-"""The drawn contour is followed this closely: the pixel it was traced from."""
+"""Tolerance of the simplified contour: the pixel size of its raster."""
 ROOM_FREE_SHARE_MIN = 0.3
-"""A room's box with less free space than this does not lie where its room is."""
+"""A box with a smaller share of free space is misplaced and left out."""
 _FILL_RESOLUTION_M = 0.05
 
 
@@ -68,16 +68,16 @@ def _contour(values: dict, where: str) -> Array:
 
 
 def interior_point(rings: Sequence[Array], where: str) -> Array | None:
-    """(2,) a point deep in the largest part of what the first ring (k, 2) [m] goes around and the others do not.
+    """(2,) a point deep inside the largest part of the first ring (k, 2) [m] without the other rings, its holes.
 
-    The rings may touch themselves. None where nothing is inside.
+    The rings may touch themselves. None if nothing is inside.
     """
     low = rings[0].min(axis=0) - _FILL_RESOLUTION_M
     columns, rows = (np.ceil((rings[0].max(axis=0) - low) / _FILL_RESOLUTION_M).astype(int) + 2).tolist()
     if rows * columns > CELLS_MAX:
         raise MapError(f"{where} spans {columns * _FILL_RESOLUTION_M:.0f} m; verts must be metres")
     inside = np.zeros((rows, columns), np.bool_)
-    for ring in rings:  # holes flip back
+    for ring in rings:  # filling a hole clears it
         fill_ring(np.ascontiguousarray(ring - low), _FILL_RESOLUTION_M, inside)
     part = largest_part(inside)
     if not part.any():
@@ -87,7 +87,7 @@ def interior_point(rings: Sequence[Array], where: str) -> Array | None:
 
 
 def _rooms(categories: object, cells: Cells, where: str) -> tuple[Room, ...]:
-    """Labelled boxes that lie on free space; a box with several labels is one room."""
+    """Rooms of the labelled boxes that lie on free space; a box with several labels is one room."""
     if not isinstance(categories, dict):
         raise MapError(f"{where}: room_category must map labels to boxes; got {type(categories).__name__}")
     labels: dict[tuple[float, ...], list[str]] = {}
@@ -116,14 +116,14 @@ def _free_share(cells: Cells, x1: float, y1: float, x2: float, y2: float) -> flo
     x1, x2, y1, y2 = min(x1, x2), max(x1, x2), min(y1, y2), max(y1, y2)
     size_m = np.array(cells.free.shape[::-1]) * cells.resolution_m
     if x2 - x1 > 2 * size_m[0] or y2 - y1 > 2 * size_m[1]:
-        return 0.0  # more than half of it is off the plan
+        return 0.0  # more than half of it lies outside the plan
     points = np.stack(np.meshgrid(np.arange(x1 + 0.05, x2, 0.1), np.arange(y1 + 0.05, y2, 0.1)), axis=-1)
     return float(cells.is_free(points).mean()) if points.size else 0.0
 
 
 @kernel
 def fill_ring(ring, resolution, inside):
-    """Flip the cells whose centre lies inside the ring (k, 2): each edge flips what is right of it."""
+    """Invert the cells whose centre lies inside the ring (k, 2): each edge inverts the cells to its right."""
     rows, columns = inside.shape
     for k in range(ring.shape[0]):
         x1, y1 = ring[k - 1, 0], ring[k - 1, 1]

@@ -6,23 +6,23 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray as Array
 
 from twc_env.datasets.fingerprints import RadioSurvey, from_rows
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 
 FRESH_S = 4.0
-"""Rows of a scan that were really heard this recently; the rest are the phone's memory."""
+"""Maximum age of readings of the last sweep; older ones are from the memory of the phone."""
 
 
 def read_indoor20(folder: str | Path, age_max_s: float = FRESH_S, traces_max: int | None = None) -> RadioSurvey:
-    """All traces of one floor folder. Scans lie where the walker was, by interpolation between the waypoints.
+    """All traces of one floor folder; positions of scans are interpolated between the waypoints.
 
-    Readings older than `age_max_s` are left out (infinity keeps all).
-
-    Raises DataError for a folder without traces and for broken lines.
+    Readings older than `age_max_s` are left out (infinity keeps all). Raises DataError for a folder without traces and
+    for invalid lines.
     """
-    paths = sorted((Path(folder) / "traces").glob("*.txt*"))[:traces_max]
+    paths = trace_paths(folder, traces_max)
     if not paths:
         raise DataError(f"{folder} holds no traces/*.txt.xz; check the path")
     parts = [part for number, path in enumerate(paths) if (part := _trace(path, number, age_max_s)) is not None]
@@ -35,30 +35,42 @@ def read_indoor20(folder: str | Path, age_max_s: float = FRESH_S, traces_max: in
     return dataclasses.replace(survey, is_high_band=np.array([is_high[a] for a in survey.addresses]))
 
 
+def trace_paths(folder: str | Path, traces_max: int | None = None) -> list[Path]:
+    """The files of the first traces of a floor, or of all."""
+    return sorted((Path(folder) / "traces").glob("*.txt*"))[:traces_max]
+
+
+def trace_rows(path: Path, *kinds: str) -> list[list[list[str]]]:
+    """For each kind of line (such as "WIFI") the words of its lines in a trace."""
+    rows: dict[str, list[list[str]]] = {f"TYPE_{kind}": [] for kind in kinds}
+    for line in read_text(path).splitlines():
+        words = line.split("\t")
+        if len(words) > 2 and words[1] in rows:
+            rows[words[1]].append(words)
+    return list(rows.values())
+
+
+def numbers_in(rows: list[list[str]], *columns: int) -> Array:
+    """(rows, columns) the numbers in these columns; ValueError or IndexError if one is missing or invalid."""
+    return np.array([[float(words[k]) for k in columns] for words in rows])
+
+
 def _trace(path: Path, number: int, age_max_s: float):
-    """The readings of one file as columns; None when it has no scan between its waypoints."""
-    waypoints, readings = [], []
+    """The readings of one file as columns; None if it has no scan between its waypoints."""
+    waypoints, readings = trace_rows(path, "WAYPOINT", "WIFI")
     try:
-        for line in read_text(path).splitlines():
-            if "\tTYPE_WAYPOINT\t" in line:
-                time_ms, _, x, y = line.split("\t")[:4]
-                waypoints.append((float(time_ms), float(x), float(y)))
-            elif "\tTYPE_WIFI\t" in line:
-                time_ms, _, _, bssid, rssi, mhz, seen_ms = line.split("\t")[:7]
-                readings.append((float(time_ms), float(rssi), float(mhz), float(seen_ms), bssid))
-    except ValueError as error:
+        route, values = numbers_in(waypoints, 0, 2, 3), numbers_in(readings, 0, 4, 5, 6)
+    except (ValueError, IndexError) as error:
         raise DataError(f"{path.name}: {error}; fetch the trace again") from error
     if len(waypoints) < 2 or not readings:
         return None
-    route = np.array(waypoints)
-    values = np.array([r[:4] for r in readings])
     inside = (values[:, 0] >= route[0, 0]) & (values[:, 0] <= route[-1, 0])
     kept = inside & (values[:, 0] - values[:, 3] <= 1000 * age_max_s)
     if not kept.any():
         return None
-    values, addresses = values[kept], [r[4] for r, keep in zip(readings, kept, strict=True) if keep]
+    values, addresses = values[kept], [r[3] for r, keep in zip(readings, kept, strict=True) if keep]
     places = np.column_stack([np.interp(values[:, 0], route[:, 0], route[:, k]) for k in (1, 2)])
-    # Times are unix milliseconds; the walk's number keeps scans of two phones at one moment apart.
+    # Times are unix milliseconds; the number of the walk separates simultaneous scans of two phones.
     time_ms, rssi, mhz, seen_ms = values.T
     scan, walk = time_ms + number * 1e13, np.full(len(values), number)
     return scan, places, time_ms / 1000, walk, rssi, (time_ms - seen_ms) / 1000, mhz > 4000, addresses

@@ -1,4 +1,4 @@
-"""Floor plans written for other programs: native JSON, ROS map_server, a picture of the cells."""
+"""Export of floor plans: native JSON, ROS map_server, or a picture of the cells."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ _FREE, _UNKNOWN, _WALL = 255, 205, 0
 
 
 def export_map(plan: Floorplan, path: str | Path, resolution_m: float = EXPORT_RESOLUTION_M) -> Path:
-    """Write a plan by the suffix of `path`, its folder made: .json, .yaml (map_server, with .pgm), .png (white: free).
+    """Write a plan in the format of the suffix: .json, .yaml (map_server, with .pgm) or .png (white: free).
 
-    Pictures lose rooms, signs and access points. Raises MapError for other suffixes and where nothing can be written.
+    Creates the folder. Only JSON keeps rooms, signs and access points. Raises MapError for other suffixes and on
+    failure.
     """
     path = Path(path)
     if path.suffix not in EXPORT_SUFFIXES:
@@ -41,7 +42,7 @@ def export_map(plan: Floorplan, path: str | Path, resolution_m: float = EXPORT_R
 
 
 def grid_of(plan: Floorplan, resolution_m: float) -> GridMap:
-    """The plan as a robot would map it at best: free below 0, wall above, unknown 0."""
+    """The plan as a perfect occupancy grid: free -1, wall 1, unknown 0."""
     cells = plan.cells(resolution_m)
     log_odds = np.zeros(cells.free.shape, np.int16)
     log_odds[cells.free] = -1

@@ -1,4 +1,4 @@
-"""A level of an OpenStreetMap building: rooms and corridors, which meet at doors."""
+"""A level of an OpenStreetMap building: rooms and corridors connected by doors."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ _METRES_PER_DEGREE = 111_320.0
 _DOOR_WIDTH_MIN_M = 0.6
 _FRAME_M = 0.05
 _WALL_THICKNESS_MAX_M = 0.6
-"""Two rooms whose outlines are this near share a wall."""
+"""Rooms whose outlines are at most this far apart share a wall."""
 _PLATE_OFFSET_M = 0.3
 
 
 def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorplan:
-    """Rooms of one level, joined by the doors that are corners of their outlines; where no levels are given, of "0"."""
+    """The floor plan of one level; doors are corners of the outlines of rooms. Rooms without a level are on "0"."""
     parts = [feature for feature in features if part_of(feature)]
     if not parts:
         raise MapError(f"{where} has no rooms: polygons tagged indoor=room or buildingpart=room; export these too")
@@ -64,7 +64,7 @@ def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorp
             place = (point_of(feature, where) - origin) * scale
             jambs += _open_door(outlines, walls, place, width_m_of(feature), plates)
     table = np.concatenate([*walls, np.array(jambs).reshape(-1, 2, 2)])
-    # Every room seeds the floor; then only what hangs together is kept.
+    # First all rooms are interior points, then only the largest connected part is kept.
     plan = Floorplan(name, table, np.full(len(table), WALL_LOSS_DB / 2), interior_m=np.array(seeds))
     cells = plan.cells()
     inside_m = cells.centre_of(np.array([deepest_cell(largest_part(cells.free))]))
@@ -85,9 +85,9 @@ def _in_metres(rings: list[Array], origin: Array, scale: Array) -> tuple[Array, 
 def _open_door(
     areas: list[Area], walls: list[Array], place: Array, width_m: float, plates: list[tuple[str, Array, Array]]
 ) -> list[Array]:
-    """Cut a door into the room whose outline has it as a corner and into the room behind; returns the two jambs.
+    """Cut a door into the outline that has it as a corner and into the one behind; returns the two jambs.
 
-    A hole of a room is an outline of its own, which runs the other way around.
+    A hole of a room is a separate outline with the opposite direction.
     """
     corner_gaps = [np.linalg.norm(area.ring_m - place, axis=1).min() for area in areas]
     room = int(np.argmin(corner_gaps))
@@ -102,7 +102,7 @@ def _open_door(
     along = (end - begin) / np.linalg.norm(end - begin)
     at = float((place - begin) @ along)
     across = (place - begin) - at * along
-    # Either outline may have further corners on the straight stretch around the door, the door itself above all.
+    # Both outlines may have further corners on the straight segment around the door, such as the door itself.
     ends = [
         _straight_stretch(sides_of(areas[number].ring_m), at_wall, begin, along)
         for number, at_wall in ((room, place), (behind, place - across))
@@ -125,7 +125,7 @@ def _open_door(
 
 
 def _straight_stretch(sides: Array, place: Array, begin: Array, along: Array) -> tuple[float, float]:
-    """From where to where a room's outline runs straight through a place, in metres along a line."""
+    """Start and end of the straight part of an outline through a point, in metres along a line."""
     normal = np.array([-along[1], along[0]])
     is_straight = (np.abs((sides - place) @ normal) < 0.1).all(axis=1)
     spans = np.sort((sides[is_straight] - begin) @ along, axis=1)
@@ -139,7 +139,7 @@ def _straight_stretch(sides: Array, place: Array, begin: Array, along: Array) ->
 
 
 def _cut(walls: Array, begin: Array, along: Array, first: float, last: float) -> Array:
-    """Walls (w, 2, 2) without what lies between first and last along a line, close to it."""
+    """Walls (w, 2, 2) without the parts near a line between first and last along it."""
     normal = np.array([-along[1], along[0]])
     pieces = []
     for a, b in walls:

@@ -1,4 +1,4 @@
-"""Outlines of pictures and contours: traced around a patch of cells, and drawn with fewer corners."""
+"""Outlines: traced around a patch of cells, and simplified."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def sides_of(ring: Array) -> Array:
 
 
 def without_repeats(ring: Array) -> Array:
-    """Corners of a closed ring (k, 2) that differ from those before them; one where all are the same."""
+    """Corners of a closed ring (k, 2) without consecutive duplicates; a single corner if all are equal."""
     is_repeated = np.all(ring == np.roll(ring, 1, axis=0), axis=1)
     return ring[:1] if is_repeated.all() else ring[~is_repeated]
 
 
 def simplified_ring(ring: Array, tolerance_m: float) -> Array:
-    """Fewer corners of a closed ring (k, 2), none of the dropped ones farther than the tolerance (Douglas-Peucker)."""
+    """A closed ring (k, 2) with fewer corners, at most the tolerance from the dropped ones (Douglas-Peucker)."""
     ring = without_repeats(ring)
     if len(ring) < 4:
         return ring
@@ -68,7 +68,7 @@ def _keep_corners(points, begin, end, tolerance, keep):
 
 @kernel
 def _walk(mask, row, column, ring):
-    """Go along the edges with the patch on the left, from the lower left corner of its first cell; mask is padded."""
+    """Trace the edges with the patch on the left, from the lower left corner of its first cell; mask is padded."""
     x, y, dx, dy = column, row, 1, 0
     count = 0
     while count < ring.shape[0]:

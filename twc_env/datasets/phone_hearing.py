@@ -1,7 +1,7 @@
-"""What a phone heard of each radio while it was carried: lists of its WiFi scans made into fingerprints of moments.
+"""Fingerprints over time from the WiFi scan lists of a phone.
 
-A list holds rows of the sweep before it and of the phone's memory; each row says when it was really heard. One radio
-sends under several names, which differ in their first byte or last digit: they count as one.
+A list holds rows of the last sweep and older ones from the memory of the phone; each row has the time when it was
+heard. One radio has several addresses, which differ in their first byte or last digit: they count as one.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from numpy.typing import NDArray as Array
 from twc_env.messages import Fingerprint
 
 SWEEP_S = 2.0
-"""Time that a phone takes for one sweep of all channels; a list follows its end."""
+"""Duration of one sweep over all channels; the list is reported at its end."""
 AVERAGING_STD_S, AVERAGING_REACH = 1.25, 2.5
-"""Readings are averaged by a bell of this width in time, cut off at this many widths. Set on floors of indoor20."""
+"""Readings are averaged over time with a Gaussian of this width, truncated at this many widths. Set on indoor20."""
 HIGH_BAND_MHZ = 4000
 RADIO_BITS = 0x00FFFFFFFFF0
-"""Part of an address that all names of one radio share."""
+"""Bits of an address that are equal for all addresses of one radio."""
 
 
 def fingerprints(rows: list[list[str]]) -> tuple[Array, list[Fingerprint]]:
-    """Times (n,) [s] in the middle of each sweep, and what was heard then, from the words of TYPE_WIFI lines.
+    """Times (n,) [s] of the middle of each sweep, and its fingerprint, from the words of TYPE_WIFI lines.
 
-    Raises ValueError or IndexError for words that are missing or no numbers.
+    Raises ValueError or IndexError for missing words and invalid numbers.
     """
     readings = np.array(
         sorted({(_radio(w[3], float(w[5])), float(w[6]) / 1000, float(w[4]), w[3]) for w in rows}), object
@@ -45,7 +45,7 @@ def fingerprints(rows: list[list[str]]) -> tuple[Array, list[Fingerprint]]:
 
 
 def _radio(name: str, mhz: float) -> int:
-    """One number for all names that a radio sends under."""
+    """One number for all addresses of a radio in a band."""
     address = int(name.replace(":", ""), 16)
     if ":" not in name:
         address &= (1 << 48) - 1

@@ -1,4 +1,4 @@
-"""Pictures as maps: white floor, and rooms where a second picture beside it has them cut apart."""
+"""Pictures as maps: white floor, and rooms if a second picture beside it separates them."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from twc_env.world.floorplan import Floorplan, Room
 from twc_env.world.floorplan_check import validate
 
 PICTURE_RESOLUTION_M = 0.05
-"""Pixel size assumed where a picture names none."""
+"""Default pixel size."""
 FREE_ABOVE = 250
 """Pixels brighter than this are free."""
 ROOMS_SUFFIX = "_gt_segmentation"
-"""`NAME_gt_segmentation.png` beside `NAME.png` is the same floor with its rooms cut apart by dark lines."""
+"""`NAME_gt_segmentation.png` beside `NAME.png` is the same floor with rooms separated by dark lines."""
 ROOM_MIN_M2 = 1.0
-"""Smaller pieces lie between the cuts of one door or behind a stray beam."""
+"""Smaller pieces lie between the lines at a door or behind a stray beam."""
 _ROOM_FREE_SHARE_MIN = 0.5
 _SIMPLIFY_PIXELS = 2.0
 
@@ -31,8 +31,8 @@ _SIMPLIFY_PIXELS = 2.0
 def read_picture(path: str | Path, seed: int = 0, resolution_m: float = PICTURE_RESOLUTION_M) -> Floorplan:
     """A .png or .pgm(.gz) picture with white free space; signs and access points are placed by seed.
 
-    Rooms come from the picture named with ROOMS_SUFFIX, if there is one. Raises MapError when a picture cannot be
-    read or shows no free space, or when the two differ in size.
+    Rooms come from the picture named with ROOMS_SUFFIX, if it exists. Raises MapError if a picture cannot be read or
+    shows no free space, or if the two differ in size.
     """
     path = Path(path)
     free = read_grey(path)[::-1] > FREE_ABOVE
@@ -55,7 +55,8 @@ def _rooms_beside(path: Path, plan: Floorplan, shape: tuple[int, ...], resolutio
 
 
 def rooms_of(cut: Array, plan: Floorplan, resolution_m: float) -> tuple[Room, ...]:
-    """Rooms of a floor (rows, columns) in pieces, numbered from its top left; others than on the plan are left out."""
+    """Rooms from a picture (rows, columns) of separate pieces, numbered from the top left; pieces off the plan are left
+    out."""
     labels, sizes = parts(cut)
     cells, rooms = plan.cells(), []
     for part, box in enumerate(ndimage.find_objects(labels), 1):

@@ -1,4 +1,4 @@
-"""Sensor frames of recordings without a laser: the walks of phones, and a robot that heard WiFi along a path."""
+"""Sensor frames of recordings without a laser: walks with phones, and a robot with WiFi."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def radio_frames(
     beam_count: int,
     robot: int = 0,
 ) -> list[SensorFrame]:
-    """What a robot would have measured on the way of the log, a frame per scan of its radio.
+    """The sensor frames of a robot on the path of a recording, one frame per radio scan.
 
-    Odometry is the motion between the dead-reckoned poses (n, 3) at times (n,), and its turn (n - 1,), not wrapped,
-    stands for the gyro. All `beam_count` ranges say nothing: to be used with `slam.cues.lidar` off. Raises DataError
-    where lengths differ or times do not ascend.
+    Odometry is the motion between the dead-reckoned poses (n, 3) at times (n,); the turns (n - 1,), not wrapped,
+    replace the gyro. All `beam_count` ranges are without information: use with `slam.cues.lidar` off. Raises DataError
+    if lengths differ or times do not ascend.
     """
     elapsed_s = np.diff(times_s)
     if not len(times_s) == len(reckoned) == len(fingerprints) == len(turned_rad) + 1:
@@ -33,7 +33,7 @@ def radio_frames(
         raise DataError("the times of the scans do not ascend; sort them, or leave repeated ones out")
     poses = np.concatenate([reckoned[:1], reckoned])
     odometry = between(poses[:-1], poses[1:])
-    odometry[1:, 2] = turned_rad + wrap_angle(odometry[1:, 2] - turned_rad)  # whole turns are the gyro's
+    odometry[1:, 2] = turned_rad + wrap_angle(odometry[1:, 2] - turned_rad)  # whole turns are taken from the gyro
     rates = np.concatenate([[0.0], turned_rad / elapsed_s])
     unseen = np.full(beam_count, UNSEEN_M)
     return [

@@ -1,4 +1,4 @@
-"""Pictures of free space turned into walls: every edge between a free and another cell becomes part of a wall."""
+"""Floor plans from pictures of free space: every edge between a free and another cell becomes part of a wall."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from twc_env.world.floorplan import Floorplan
 from twc_env.world.floorplan_file import load_bytes
 
 WALL_LOSS_DB = 5.0
-"""Of a whole wall; each of its two faces carries half."""
+"""Loss of a whole wall; each of its two faces has half."""
 SPECK_M2 = 0.02
-"""Obstacles smaller than this are taken for dirt."""
+"""Smaller obstacles are removed as noise."""
 STRIP_M = 0.2
-"""Free strips no wider than this, where no robot fits, are taken for stray beams and gaps of the scan."""
+"""Free strips up to this width, too narrow for a robot, are removed as stray beams and gaps of the scan."""
 _GAP = rb"(?:\s|#[^\n]*\n)*"
 _PGM_HEADER = re.compile(_GAP + rb"(P[25])" + 3 * (rb"\s" + _GAP + rb"(\d{1,9})") + rb"(?!\S)")
-"""Kind, columns, rows and the value of white; comments may stand between them."""
+"""Kind, columns, rows and the value of white, with optional comments in between."""
 
 
 def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Sequence[float] = (0.0, 0.0)) -> Floorplan:
@@ -79,16 +79,17 @@ def parts(free: Array, neighbours: Array | None = None) -> tuple[Array, Array]:
 
 
 def deepest_cell(free: Array) -> tuple[int, int]:
-    """(row, column) of a free cell as far from all others as any."""
+    """(row, column) of a free cell with the largest distance to non-free cells."""
     depth = _depth(np.ascontiguousarray(np.pad(free, 1)))[1:-1, 1:-1]
     row, column = np.unravel_index(np.argmax(depth), depth.shape)
     return int(row), int(column)
 
 
 def read_grey(path: Path, behind: int = 0) -> Array:
-    """(rows, columns) uint8, row 0 the top. PGM is read here, other formats by Pillow; alpha lies on the grey `behind`.
+    """(rows, columns) uint8, row 0 at the top. Pillow reads formats other than PGM; alpha is blended with grey
+    `behind`.
 
-    Raises MapError when the file cannot be read or is too large.
+    Raises MapError if the file cannot be read or is too large.
     """
     raw = load_bytes(path, "picture")
     if ".pgm" in [suffix.lower() for suffix in path.suffixes][-2:]:
@@ -151,7 +152,7 @@ def _runs(edges: Array) -> Array:
 
 
 def _without_specks(free: Array, resolution_m: float) -> Array:
-    """Fill what is enclosed by free space and too small to be an obstacle."""
+    """Fill areas enclosed by free space that are too small to be obstacles."""
     labels, sizes = parts(~np.pad(free, 1), np.ones((3, 3)))
     small = np.append(False, sizes * resolution_m**2 < SPECK_M2)
     filled: Array = small[labels]
@@ -159,7 +160,7 @@ def _without_specks(free: Array, resolution_m: float) -> Array:
 
 
 def _without_strips(free: Array, resolution_m: float) -> Array:
-    """Only what a square a little wider than STRIP_M can sweep (a morphological opening)."""
+    """The area that a square slightly wider than STRIP_M covers (a morphological opening)."""
     side = int(STRIP_M / resolution_m + 1e-6) + 1
     return np.asarray(ndimage.binary_opening(free, np.ones((side, side))))
 

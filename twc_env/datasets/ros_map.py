@@ -21,15 +21,15 @@ from twc_env.world.floorplan_file import load_bytes
 
 _KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _MODES, _RAW_MAX = ("trinary", "scale", "raw"), 100
-"""How pixels are meant; raw ones are per cent of occupancy."""
+"""Interpretations of pixels; raw pixels are per cent of occupancy."""
 RESOLUTION_MIN_M = 0.005
 _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0
 _OCCUPIED_ABOVE, _FREE_BELOW = 0.65, 0.196
 _PLAIN = re.compile(r"\w[\w. -]*")
-"""Names that YAML takes as they stand."""
+"""Names that YAML reads without quotes."""
 _QUOTED = re.compile(r"""("(?:[^"\\]|\\.)*"|'(?:[^']|'')*')\s*(?:#.*)?""")
 _COMMENT = re.compile(r"(?:^|\s)#.*")
-"""Within a word a # is a letter."""
+"""A # within a word does not begin a comment."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +39,7 @@ class RosMap:
     free: Array
     """(rows, columns) bool."""
     occupied: Array
-    """(rows, columns) bool; what is neither is unknown."""
+    """(rows, columns) bool; cells that are neither are unknown."""
     resolution_m: float
     origin: Array
     """(3,) pose of the picture's lower left corner."""
@@ -60,7 +60,7 @@ def read_ros_cells(path: str | Path) -> RosMap:
     """The cells of a map_server yaml. The picture may lie beside it compressed (`map.pgm.gz` for `map.pgm`)."""
     path = Path(path)
     values = _read_yaml(path)
-    # Savers write where the picture lay on their machine.
+    # The path may be that of another machine.
     picture = _picture(path.parent / values["image"]) or _picture(path.parent / PureWindowsPath(values["image"]).name)
     if picture is None:
         raise MapError(f"{path.name} names the picture {values['image']!r}, which is not beside it; put it there")
@@ -83,8 +83,8 @@ def read_ros_cells(path: str | Path) -> RosMap:
 
 
 def _occupancy(picture: Path, values: dict[str, str], path: Path) -> Array:
-    """(rows, columns) from 0 (free) to 1, the lowest row first; NaN where a raw picture says "unknown"."""
-    mode, negate = values.get("mode", "trinary"), values["negate"].lower()  # a truth value in ROS 2
+    """(rows, columns) from 0 (free) to 1, the lowest row first; NaN for unknown pixels of a raw picture."""
+    mode, negate = values.get("mode", "trinary"), values["negate"].lower()  # a boolean in ROS 2
     is_negated = negate == "true" or (negate != "false" and _number(values, "negate", path) != 0)
     if mode not in _MODES:
         raise MapError(f"{path.name}: mode must be trinary, scale or raw; got {mode!r}")
@@ -103,7 +103,7 @@ def write_ros_map(grid: GridMap, folder: str | Path, stem: str) -> Path:
     shade[grid.log_odds > 0] = _OCCUPIED
     rows, columns = shade.shape
     (folder / f"{stem}.pgm").write_bytes(b"P5\n%d %d\n255\n" % (columns, rows) + shade[::-1].tobytes())
-    # Readers of YAML 1.1 take 1e-17, which has no point, for text.
+    # YAML 1.1 reads 1e-17, which has no decimal point, as text.
     resolution, x, y = (np.format_float_positional(v, trim="0") for v in (grid.resolution_m, *grid.origin_m))
     picture = f"{stem}.pgm" if _PLAIN.fullmatch(stem) else json.dumps(f"{stem}.pgm", ensure_ascii=False)
     path = folder / f"{stem}.yaml"
@@ -116,14 +116,14 @@ def write_ros_map(grid: GridMap, folder: str | Path, stem: str) -> Path:
 
 
 def write_ros_maps(grids: Iterable[GridMap], folder: Path) -> None:
-    """The maps of groups, largest first, as `map`, `map_2` and so on; nothing for a group that has seen nothing."""
+    """Write the maps of groups, largest first, as `map`, `map_2` and so on; empty maps are skipped."""
     for k, grid in enumerate(grids, 1):
         if grid.log_odds.size:
             write_ros_map(grid, folder, "map" if k == 1 else f"map_{k}")
 
 
 def _picture(path: Path) -> Path | None:
-    """The picture, or its compressed twin; None when there is neither, or no file can have that name."""
+    """The picture or its compressed version; None if neither exists or the name is invalid."""
     try:
         return next((p for p in (path, path.with_name(path.name + ".gz")) if p.is_file()), None)
     except (OSError, ValueError):
@@ -131,7 +131,7 @@ def _picture(path: Path) -> Path | None:
 
 
 def _read_yaml(path: Path) -> dict[str, str]:
-    """The `key: value` lines of a map_server file, lists as one text "a, b" however they are laid out."""
+    """The `key: value` lines of a map_server file; lists of any layout become one text "a, b"."""
     try:
         text = load_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -144,7 +144,7 @@ def _read_yaml(path: Path) -> dict[str, str]:
         if separator and "#" not in name:
             key = name.strip()
             values[key] = _scalar(value.strip())
-        elif key and (item := _COMMENT.sub("", line).strip().removeprefix("- ").strip()):  # the line before goes on
+        elif key and (item := _COMMENT.sub("", line).strip().removeprefix("- ").strip()):  # continues the line before
             values[key] = ", ".join(part.strip(", ") for part in (values[key], item) if part.strip(", "))
     for key in _KEYS:
         if key not in values:
@@ -153,7 +153,7 @@ def _read_yaml(path: Path) -> dict[str, str]:
 
 
 def _scalar(text: str) -> str:
-    """A value without its quotes, or without the comment behind it."""
+    """A value without quotes and without a trailing comment."""
     quoted = _QUOTED.fullmatch(text)
     if quoted is None:
         return _COMMENT.sub("", text).strip()
@@ -162,7 +162,7 @@ def _scalar(text: str) -> str:
         return inner.replace("''", "'")
     try:
         return json.loads(f'"{inner}"')
-    except ValueError:  # an escape that JSON does not have
+    except ValueError:  # an escape sequence that JSON does not have
         return inner
 
 

@@ -3,7 +3,7 @@
 A log is JSON {"map": {"<unix seconds>": {"range": [metres], "x": m, "y": m, "theta": rad}}} or a text of CARMEN, of
 which the lines `FLASER n r1 .. rn x y theta ...` or, in newer ones, `ROBOTLASER1` are read, with the pose of the laser;
 relations are text lines `t1 t2 dx dy dz roll pitch yaw`: the pose at t2 in the frame of the pose at t1. All may be
-gzipped. `sensor_frames` makes of a log what the engine takes in.
+gzipped. `sensor_frames` converts a log to frames for the engine.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from twc_env.geometry import between, wrap_angle
 from twc_env.messages import UNSEEN_M, SensorFrame
 
 NO_RETURN_M = 30.0
-"""Scanners of these logs report more than this (81.83 m, 50 m, 32.7 m) for a beam that came back from nowhere."""
+"""Scanners of these logs report more than this (81.83 m, 50 m, 32.7 m) for a beam without return."""
 TIME_BETWEEN_MIN_S = 1e-3
-"""Some logs round their times, so that scans seem to be taken at once."""
+"""Minimum time between scans: some logs round times, so that scans seem simultaneous."""
 
 TIME_TOLERANCE_S = 0.02
-"""A relation belongs to a scan that was taken this close to its time."""
+"""Largest difference between the time of a relation and that of its scan."""
 
 BEAMS, RANGE_MAX_M = 360, 20.0
 SETTINGS: dict = {
     "lidar": {"beam_count": BEAMS, "range_max_m": RANGE_MAX_M},
     "slam": {
-        # One scan every half metre: odometry's errors of a step are large, and its turn stands for the gyro's.
+        # One scan every half metre: odometry errors of a step are large, and its turn replaces the gyro.
         "odometry_filter": {
             "position_std_per_m": 0.1,
             "position_std_m": 0.02,
@@ -48,14 +48,14 @@ SETTINGS: dict = {
         # Every scan is a keyframe; there are no mates in the scans.
         "keyframe": {"distance_m": 0.05, "turn_rad": 0.05, "mask_mates": False},
         "place_recognition": {"recogniser": "lidar", "proximity_m": 4.0, "scan_similarity_min": 0.6},
-        # Drift over long loops: a wider search. Steps are far apart in time, so all that waits is verified at once.
+        # Drift over long loops: a wider search. Steps are far apart in time, so the backlog is verified at once.
         "verification": {"window_m": 1.5, "window_rad": 0.3, "backlog_per_step": 20},
         "pose_graph": {"period_steps": 5},
-        # No signs and no radio to ask: more closures must agree, from wherever they are.
+        # Without signs and radio more closures must agree, at any distance.
         "merging": {"wifi_check": False, "spread_min_m": 0.0, "closures_min": 5},
     },
 }
-"""Of the engine, for logs of laser and odometry alone with a scan every half metre."""
+"""Settings of the engine for logs of laser and odometry only, with a scan every half metre."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +83,7 @@ class Relations:
     pose_first_second: Array
     """(relations, 3)."""
     away_s: Array
-    """(relations,) how far a stamp lies from that of its scan, at the worse end; 0 where both are theirs."""
+    """(relations,) difference between the time stamps of relation and scan, maximum of both ends."""
 
     def errors(self, poses: Array) -> tuple[Array, Array]:
         """Translation [m] and rotation [deg] error (relations,) of poses (scans, 3)."""
@@ -92,7 +92,7 @@ class Relations:
 
 
 def read_scan_log(path: str | Path) -> ScanLog:
-    """Read a log. Raises DataError for files that are missing, cut off, or hold something else."""
+    """Read a JSON log. Raises DataError for files that are missing, truncated or of another format."""
     text = read_text(path)
     try:
         scans = json.loads(text)["map"]
@@ -107,7 +107,7 @@ def read_scan_log(path: str | Path) -> ScanLog:
 
 
 def read_any_log(path: str | Path) -> ScanLog:
-    """Read a log of either kind, JSON by its name. Raises DataError as those do."""
+    """Read a log of either format, JSON if its name says so. Raises the same errors."""
     return read_scan_log(path) if ".json" in Path(path).suffixes else read_carmen_log(path)
 
 
@@ -149,11 +149,11 @@ class _Scan(NamedTuple):
     pose: list[float]
     time_s: float
     directions: tuple[float, float] | None = None
-    """That of the first beam, and from each to the next [rad]; None: the half circle ahead."""
+    """Direction of the first beam and angle between beams [rad]; None: the half circle ahead."""
 
 
 def _flaser(words: Sequence[str]) -> _Scan:
-    """n r1 .. rn, pose of the laser, that of odometry, time; IndexError where it ends early."""
+    """n r1 .. rn, pose of the laser, pose of odometry, time; IndexError if it is incomplete."""
     count, values = int(words[0]), words[1:]
     _check_count(count)
     numbers = [float(v) for v in values[: count + 3]]
@@ -163,7 +163,7 @@ def _flaser(words: Sequence[str]) -> _Scan:
 def _robot_laser(words: Sequence[str]) -> _Scan:
     """type, first direction, field of view, resolution, range, accuracy, mode, n r1 .. rn, m remissions (old logs have
     no m), pose of the laser, that of the robot, two speeds, two distances, turn axis (old logs have none), time, host,
-    time. IndexError where it ends early."""
+    time. IndexError if it is incomplete."""
     first_rad, resolution_rad, range_max_m, count = float(words[1]), float(words[3]), float(words[4]), int(words[7])
     _check_count(count)
     rest = words[8 + count : -3]
@@ -193,15 +193,15 @@ def _log(times_s: Array, poses: Array, ranges_m: Array, directions: tuple[float,
 
 
 def _half_circle(beams: int) -> Array:
-    """(beams,) directions from the right, counter-clockwise to the left; the last beam may be the left itself."""
+    """(beams,) directions counter-clockwise from the right to the left; the last one may be exactly left."""
     return np.deg2rad(np.arange(beams) * (180.0 / max(beams - beams % 2, 1)) - 90.0)
 
 
 def onto_circle(ranges_m: Array, beam_angles_rad: Array, beam_count: int, range_max_m: float) -> Array:
-    """(beam_count,) one scan (beams,) as the world emits it: beams over the full circle, `UNSEEN_M` where none looked.
+    """(beam_count,) one scan (beams,) in the format of the world: the full circle, `UNSEEN_M` where there is no beam.
 
-    Where several beams fall on one direction the nearest range counts. What lies beyond range_max_m is free up to
-    there; a beam that came back from nowhere tells nothing, since glass and black walls give no echo either.
+    Of several beams in one direction the nearest range is used. Ranges are limited to range_max_m; a beam without
+    return has no information, since glass and black walls give no return either.
     """
     out = np.full(beam_count, np.inf)
     told = (ranges_m > 0.0) & (ranges_m < NO_RETURN_M)
@@ -214,9 +214,9 @@ def onto_circle(ranges_m: Array, beam_angles_rad: Array, beam_count: int, range_
 def sensor_frames(
     log: ScanLog, beam_count: int, range_max_m: float, scans: Sequence[int] | Array | None = None, robot: int = 0
 ) -> list[SensorFrame]:
-    """What a robot would have measured on the way of the log, a frame per scan of `scans` (default: all).
+    """Sensor frames of a robot on the path of the log, one per scan of `scans` (default: all).
 
-    Odometry is the motion between the poses that the log holds; as it has no gyro, odometry's turn stands for it.
+    Odometry is the motion between the poses of the log; its turn replaces the gyro, which the log lacks.
     """
     frames: list[SensorFrame] = []
     chosen = np.arange(len(log.times_s)) if scans is None else np.asarray(scans)
@@ -232,7 +232,7 @@ def sensor_frames(
 
 
 def read_relations(path: str | Path, log: ScanLog) -> Relations:
-    """The relations between two different scans of the log. Raises DataError for anything but lines of 8 numbers."""
+    """The relations between two different scans of the log. Raises DataError for lines other than of 8 numbers."""
     try:
         rows = np.array([line.split() for line in read_text(path).splitlines() if line.strip()], float)
         times, values = rows[:, :2], rows[:, [2, 3, 7]]

@@ -15,7 +15,7 @@ from twc_env.datasets.raster import read_grey
 from twc_env.errors import DataError
 
 ROUTERS_PX = np.array([(397.0, 236.0), (830.0, 620.0)])
-"""Where the authors' program has them; the walk with one router knows the first."""
+"""Router positions in the authors' program; the walk with one router has the first."""
 THRESHOLDS_DBM = (-41.0, -56.0)
 """Limits between k = 0, 1 and 2 in their program."""
 FLOOR_M2 = 42.5
@@ -37,7 +37,7 @@ class AuthorsWalk:
 
 
 def read_authors_walk(folder: str | Path, routers: int) -> AuthorsWalk:
-    """The walk with one router (the paper's experiment 3) or two (experiment 5). DataError for broken files."""
+    """The walk with one router (experiment 3 of the paper) or two (experiment 5). DataError for invalid files."""
     if routers not in _FILES:
         raise DataError(f"the authors published walks with 1 and 2 routers; got {routers}")
     name, count, columns = _FILES[routers]

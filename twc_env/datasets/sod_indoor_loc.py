@@ -1,4 +1,4 @@
-"""SODIndoorLoc (Bi et al. 2022): WiFi fingerprints of office floors with the true places of their access points."""
+"""SODIndoorLoc (Bi et al. 2022): WiFi fingerprints of office floors with known access points."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ _ACCESS_POINT = ("ECoord", "NCoord", "FloorID", "Attribute_2.4", "Attribute_5")
 
 
 def read_sod(folder: str | Path, building: str) -> RadioSurvey:
-    """One building, "CETC331" or "SYL": the first sample of every point and all access points of known place.
+    """One building, "CETC331" or "SYL": the first sample of every point and all access points of known position.
 
-    The other samples of a point are mostly repeated scans. Scans of one phone count as one walk.
-
-    Raises DataError for unknown names and broken files.
+    Other samples of a point are mostly repeated scans. Scans of one phone count as one walk. Raises DataError for
+    unknown names and invalid files.
     """
     if building not in _TRAINING:
         raise DataError(f"SODIndoorLoc has no building {building!r} here; known are {', '.join(_TRAINING)}")

@@ -1,8 +1,8 @@
-"""Dead reckoning of a walker who holds a phone: steps from the accelerometer, headings from the rotation vector.
+"""Pedestrian dead reckoning with a phone: steps from the accelerometer, headings from the rotation vector.
 
-A step is a peak of the smoothed acceleration; its length follows from how hard it was (Weinberg 2002: the fourth root
-of the vertical swing). The heading is where the phone's upper edge points, in the frame of its compass: it needs no
-start, but magnetic disturbance turns it, and phones may be held at an angle.
+A step is a peak of the smoothed acceleration; its length is proportional to the fourth root of the vertical swing
+(Weinberg 2002). The heading is the direction of the upper edge of the phone in the frame of its compass: it is
+absolute, but affected by magnetic disturbance and by the angle at which the phone is held.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import find_peaks
 
 from twc_env.datasets import phone_hearing
-from twc_env.datasets.text_file import read_text
+from twc_env.datasets.indoor20 import numbers_in, trace_paths, trace_rows
 from twc_env.errors import DataError
 from twc_env.geometry import wrap_angle
 from twc_env.messages import Fingerprint
@@ -24,32 +24,33 @@ from twc_env.messages import Fingerprint
 SMOOTHING_S = 0.16
 STEP_PERIOD_MIN_S = 0.33
 SWING_MIN_M_S2 = 1.2
-"""A peak that stands out of its surroundings by less is no step."""
+"""Minimum prominence of a peak that counts as a step."""
 WEINBERG_FACTOR = 0.38
-"""Step length [m] over the fourth root of the swing [m/s2], for a phone held in front; people differ by 10 %.
+"""Step length [m] over the fourth root of the swing [m/s2], for a phone held in front; varies by 10 % between people.
 Its mean was set on floor site1_B1 of indoor20."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkerTrace:
-    """One recording. Scans (n) with dead-reckoned places in the walker's own frame, and surveyed places for scoring."""
+    """One recording: scans (n) with dead-reckoned poses in the walker's own frame, and surveyed positions for
+    scoring."""
 
     name: str
     time_s: Array
     """(n,) unix time in the middle of each scan."""
     reckoned: Array
-    """(n, 3) pose: the walk starts at the origin, x points where the compass says east."""
+    """(n, 3) poses from the origin; x points east according to the compass."""
     turned_rad: Array
     """(n - 1,) turn between scans, not wrapped."""
     fingerprints: tuple[Fingerprint, ...]
     surveyed_m: Array
-    """(n, 2) by interpolation between the waypoints that the walker marked."""
+    """(n, 2) interpolated between the surveyed waypoints."""
 
 
 def steps(time_s: Array, acceleration: Array) -> tuple[Array, Array]:
     """Times (s,) and lengths [m] (s,) of the steps in acceleration (k, 3) [m/s2] at times (k,) [s].
 
-    Raises DataError where times do not ascend.
+    Raises DataError if times do not ascend.
     """
     size = np.linalg.norm(acceleration, axis=1)
     period_s = float(np.median(np.diff(time_s)))
@@ -65,7 +66,7 @@ def steps(time_s: Array, acceleration: Array) -> tuple[Array, Array]:
 
 
 def headings_rad(rotation_vector: Array) -> Array:
-    """(k,) direction of the phone's upper edge over the ground, east 0, from rotation vectors (k, 3)."""
+    """(k,) horizontal direction of the upper edge of the phone, 0 is east, from rotation vectors (k, 3)."""
     x, y, z = np.asarray(rotation_vector, float).T
     w = np.sqrt(np.maximum(0.0, 1.0 - x * x - y * y - z * z))
     return np.arctan2(1.0 - 2.0 * (x * x + z * z), 2.0 * (x * y - z * w))
@@ -76,7 +77,7 @@ def dead_reckoning(
 ) -> tuple[Array, Array]:
     """Poses (n, 3) at times (n,), and turns between them (n - 1,) not wrapped.
 
-    Positions run evenly through each step. Headings (k,) belong to times (k,).
+    Positions are interpolated within each step. Headings (k,) belong to times (k,).
     """
     unwrapped = np.unwrap(heading_rad)
     at_step = np.interp(step_time_s, time_s, unwrapped)
@@ -89,35 +90,28 @@ def dead_reckoning(
 
 
 def read_walks(folder: str | Path, traces_max: int | None = None) -> list[WalkerTrace]:
-    """All traces of one floor of indoor20 that hold two scans or more. Radios become numbers that the traces share.
+    """All traces of one floor of indoor20 with at least two scans. Numbers of radios are common to all traces.
 
-    Raises DataError for a folder without traces and for broken lines.
+    Raises DataError for a folder without traces and for invalid lines.
     """
-    paths = sorted((Path(folder) / "traces").glob("*.txt*"))[:traces_max]
-    traces = [trace for path in paths if (trace := _read_walk(path)) is not None]
+    traces = [trace for path in trace_paths(folder, traces_max) if (trace := _read_walk(path)) is not None]
     if not traces:
         raise DataError(f"{folder} holds no trace with two scans; check the path")
     return traces
 
 
 def _read_walk(path: Path) -> WalkerTrace | None:
-    rows: dict[str, list[list[str]]] = {
-        f"TYPE_{kind}": [] for kind in ("WAYPOINT", "WIFI", "ACCELEROMETER", "ROTATION_VECTOR")
-    }
-    for line in read_text(path).splitlines():
-        words = line.split("\t")
-        if len(words) > 2 and words[1] in rows:
-            rows[words[1]].append(words)
+    marks, heard, accelerations, rotations = trace_rows(path, "WAYPOINT", "WIFI", "ACCELEROMETER", "ROTATION_VECTOR")
     try:
-        waypoints, acceleration, rotation = (
-            np.array([[float(w[0]) / 1000, *(float(w[2 + k]) for k in range(size))] for w in rows[f"TYPE_{kind}"]])
-            for kind, size in (("WAYPOINT", 2), ("ACCELEROMETER", 3), ("ROTATION_VECTOR", 3))
-        )
-        at_s, prints = phone_hearing.fingerprints(rows["TYPE_WIFI"])
+        waypoints = numbers_in(marks, 0, 2, 3)
+        acceleration, rotation = numbers_in(accelerations, 0, 2, 3, 4), numbers_in(rotations, 0, 2, 3, 4)
+        at_s, prints = phone_hearing.fingerprints(heard)
     except (ValueError, IndexError, OverflowError) as error:
         raise DataError(f"{path.name}: {error}; fetch the trace again") from error
     if len(waypoints) < 2 or len(acceleration) < 10 or len(rotation) < 2:
         return None
+    for table in (waypoints, acceleration, rotation):
+        table[:, 0] /= 1000  # unix time in milliseconds
     inside = (at_s >= waypoints[0, 0]) & (at_s <= waypoints[-1, 0])
     at_s, prints = at_s[inside], [p for p, keep in zip(prints, inside, strict=True) if keep]
     if len(at_s) < 2:

@@ -1,4 +1,4 @@
-"""Files of text, plain or packed."""
+"""Text files, plain or compressed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twc_env.errors import DataError
 def read_text(path: str | Path, errors: str = "strict") -> str:
     """The text of a plain, gzip (.gz) or xz (.xz) file, without a byte order mark; DataError if it cannot be read.
 
-    errors: "replace" takes what is no UTF-8 too, where only comments can hold it.
+    errors: "replace" also accepts invalid UTF-8, for formats where it occurs in comments only.
     """
     path = Path(path)
     try:

@@ -14,9 +14,9 @@ from twc_env.geometry import wrap_angle
 
 
 def write_tum(path: str | Path, times_s: Array, poses: Array) -> None:
-    """Write poses (k, 3) taken at times_s (k,); height, roll and pitch are 0. A name that ends in .gz is packed.
+    """Write poses (k, 3) at times_s (k,); height, roll and pitch are 0. A name that ends in .gz is compressed.
 
-    Raises DataError when the shapes do not belong together, and for what is not finite: no reader takes it.
+    Raises DataError for inconsistent shapes and non-finite values.
     """
     times_s, poses = np.asarray(times_s, float), np.asarray(poses, float)
     if times_s.ndim != 1 or poses.shape != (len(times_s), 3):
@@ -27,7 +27,9 @@ def write_tum(path: str | Path, times_s: Array, poses: Array) -> None:
     half = poses[:, 2] / 2
     zeros = np.zeros(len(poses))
     columns = [times_s, poses[:, 0], poses[:, 1], zeros, zeros, zeros, np.sin(half), np.cos(half)]
-    np.savetxt(path, np.column_stack(columns), fmt=["%.15g"] + 7 * ["%.9g"])  # unix times have ten digits and more
+    np.savetxt(
+        path, np.column_stack(columns), fmt=["%.15g"] + 7 * ["%.9g"]
+    )  # unix times have ten digits before the point
 
 
 def read_tum(path: str | Path) -> tuple[Array, Array]:
@@ -42,7 +44,9 @@ def read_tum(path: str | Path) -> tuple[Array, Array]:
             rows.append(_row(words, path, number))
     values = np.array(rows).reshape(-1, 8)
     qx, qy, qz, qw = values[:, 4:].T
-    heading = np.arctan2(2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz)  # of any length
+    heading = np.arctan2(
+        2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz
+    )  # the quaternion need not be normalised
     return values[:, 0], np.column_stack([values[:, 1:3], wrap_angle(heading)])
 
 

@@ -14,7 +14,7 @@ _PART = "trn01"
 
 
 def read_uji_library(folder: str | Path, month: str) -> RadioSurvey:
-    """One collection of one month ("01", "13"). Raises DataError for files that are missing or do not match."""
+    """One collection of one month ("01", "13"). Raises DataError for missing or inconsistent files."""
     values = []
     for what in ("rss", "crd", "tms"):
         path = Path(folder) / month / f"{_PART}{what}.csv.gz"
@@ -39,7 +39,7 @@ def read_uji_library(folder: str | Path, month: str) -> RadioSurvey:
 
 
 def _seconds(stamps: np.ndarray) -> np.ndarray:
-    """yyyymmddHHMMSSmmm -> seconds within the day; the time since the first scan where all were taken on one day."""
+    """yyyymmddHHMMSSmmm -> seconds since the first scan, if all are from one day."""
     clock = stamps.astype(np.int64) % 10**9
     seconds = clock // 10**7 * 3600 + clock // 10**5 % 100 * 60 + clock // 10**3 % 100 + clock % 1000 / 1000
     return seconds - seconds.min()

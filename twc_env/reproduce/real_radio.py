@@ -52,6 +52,7 @@ from numpy.typing import NDArray as Array
 from twc_env.command_line import count
 from twc_env.config import EnvConfig, RadioSlamConfig, from_dict
 from twc_env.datasets.fingerprints import RadioSurvey
+from twc_env.datasets.indoor20 import trace_paths
 from twc_env.datasets.radio_frames import radio_frames
 from twc_env.datasets.step_heading import WalkerTrace, read_walks
 from twc_env.datasets.uw_floor import read_uw_floor
@@ -105,7 +106,7 @@ def _floor(folder: Path, floor: str, seeds: int, traces_max: int | None) -> list
     if floor == ROBOT_FLOOR:
         return _robot_floor(read_uw_floor(folder / "wifi" / "uw_floor" / "uw-floor.txt"), seeds)
     place = folder / "indoor20" / floor
-    recorded = len(sorted((place / "traces").glob("*.txt*"))[:traces_max])
+    recorded = len(trace_paths(place, traces_max))
     return _mall(floor, read_walks(place, traces_max=traces_max), recorded)
 
 
