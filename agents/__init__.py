@@ -1,6 +1,6 @@
-"""Scripted team policies: beliefs in, actions out. They use the public interface of twc_env only."""
+"""Scripted team policies, which map beliefs to actions. They use the public interface of twc_env only."""
 
-import twc_env  # noqa: F401  first: from then on Ctrl-C is answered with one line
+import twc_env  # noqa: F401  first: handles Ctrl-C during the other imports
 from agents.policy import Policy, make_policy, policy_names
 
 __all__ = ["Policy", "make_policy", "policy_names"]

@@ -117,20 +117,20 @@ def _explore(options: argparse.Namespace) -> int:
 
 
 def _run_folder(config: EnvConfig, agent: str, seed: int) -> Path:
-    """Runs that differ in their settings lie side by side."""
+    """The default run folder, different for different settings."""
     name = f"{_folder_name(config.map)}-{agent.rpartition(':')[2]}-seed{seed}"
     is_usual = config == override(EnvConfig(), {"map": config.map})
     return Path("runs") / (name if is_usual else f"{name}-{digest(config)}")
 
 
 def _folder_name(map_name: str) -> str:
-    """A map's name as part of a path: of files the stem, of generated names all but the separators."""
+    """A map name as part of a path: the stem of a file, or a generated name without separators."""
     path = Path(map_name)
     return path.stem if path.suffix else map_name.replace("/", "-").replace(":", "-")
 
 
 def _folder_names(maps: Sequence[str]) -> dict[str, str]:
-    """A folder for each map; files of one name are told apart by where they lie."""
+    """A folder name for each map; files of the same name are distinguished by their folders."""
     shared = Counter(_folder_name(name) for name in dict.fromkeys(maps))
     return {
         name: _folder_name(name) if shared[_folder_name(name)] == 1 else re.sub(r"[^\w.-]+", "-", name).strip("-")
@@ -146,12 +146,12 @@ def _benchmark(options: argparse.Namespace) -> int:
     jobs, names, folders = [], {}, _folder_names(options.maps)
     for name in folders:
         config = _config(options, name, options.steps)
-        load_map(name)  # a misspelt map fails now, not after an hour
+        load_map(name)  # an unknown map fails before the first episode
         for seed in seeds:
             folder = options.out / folders[name] / f"seed-{seed}"
             jobs.append(benchmark.Job(config, options.agent, seed, folder, not options.no_pictures))
             names[folder] = name
-    make_policy(options.agent)  # a misspelt name fails now
+    make_policy(options.agent)  # an unknown name fails before the first episode
     outdated = sum(map(benchmark.is_outdated, jobs))
     if outdated:
         print(f"{outdated} finished runs used other code or another floor plan: running them again", file=sys.stderr)
@@ -230,7 +230,7 @@ def _radio_survey(options: argparse.Namespace) -> int:
 
 
 def _config(options: argparse.Namespace, map_name: str | None, steps: int | None) -> EnvConfig:
-    """Defaults, then the file or standard task, then the options, then --set."""
+    """The settings: defaults, then the file or standard task, then the options, then --set."""
     if options.config is None:
         config = EnvConfig()
     else:
@@ -241,7 +241,7 @@ def _config(options: argparse.Namespace, map_name: str | None, steps: int | None
 
 
 def _paragraphs(text: str) -> dict[str, Any]:
-    """What a command does goes before its arguments, examples behind them."""
+    """The first paragraph as description, the rest (examples) as epilog."""
     description, _, examples = text.partition("\n\n")
     return {"description": description, "epilog": examples}
 

@@ -1,4 +1,4 @@
-"""Many episodes: several maps, many seeds, one table per map."""
+"""Benchmark: several maps, many seeds, one table per map."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def passes(report: dict[str, Any]) -> bool:
 
 
 def run_jobs(jobs: Iterable[Job], processes: int = 1) -> Iterator[tuple[Job, dict[str, Any], bool]]:
-    """(job, report, whether it was there before) as each is done; what was run without pictures now asked for runs."""
+    """Yield (job, report, whether it was reused) as each is done; jobs whose pictures are missing are run again."""
     waiting = []
     for job in jobs:
         report = report_of(job)
@@ -66,7 +66,7 @@ def run_jobs(jobs: Iterable[Job], processes: int = 1) -> Iterator[tuple[Job, dic
 
 
 def run_job(job: Job) -> dict[str, Any]:
-    """Drive one episode and write its folder. Raises KeyboardInterrupt when it was interrupted."""
+    """Run one episode and write its folder. Raises KeyboardInterrupt if it was interrupted."""
     run = explore(job.config, job.agent, job.seed)
     if run.was_interrupted:
         raise KeyboardInterrupt
@@ -75,19 +75,19 @@ def run_job(job: Job) -> dict[str, Any]:
 
 
 def report_of(job: Job) -> dict[str, Any] | None:
-    """The report of an earlier run of the same job by the same code on the same map; None if there is none."""
+    """The report of an earlier run of the same job with the same code and map, or None."""
     report = _report_with(job)
     origin = {"version": twc_env.__version__, **origin_of(job.config, job.agent)}
     return report if report and all(report.get(key) == value for key, value in origin.items()) else None
 
 
 def is_outdated(job: Job) -> bool:
-    """Whether an earlier run with the same settings is there, but by other code or on another plan."""
+    """Whether there is an earlier run with the same settings, but other code or another floor plan."""
     return _report_with(job) is not None and report_of(job) is None
 
 
 def _report_with(job: Job) -> dict[str, Any] | None:
-    """The report of an earlier run with the same settings, whatever code made it."""
+    """The report of an earlier run with the same settings and any code, or None."""
     try:
         report = json.loads((job.folder / "report.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -98,7 +98,7 @@ def _report_with(job: Job) -> dict[str, Any] | None:
 
 
 def summary_of(reports: list[dict[str, Any]]) -> dict[str, Any]:
-    """Mean, standard deviation, least and greatest of each column, and how many seeds pass."""
+    """Mean, standard deviation, minimum and maximum of each column, and the number of passing seeds."""
     columns = {}
     for key, _, _ in COLUMNS:
         values = [float(r[key]) for r in reports if r.get(key) is not None]
@@ -113,7 +113,7 @@ def summary_of(reports: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def table_of(reports: list[dict[str, Any]]) -> str:
-    """One map's seeds as an aligned table with its statistics below."""
+    """The seeds of one map as an aligned table, with statistics below."""
     reports = sorted(reports, key=lambda r: r["seed"])
     rows = [["seed", *(title for _, title, _ in COLUMNS), "passes"]]
     for report in reports:

@@ -60,9 +60,9 @@ def compare(
     processes: int = 1,
     tell: Callable[[str], None] = lambda text: None,
 ) -> list[Standing]:
-    """Every agent on every map, seed = place in the list; finished episodes are read back from the folder."""
+    """Run every agent on every map, with the index of the map as seed; finished episodes are read from the folder."""
     for agent in agents:
-        make_policy(agent, config)  # a misspelt name fails now
+        make_policy(agent, config)  # an unknown name fails before the first episode
     parts = [(name, agent, seed) for seed, name in enumerate(maps) for agent in agents]
     found: dict[tuple[str, str, int], Outcome] = {}
     finished = FinishedParts(folder, "compare", to_dict(config), ("agents",))
@@ -77,8 +77,8 @@ def compare(
 
 
 def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
-    """One episode, until the agent is finished or time is over."""
-    config = override(config, {"reward.sharing": "team"})  # what the team has covered is read from its terms
+    """Run one episode until the agent is finished or the time is over."""
+    config = override(config, {"reward.sharing": "team"})  # the coverage of the team is read from its reward terms
     env, policy = twc_env.parallel_env(config=config), make_policy(agent, config)
     env.reset(seed=seed)
     policy.reset(seed, env.possible_agents)
@@ -102,8 +102,8 @@ def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
 
 
 def table_of(standings: Sequence[Standing]) -> str:
-    """One line per agent: means over the buildings (time also as interquartile mean), and the gain over the first."""
-    from scipy.stats import trim_mean  # slow to import, and not needed before
+    """One line per agent: means over buildings (time also as interquartile mean), and the gain over the first agent."""
+    from scipy.stats import trim_mean  # slow to import
 
     width = max(18, 2 + max(len(s.agent) for s in standings))
     head = f"{'agent':<{width}}{'reached':>8}{'to 90 % s':>11}{'IQM s':>8}{'mean cov.':>12}{'final cov.':>12}"
@@ -122,7 +122,7 @@ def table_of(standings: Sequence[Standing]) -> str:
 
 
 def as_json(standings: Sequence[Standing]) -> dict:
-    """The same, with every episode."""
+    """The results with every episode, for JSON."""
     return {
         s.agent: {"sooner_s": s.sooner_s, "more": s.more, "episodes": [asdict(outcome) for outcome in s.outcomes]}
         for s in standings

@@ -1,4 +1,4 @@
-"""Run a policy for one episode and write a run folder."""
+"""Run a policy for one episode and write the run folder."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from twc_env.json_values import plain, write_json
 from twc_env.messages import Contacts, SensorFrame
 
 WARM_UP_STEPS = 10
-"""Steps at the start that the speed figures leave out."""
+"""Steps at the start that are excluded from the speed."""
 _WRITTEN = (
     "config.json", "frames.npz", "trace.npz", "pose_graph.g2o", "trajectories/robot_*_*.tum", "map.yaml", "map.pgm",
     "map_[0-9]*.yaml", "map_[0-9]*.pgm", "map.png", "episode.gif", "replay.html", "replay.rrd",
 )  # fmt: skip
-"""Of a run folder, beside the report."""
+"""Files of a run folder besides the report."""
 COMPILER_EVENT = "numba:compiler_lock"
-"""Kernels are compiled when first used, once per installation; that time is no speed of the environment."""
+"""Kernels are compiled at first use, once per installation; this time is excluded from the speed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,12 +43,12 @@ class Run:
 
     result: EpisodeResult
     report: dict[str, Any]
-    """The figures of the result, and those only the driver knows: agent, its code, its map, and speeds."""
+    """The figures of the result, and also agent, digests of code and map, and speeds."""
     film: picture.Film | None
     was_interrupted: bool
     frames: Sequence[Sequence[SensorFrame]]
     contacts: list[Contacts]
-    """What every robot sensed, step by step; `python -m twc_env replay` runs the engine on them again."""
+    """All sensor frames, step by step; `python -m twc_env replay` runs the engine on them again."""
     trace: EpisodeTrace
     """Poses, maps and figures over time; `python -m twc_env replay RUN --html` shows them."""
 
@@ -60,7 +60,7 @@ def explore(
     film: picture.Film | None = None,
     watch: Callable[[int], None] | None = None,
 ) -> Run:
-    """Drive one episode until the policy is finished, `config.max_cycles` steps are over or Ctrl-C is pressed.
+    """Run one episode until the policy is finished, `config.max_cycles` steps are over or Ctrl-C is pressed.
 
     `watch` is called with the number of steps taken. Raises TwcError for an unknown agent or map.
     """
@@ -109,8 +109,8 @@ def explore(
 
 
 def origin_of(config: EnvConfig, agent: str) -> dict[str, str]:
-    """What else than its settings decides a run: the code of twc_env and of the agents, the plan of its map, and the
-    agent, recogniser or back end of one's own."""
+    """Digests of what determines a run besides its settings: the code of twc_env and agents, the floor plan, and
+    user-defined agents, recognisers and back ends."""
     slam = config.slam
     named = {
         "agent_digest": agent,
@@ -122,7 +122,7 @@ def origin_of(config: EnvConfig, agent: str) -> dict[str, str]:
 
 
 def _clock_s(compiling: TimingListener) -> float:
-    """A clock that stands still while kernels are compiled or loaded."""
+    """A clock that excludes the time in which kernels are compiled or loaded."""
     return time.perf_counter() - (compiling.duration if compiling.done else 0.0)
 
 
@@ -133,10 +133,10 @@ def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:
 
 
 def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
-    """Write the run folder: config, frames, pictures, trajectories, pose graph, maps, and last the report.
+    """Write the run folder: config, frames, pictures, trajectories, pose graph, maps, and finally the report.
 
-    What an earlier run left there goes, so that nothing stands beside figures that are not of it; runs that end at the
-    same time write one after the other.
+    Files of an earlier run are deleted first, so that all files belong to one run. Concurrent runs write one after the
+    other.
     """
     with alone_in(folder):
         _write_files(run, folder, pictures)
@@ -155,7 +155,7 @@ def _write_files(run: Run, folder: Path, pictures: bool) -> None:
         poses = getattr(result, f"{kind}_poses")
         for robot in range(poses.shape[1]):
             write_tum(folder / "trajectories" / f"robot_{robot}_{kind}.tum", times_s, poses[:, robot])
-    if any(run.frames):  # robots that never worked have none
+    if any(run.frames):  # there are none if all robots have failed at the start
         write_frame_log(folder / "frames.npz", result.config, run.frames, run.contacts)
     run.trace.write(folder / "trace.npz")
     write_g2o(folder / "pose_graph.g2o", result.graph)
@@ -168,7 +168,7 @@ def _write_files(run: Run, folder: Path, pictures: bool) -> None:
 
 
 def _clear(folder: Path) -> None:
-    """Take away what a run wrote, where a report says that there was one, or one was killed before it; first that."""
+    """Delete the files of an earlier run, its report first, if there is a report or an interrupted run without one."""
     was_killed = (folder / "config.json").is_file() and (folder / "trajectories").is_dir()
     if not (was_killed or (folder / "report.json").is_file()):
         return

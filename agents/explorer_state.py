@@ -1,4 +1,4 @@
-"""How a nearest-frontier team behaves, and what it remembers of each of its robots."""
+"""Settings of a nearest-frontier team, and its state per robot."""
 
 from __future__ import annotations
 
@@ -13,45 +13,45 @@ from twc_env.planning import Follower
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExplorerConfig:
-    """How a nearest-frontier team behaves."""
+    """Settings of a nearest-frontier team."""
 
     check_s: float = 0.5
-    """Goals and paths are checked against the newest map this often, and replanned when they no longer hold."""
+    """Period of checking goals and paths against the newest map, and of replanning if they are no longer valid."""
     replan_s: float = 4.0
     frontier_cells_min: int = 5
-    """Smaller frontiers are noise until no other is left."""
+    """Smaller frontiers are visited only if no other is left."""
     frontier_cells_last: int = 3
     """Smaller frontiers are never visited."""
     small_penalty_m: float = 30.0
     claim_radius_m: float = 3.0
-    """A frontier this near to a mate's goal belongs to the mate."""
+    """A frontier within this distance of a mate's goal belongs to the mate."""
     claim_penalty_m: float = 20.0
     change_penalty_m: float = 2.0
-    """Another goal must be this much nearer before a robot turns away from the one it has."""
+    """A robot changes its goal only for one that is this much nearer."""
     arrival_m: float = 0.3
     arrival_patience_s: float = 1.5
-    """A frontier that is still there this long after arrival is given up."""
+    """A frontier that still exists this long after arrival is given up."""
     stuck_s: float = 4.0
     stuck_m: float = 0.45
-    """A robot that got no further than this in `stuck_s` is stuck."""
+    """A robot that moved less than this in `stuck_s` is stuck."""
     jam_radius_m: float = 2.0
-    """Stuck again this near counts as the same jam ..."""
+    """Being stuck again within this distance counts as the same jam ..."""
     jam_count_max: int = 4
-    """... in which a robot gives way longer each time, up to so many times as long."""
+    """... in which a robot gives way longer each time, up to this factor."""
     tries: int = 2
-    """A goal that failed less often than this is waited for before the team counts as finished."""
+    """The team is not finished while a goal that failed less often than this waits for its next try."""
     forget_s: float = 20.0
-    """A goal that failed is left alone this long, twice as long after each further failure."""
+    """A failed goal is excluded for this time, doubled after each further failure."""
     forget_radius_m: float = 0.8
     tour_spacing_m: float = 2.0
     tour_speed_m_s: float = 0.25
-    """How many metres of detour one second of absence is worth on a tour."""
+    """Detour on a tour that one second since the last visit is worth."""
     tour_sign_bonus_m: float = 20.0
     tour_arrival_m: float = 0.7
     squeeze: float = 0.6
-    """A robot that its map shuts in plans as if it were this many times as wide."""
+    """A robot enclosed by its map plans with its radius multiplied by this."""
     finished_s: float = 5.0
-    """Nothing left to do for this long means finished."""
+    """The team is finished after this time without any goal."""
 
 
 UNSEEN = (-1, 0)
@@ -69,7 +69,7 @@ class Failure:
 
 @dataclass(slots=True, eq=False)
 class ExplorerRobot:
-    """What the team remembers of one robot; all places are in the map frame of its group."""
+    """State of one robot; all positions are in the map frame of its group."""
 
     follower: Follower
     pose: Array = field(default_factory=lambda: np.zeros(3))
@@ -83,22 +83,22 @@ class ExplorerRobot:
     track_m: list[Array] = field(default_factory=list)
     track_step: list[int] = field(default_factory=list)
     anchor: tuple[float, float, int] | None = None
-    """Where (x, y) and at which step it last got on: it is stuck when it has not left this place for long."""
+    """Position (x, y) and step of its last progress; it is stuck if it stays there for long."""
     failures: list[Failure] = field(default_factory=list)
     obstacles: list[tuple[Array, int]] = field(default_factory=list)
-    """Places where it got stuck, with the step until which they are avoided."""
+    """Positions where it got stuck, with the step until which they are avoided."""
     escape_until: int = -1
     escape_bearing: float = 0.0
     replan: bool = True
     jam_m: Array | None = None
-    """Where it was last stuck, in the map frame."""
+    """Position where it was last stuck."""
     jam_count: int = 0
-    """How often in a row about there."""
+    """How often in a row it was stuck near there."""
     is_idle: bool = False
     """The last plan found no frontier."""
 
     def move_frame(self, pose_new_old: Array) -> None:
-        """The map jumped: carry everything remembered over to the new frame, and plan anew."""
+        """After a jump of the map: transform all positions to the new frame, and replan."""
 
         def moved(place_m: Array) -> Array:
             return transform_points(pose_new_old, place_m[None])[0]
@@ -117,6 +117,6 @@ class ExplorerRobot:
         self.replan = True
 
     def drop_goal(self) -> None:
-        """Forget goal and path; the next step plans anew."""
+        """Discard goal and path; the next step replans."""
         self.goal_kind, self.arrived_step, self.replan = "", -1, True
         self.follower.stop()

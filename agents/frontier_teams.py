@@ -1,6 +1,6 @@
-"""Frontier teams that share out the work in other ways, as the literature does; the rest is the nearest-frontier team.
+"""Frontier teams with other ways of task allocation from the literature, based on the nearest-frontier team.
 
-All of them differ only where robots share a map: a robot alone goes to the nearest frontier.
+They differ only for robots that share a map: a robot alone goes to the nearest frontier.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from twc_env.messages import Belief
 from twc_env.planning import PathFinder, Terrain
 
 WORTH_M = 10.0
-"""Detour that a frontier nobody else will see is worth (1 / beta of Burgard et al.)."""
+"""Detour that a frontier is worth if no other robot will see it (1 / beta of Burgard et al.)."""
 UNREACHABLE_M = 1e4
 
 
 class CostUtility(NearestFrontier):
-    """Utility less cost (Burgard, Moors, Stachniss, Schneider 2005): a frontier that a mate's goal looks on is worth
-    less, in proportion to how near that goal is."""
+    """Utility minus cost (Burgard, Moors, Stachniss, Schneider 2005): a frontier visible from the goal of a mate is
+    worth less, the nearer that goal is."""
 
     def __init__(self, config: EnvConfig):
         super().__init__(config)
         self._sight_m = config.lidar.range_max_m
 
     def extra_penalty_m(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> Array:
-        """(frontiers,) what each has lost of its worth."""
+        """(frontiers,) the lost utility of each."""
         centres = terrain.frontier_centres_m
         worth = np.ones(len(centres))
         for goal_m in self.goals_of_mates_m(agent, beliefs):
@@ -39,14 +39,14 @@ class CostUtility(NearestFrontier):
 
 
 class _SharedOut(NearestFrontier, ABC):
-    """Each frontier belongs to one robot of the group; those of others are as far as ones that they are bound for."""
+    """Each frontier is assigned to one robot of the group; those of others get the penalty of claimed frontiers."""
 
     def __init__(self, config: EnvConfig):
         super().__init__(config)
         self._ways = PathFinder()
 
     def extra_penalty_m(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> Array:
-        """(frontiers,) more for those that belong to others."""
+        """(frontiers,) penalty of those assigned to others."""
         belief, count = beliefs[agent], len(terrain.frontier_sizes)
         if not belief.mates:
             return np.zeros(count)
@@ -58,7 +58,7 @@ class _SharedOut(NearestFrontier, ABC):
 
     @abstractmethod
     def shared_out(self, lengths_m: Array) -> Array:
-        """(frontiers,) bool: which belong to the first robot, from path lengths (robots, frontiers)."""
+        """(frontiers,) bool: which are assigned to the first robot, from path lengths (robots, frontiers)."""
 
     def _lengths_m(self, terrain: Terrain, pose: Array) -> Array:
         count = len(terrain.frontier_sizes)
@@ -69,18 +69,18 @@ class _SharedOut(NearestFrontier, ABC):
 
 
 class Assignment(_SharedOut):
-    """One frontier each, so that all ways together are shortest (the Hungarian method, Kuhn 1955)."""
+    """One frontier per robot, with minimum total path length (the Hungarian method, Kuhn 1955)."""
 
     def shared_out(self, lengths_m: Array) -> Array:
-        """The first robot's one frontier; all of them where there are fewer frontiers than robots and it got none."""
+        """The frontier of the first robot; all frontiers if it got none, with fewer frontiers than robots."""
         robots, frontiers = linear_sum_assignment(lengths_m)
         mine = frontiers[robots == 0]
         return np.isin(np.arange(lengths_m.shape[1]), mine) if len(mine) else np.ones(lengths_m.shape[1], bool)
 
 
 class Voronoi(_SharedOut):
-    """Every robot keeps to the frontiers that it is nearer to than any mate is."""
+    """Each robot takes the frontiers to which it is closest."""
 
     def shared_out(self, lengths_m: Array) -> Array:
-        """Those to which no mate has a shorter way."""
+        """The frontiers to which no mate has a shorter path."""
         return lengths_m[0] <= lengths_m.min(axis=0)

@@ -43,14 +43,14 @@ class NearestFrontier:
         self.reset(0, ())
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
-        """Forget everything; the seed only breaks ties when robots are stuck."""
+        """Discard all state; the seed is used only by robots that are stuck or on a tour."""
         self._rng = np.random.default_rng(seed)
         self._robots = {agent: ExplorerRobot(Follower(self.dynamics)) for agent in agents}
         self._terrains: dict[tuple[float, GridMap], tuple[int, Terrain]] = {}
         self._idle_since: int | None = None
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
-        """One command per robot; plans anew where a plan is due."""
+        """One command per robot; replans where necessary."""
         for agent, belief in beliefs.items():
             self._observe(self._robots[agent], belief)
         for agent in self._in_planning_order(beliefs):
@@ -60,16 +60,16 @@ class NearestFrontier:
         return actions
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:
-        """All robots share one map and none has had a frontier it can reach for a while."""
+        """Whether all robots share one map and none has had a reachable frontier for a while."""
         if self._idle_since is None or not beliefs:
             return False
         step = next(iter(beliefs.values())).step
         return (step - self._idle_since) * self.dynamics.time_step_s >= self.explorer.finished_s
 
-    # What happened
+    # Observation
 
     def _observe(self, robot: ExplorerRobot, belief: Belief) -> None:
-        """Take in a belief: frame jumps, the track, being stuck, arrival."""
+        """Update the state from a belief: map jumps, track, being stuck, arrival."""
         pose = np.asarray(belief.pose_map_robot, float)
         map_id = (belief.map_version, len(belief.mates))
         if robot.map_id != UNSEEN and map_id != robot.map_id:
@@ -88,7 +88,7 @@ class NearestFrontier:
             self._get_unstuck(robot, belief)
 
     def _has_arrived(self, robot: ExplorerRobot, belief: Belief) -> bool:
-        """Handle arrival; a frontier that stays although the robot is there counts as failed."""
+        """Handle arrival; a frontier that still exists although the robot is there counts as failed."""
         limit = self.explorer.tour_arrival_m if robot.goal_kind == "tour" else self.explorer.arrival_m
         if math.hypot(robot.goal_m[0] - robot.pose[0], robot.goal_m[1] - robot.pose[1]) > limit:
             robot.arrived_step = -1
@@ -104,7 +104,7 @@ class NearestFrontier:
         return True
 
     def _fail_goal(self, robot: ExplorerRobot, step: int) -> None:
-        """Leave this goal alone for a while, longer with each failure."""
+        """Exclude this goal for a while, longer with each failure."""
         radius = self.explorer.forget_radius_m
         known = [f for f in robot.failures if math.hypot(*(f.place_m - robot.goal_m)) < radius]
         failure = known[0] if known else Failure(robot.goal_m.copy(), 0, 0)
@@ -116,13 +116,13 @@ class NearestFrontier:
         robot.drop_goal()
 
     def _get_unstuck(self, robot: ExplorerRobot, belief: Belief) -> None:
-        """Turn to an open side and drive there for a moment; the second time in a row also give up the goal."""
+        """Turn to an open direction and drive there briefly; the second time in a row also give up the goal."""
         robot.stuck_count += 1
         step = belief.step
         again = robot.jam_m is not None and math.hypot(*(robot.jam_m - robot.pose[:2])) < self.explorer.jam_radius_m
         robot.jam_count = robot.jam_count + 1 if again else 1
         robot.jam_m = robot.pose[:2].copy()
-        # Two robots that meet in a door both give way, each for a random time that grows until they miss each other.
+        # Two robots that meet in a door both give way, for random times that grow until they no longer meet.
         robot.escape_until = step + int(self._rng.integers(14, 24)) * min(robot.jam_count, self.explorer.jam_count_max)
         robot.escape_bearing = open_bearing(belief.ranges_m, self._rng)
         if robot.follower.has_path:
@@ -143,7 +143,7 @@ class NearestFrontier:
         return sorted(due, key=lambda agent: not self._robots[agent].goal_kind)
 
     def _needs_plan(self, robot: ExplorerRobot, belief: Belief) -> bool:
-        """Now and then anyway; at once when the plan was dropped, its frontier was mapped or its path is blocked."""
+        """Whether to replan: periodically, or if the plan was dropped, its frontier mapped or its path blocked."""
         step, explorer, tick = belief.step, self.explorer, self.dynamics.time_step_s
         if step <= robot.escape_until:
             return False
@@ -158,7 +158,7 @@ class NearestFrontier:
         return path_is_blocked(belief.grid, robot.follower.ahead(robot.pose, 3.0), self.dynamics.robot_radius_m)
 
     def _terrain(self, agent: str, beliefs: dict[str, Belief], squeeze: float = 1.0) -> Terrain:
-        """The robot's map as this planning sees it for robots `squeeze` times as wide; shared with who has the same."""
+        """The terrain of the robot's map for `squeeze` times its radius; shared by robots with the same map."""
         belief = beliefs[agent]
         key = squeeze, belief.grid
         if key in self._terrains and self._terrains[key][0] == belief.step:
@@ -169,16 +169,16 @@ class NearestFrontier:
         return terrain
 
     def _plan(self, agent: str, beliefs: dict[str, Belief]) -> None:
-        """Choose goal and path of one robot: a frontier, else a tour, else anything through the narrowest gaps."""
+        """Choose goal and path of one robot: a frontier, else a tour, else any with a smaller robot radius."""
         robot = self._robots[agent]
         robot.replan = False
         plan, kind = self._best_plan(agent, beliefs, self._terrain(agent, beliefs))
         step = beliefs[agent].step
         will_retry = any(f.until_step > step and f.count < self.explorer.tries for f in robot.failures)
         robot.is_idle = kind != "frontier" and not will_retry
-        if plan is None:  # shut in, by the map at least: gaps that noise has narrowed may be wide enough
+        if plan is None:  # enclosed according to the map: noise may have narrowed a gap
             plan, kind = self._best_plan(agent, beliefs, self._terrain(agent, beliefs, self.explorer.squeeze))
-        if plan is None:  # nowhere to go: forget what failed, look around, and try again
+        if plan is None:  # no goal: forget failures, look around, and try again
             robot.goal_kind = ""
             robot.failures.clear()
             robot.obstacles.clear()
@@ -191,7 +191,7 @@ class NearestFrontier:
         robot.follower.start(plan.path_m)
 
     def _best_plan(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> tuple[Plan | None, str]:
-        """The plan to a frontier, or if there is none on a tour; and which of both it is ("" for no plan)."""
+        """The plan to a frontier, else of a tour; and its kind ("" for no plan)."""
         belief, robot = beliefs[agent], self._robots[agent]
         discs = self._discs(robot, belief, terrain)
         plan = self._plan_to_frontier(agent, beliefs, terrain, discs)
@@ -201,7 +201,7 @@ class NearestFrontier:
         return plan, "tour" if plan is not None else ""
 
     def _discs(self, robot: ExplorerRobot, belief: Belief, terrain: Terrain) -> list[Disc]:
-        """What to drive around: mates, places where it got stuck, and scan points the map does not explain."""
+        """Obstacles to avoid: mates, positions where it got stuck, and scan points that the map does not explain."""
         discs = [
             Disc(float(pose[0]), float(pose[1]), 0.6, 12)
             for pose in belief.mates.values()
@@ -212,7 +212,7 @@ class NearestFrontier:
         return discs + self._unexplained(robot.pose, belief.ranges_m, terrain)
 
     def _unexplained(self, pose: Array, ranges_m: Array | None, terrain: Terrain) -> list[Disc]:
-        """Discs over near scan points that fall on open floor."""
+        """Discs around near scan points on open floor."""
         if ranges_m is None or len(ranges_m) == 0:
             return []
         near = np.flatnonzero(ranges_m < 2.5)
@@ -228,7 +228,7 @@ class NearestFrontier:
     def _plan_to_frontier(
         self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
     ) -> Plan | None:
-        """The nearest frontier that is not a mate's and has not failed lately."""
+        """The nearest frontier that is not claimed by a mate and has not failed recently."""
         sizes = terrain.frontier_sizes
         if len(sizes) < 2:
             return None
@@ -255,16 +255,16 @@ class NearestFrontier:
         return self._finder.cheapest(terrain, robot.pose[:2], terrain.labels, penalty, discs)
 
     def extra_penalty_m(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> Array:
-        """(frontiers,) metres of detour by which each frontier of the terrain is less wanted; none here."""
+        """(frontiers,) additional penalty of each frontier [m]; zeros here."""
         return np.zeros(len(terrain.frontier_sizes))
 
     def goals_of_mates_m(self, agent: str, beliefs: dict[str, Belief]) -> list[Array]:
-        """(2,) frontiers that robots of the same group are bound for."""
+        """Frontier goals (2,) of other robots of the group."""
         mates = [other for other, b in beliefs.items() if other != agent and b.robot in beliefs[agent].mates]
         return [self._robots[mate].goal_m for mate in mates if self._robots[mate].goal_kind == "frontier"]
 
     def _banned(self, robot: ExplorerRobot, belief: Belief, beliefs: dict[str, Belief]) -> list[Array]:
-        """Places of goals that failed lately: the robot's own, and its mates' after repeated failure."""
+        """Positions of goals that failed recently: the robot's own, and those of mates after repeated failure."""
         places = [f.place_m for f in robot.failures if f.until_step > belief.step]
         for other, mate_belief in beliefs.items():
             if mate_belief.robot in belief.mates:
@@ -275,23 +275,23 @@ class NearestFrontier:
     # Commands
 
     def _command(self, robot: ExplorerRobot, belief: Belief) -> Array:
-        """Speed and turn rate for now, as shares of the maxima."""
+        """Action: speed and turn rate as shares of the maxima."""
         if belief.step <= robot.escape_until:
             bearing = robot.escape_bearing
             if abs(bearing) > 2.0 and is_open_behind(belief.ranges_m, self.dynamics.robot_radius_m):
-                speed, turn_rate = -0.4 * self.dynamics.speed_max_m_s, 0.0  # quicker than turning round
+                speed, turn_rate = -0.4 * self.dynamics.speed_max_m_s, 0.0  # faster than turning around
             else:
                 x, y = 0.6 * math.cos(bearing), 0.6 * math.sin(bearing)
                 speed, turn_rate = drive_to(x, y, belief.ranges_m, self.dynamics)
             robot.escape_bearing = math.remainder(bearing - turn_rate * self.dynamics.time_step_s, 2 * math.pi)
         elif robot.arrived_step >= 0 or not robot.goal_kind:
-            speed, turn_rate = 0.0, 0.6 * self.dynamics.turn_rate_max_rad_s  # look around: a turn makes a new keyframe
+            speed, turn_rate = 0.0, 0.6 * self.dynamics.turn_rate_max_rad_s  # look around: turning creates keyframes
         else:
             speed, turn_rate = robot.follower.command(robot.pose, belief.ranges_m, self._has_to_wait(robot, belief))
         return as_action(speed, turn_rate, self.dynamics)
 
     def _has_to_wait(self, robot: ExplorerRobot, belief: Belief) -> bool:
-        """A mate with right of way (the lower number) is close ahead."""
+        """Whether a mate with right of way (a lower number) is close ahead."""
         for mate, pose in belief.mates.items():
             if mate >= belief.robot:
                 continue
@@ -301,7 +301,7 @@ class NearestFrontier:
         return False
 
     def _note_idle(self, beliefs: dict[str, Belief]) -> None:
-        """Keep the step since which the whole merged team has had nothing to do."""
+        """Update the step since which the whole merged team has had no frontier."""
         merged = all(len(b.mates) + 1 == len(self._robots) for b in beliefs.values())
         if not (merged and all(self._robots[agent].is_idle for agent in beliefs)):
             self._idle_since = None

@@ -1,4 +1,4 @@
-"""Where a scan leaves room to get away."""
+"""Open directions of a scan."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from twc_env.planning import room_around_m
 
 
 def open_bearing(ranges_m: Array | None, random: np.random.Generator) -> float:
-    """A bearing [rad] in the robot's frame drawn among the open ones of a scan (beams,), the wider the likelier."""
+    """A random open bearing [rad] of a scan (beams,) in the robot frame, weighted by the free space there."""
     if ranges_m is None or len(ranges_m) == 0:
         return float(random.uniform(-math.pi, math.pi))
     weight = np.maximum(room_around_m(ranges_m) - 0.3, 0.0) ** 2 + 1e-9
@@ -20,7 +20,7 @@ def open_bearing(ranges_m: Array | None, random: np.random.Generator) -> float:
 
 
 def is_open_behind(ranges_m: Array | None, radius_m: float) -> bool:
-    """Whether a robot of this radius can back up a little, by its scan (beams,)."""
+    """Whether the scan (beams,) leaves a robot of this radius room to move back a little."""
     if ranges_m is None or len(ranges_m) == 0:
         return False
     beams = len(ranges_m)

@@ -16,13 +16,13 @@ from twc_env.video import film_frame, write_film
 
 ROBOT_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#785e3c", "#6e6edc")
 LINES_CLEAR = 100
-"""More closures of a kind than this are drawn under the paths, the fainter the more there are."""
+"""More closures of a kind than this are drawn below the paths, and fainter the more there are."""
 FRAME_COUNT_MAX = 160
 GIF_WIDTH_PX = 640
 
 
 def require_libraries(gif: bool = True) -> None:
-    """Raise ConfigError before the episode if a library for pictures is missing."""
+    """Raise ConfigError if a library for pictures is missing."""
     missing = [name for name, module in (("matplotlib", "matplotlib"), ("pillow", "PIL")) if not find_spec(module)]
     if missing and (gif or "matplotlib" in missing):
         raise ConfigError(
@@ -31,7 +31,7 @@ def require_libraries(gif: bool = True) -> None:
 
 
 class Film:
-    """Collects frames of an episode of unknown length: whenever there are too many, every second one goes."""
+    """Frames of an episode of unknown length: when there are too many, every second one is dropped."""
 
     def __init__(self, every: int = 5):
         self.every = every
@@ -43,23 +43,23 @@ class Film:
         return step % self.every == 0
 
     def add(self, step: int, frame: Array, caption: str) -> None:
-        """Keep a frame (height, width, 3) uint8 with a line of text under it."""
+        """Add a frame (height, width, 3) uint8 with a caption."""
         self._frames.append(film_frame(frame, caption, GIF_WIDTH_PX))
         self._steps.append(step)
-        if len(self._frames) > FRAME_COUNT_MAX and self.wants(step):  # the last of an episode may come between
+        if len(self._frames) > FRAME_COUNT_MAX and self.wants(step):  # the last frame may be at any step
             self.every *= 2
             kept = [k for k, s in enumerate(self._steps) if s % self.every == 0]
             self._frames, self._steps = [self._frames[k] for k in kept], [self._steps[k] for k in kept]
 
     def write(self, path: Path) -> None:
-        """Save as an endless GIF that rests on its last frame."""
+        """Save as a looping GIF with a pause on its last frame."""
         if not self._frames:
             return
         write_film(path, self._frames, [80] * (len(self._frames) - 1) + [2000])
 
 
 def draw_map(result: EpisodeResult, path: Path) -> None:
-    """Write the map picture: truth under estimate, paths, signs, access points and closures."""
+    """Write the map picture: true walls below the estimated maps, paths, signs, access points and closures."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -92,7 +92,7 @@ def _title(result: EpisodeResult) -> str:
 
 
 def _draw_grids(axes, result: EpisodeResult) -> None:
-    """Each group's map, turned into the building frame; floor tinted by group when there are several."""
+    """Draw the map of each group in the building frame; floor is tinted by group if there are several."""
     from matplotlib.colors import to_rgb
     from matplotlib.transforms import Affine2D
 
@@ -143,7 +143,7 @@ def _draw_paths(axes, result: EpisodeResult) -> None:
 
 
 def _in_building(result: EpisodeResult) -> Array:
-    """Estimated poses (steps + 1, robots, 3), each group laid on the building."""
+    """Estimated poses (steps + 1, robots, 3) in the building frame, aligned by group."""
     placed = result.estimated_poses.copy()
     for robots, pose in zip(result.groups, result.pose_building_map, strict=True):
         placed[:, list(robots)] = compose(pose, result.estimated_poses[:, list(robots)])

@@ -1,4 +1,4 @@
-"""Base class of team policies, and their names; FILE.py:CLASS names your own."""
+"""Base class of team policies, and their names; FILE.py:CLASS names a user-defined one."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Policy(Protocol):
         """For each agent (2,) float32 in [-1, 1]: forward speed and turn rate as fractions of their maxima."""
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:
-        """Whether nothing is left to do, so that an episode may end early."""
+        """Whether there is nothing left to do, so that the episode may end early."""
 
 
 _POLICIES: dict[str, type[Policy]] = {

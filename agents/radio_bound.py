@@ -1,7 +1,7 @@
-"""How short a walk could be for one who knew the building: what to measure an active walk against.
+"""Lower bound on the path length of an active walk: the shortest walk found with a known building.
 
-No noise, every ray is read as it should be, and no wall is taken for floor. The walk is the shortest that the search
-met, so that a shorter one may exist; one who must find the walls on the way cannot be expected to get there.
+Readings are noise-free and walls are known. The search is a heuristic, so a shorter walk may exist; a robot that has to
+discover the walls is not expected to reach the bound.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ RESOLUTION_M = 0.1
 
 
 def shortest_known_walk_m(plan, start_m: Array, share: float) -> float:
-    """Length of the shortest walk found from start_m (2,) whose rays clear this share of the floor; inf: none does."""
+    """Length of the shortest walk found from start_m (2,) whose rays clear this share of the floor; inf if none
+    does."""
     seen = grid_of(plan, RESOLUTION_M)
     radio = GridMap(np.zeros_like(seen.log_odds), seen.origin_m, RESOLUTION_M)
     transmitter_m = np.array([point.position_m for point in plan.access_points])

@@ -1,4 +1,4 @@
-"""The nearest-frontier team with a prior from radio: frontiers beyond which signal strength tells floor come first."""
+"""The nearest-frontier team with a radio prior: it prefers frontiers beyond which floor is predicted from WiFi."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from twc_env.messages import Belief
 from twc_env.planning import Terrain
 
 REACH_M = 4.0
-"""How far beyond a frontier unseen floor counts."""
+"""Unseen floor within this distance of a frontier counts."""
 METRES_PER_M2 = 0.3
-"""Detour that one square metre of floor told by radio is worth."""
+"""Detour that one square metre of predicted floor is worth."""
 BONUS_MAX_M = 6.0
 
 
 class RadioFrontier(NearestFrontier):
-    """Needs `slam.k_visibility.enabled`; without a radio map it is the nearest-frontier team."""
+    """Needs `slam.k_visibility.enabled`; without a radio map it equals the nearest-frontier team."""
 
     def extra_penalty_m(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> Array:
-        """(frontiers,) less for those beyond which radio tells free floor that no scan has seen."""
+        """(frontiers,) smaller penalty for frontiers next to unseen floor predicted from radio."""
         return told_by_radio_m(beliefs[agent], terrain.frontier_centres_m)
 
 
 def told_by_radio_m(belief: Belief, centres_m: Array) -> Array:
-    """(frontiers,) metres of detour by which frontiers at centres (frontiers, 2) are less wanted than the best."""
+    """(frontiers,) penalty [m] of frontiers at centres (frontiers, 2) relative to the best one."""
     radio, grid = belief.radio_map, belief.grid
     if radio is None or grid.log_odds.size == 0:
         return np.zeros(len(centres_m))

@@ -26,7 +26,7 @@ from twc_env.messages import GridMap
 
 AGENTS = ("wall-follower", "radio-walk")
 STEP_M = 1.0
-"""The map is scored every so far along the path."""
+"""Path length between two evaluations of the map."""
 RADIO = {
     "radio.preset": "sfw",
     "slam.k_visibility.enabled": True,
@@ -37,18 +37,18 @@ RADIO = {
     "slam.k_visibility.are_transmitters_known": True,
     "slam.k_visibility.period_scans": 5,
 }
-"""The radio of the k-visibility twins, and an engine that knows its signal and where the routers stand."""
+"""Radio of the k-visibility twins, and an engine with known signal model and router positions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Walked:
-    """One walk, scored along the way."""
+    """One walk, scored along its path."""
 
     path_m: list[float]
     iou: list[float]
-    """Free floor; unknown floor counts as missed."""
+    """IoU of free floor; unknown floor counts as missed."""
     iou_published: list[float]
-    """Free floor among known cells (papers.md K18)."""
+    """IoU of free floor among known cells (papers.md K18)."""
     coverage: list[float]
     is_finished: bool
     start_m: list[float]
@@ -65,17 +65,18 @@ class Comparison:
     active: Walked
 
     def path_share(self, part: float = 1.0) -> float:
-        """Path that the active walk needs for this part of the last IoU along the walls, by what is needed there."""
+        """Path length at which the active walk reaches this part of the final IoU of wall following, relative to that
+        of wall following."""
         goal = part * self.along_walls.iou[-1]
         return _reached_m(self.active, goal) / max(_reached_m(self.along_walls, goal), STEP_M)
 
     def bound(self, plan) -> float:
-        """As `path_share`, of the shortest walk found by who knows the building and reads without noise."""
+        """As `path_share`, for the shortest walk found with a known building and noise-free readings."""
         known_m = shortest_known_walk_m(plan, np.array(self.along_walls.start_m), self.along_walls.iou[-1])
         return known_m / max(_reached_m(self.along_walls, self.along_walls.iou[-1]), STEP_M)
 
     def at_share(self, share: float) -> tuple[float, float]:
-        """IoU of both walks after this share of the walk along the walls."""
+        """IoU of both walks after this share of the path of wall following."""
         limit = share * self.along_walls.path_m[-1]
         return tuple(  # type: ignore[return-value]
             max([iou for m, iou in zip(w.path_m, w.iou, strict=True) if m <= limit], default=0.0)
@@ -86,7 +87,7 @@ class Comparison:
 def compare(
     names: list[str], seeds: Sequence[int], steps: int, folder: Path, tell=lambda text: None
 ) -> list[Comparison]:
-    """Every building with every seed; finished walks are read back."""
+    """Run every building with every seed; finished walks are read from the folder."""
     finished = FinishedParts(folder, "radio-survey", {"steps": steps}, ("agents",))
     if finished.remark:
         tell(finished.remark)
@@ -109,7 +110,7 @@ def median_share(shares: list[float]) -> tuple[float, float, float]:
 
 
 def survey(config: EnvConfig, agent: str, seed: int) -> Walked:
-    """Let an agent walk, and score its map from radio every `STEP_M`."""
+    """Run an agent, and score its radio map every `STEP_M`."""
     env = twc_env.parallel_env(config=config)
     policy = make_policy(agent, config)
     env.reset(seed=seed)
@@ -145,7 +146,7 @@ def score(radio: GridMap, pose_building_map: Array, plan) -> tuple[float, float,
 
 
 def _reached_m(walked: Walked, goal: float) -> float:
-    """Path [m] until a walk first had this IoU; infinite: never."""
+    """Path length [m] at which a walk first reached this IoU; inf if never."""
     return next((m for m, iou in zip(walked.path_m, walked.iou, strict=True) if iou >= goal), math.inf)
 
 

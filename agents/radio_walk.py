@@ -1,7 +1,7 @@
-"""Walk where the radio will tell most: the shortest walk whose rays to the transmitters clear what is doubtful.
+"""Active mapping from radio: the shortest walk whose rays to the transmitters clear uncertain cells.
 
-The active walk that inverse k-visibility leaves to future work. Needs `slam.k_visibility.enabled`. The walk is planned
-whole, over all floor that the robot has seen, and anew after every straight stretch of it.
+This is the active walk that inverse k-visibility leaves to future work. Needs `slam.k_visibility.enabled`. The whole
+walk is planned over all floor that the robot has seen, and replanned after every straight part of it.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from twc_env.messages import Belief
 from twc_env.planning import Driver, PathFinder, Terrain, WalkGraph, as_action, covering_walk, walk_graph
 
 SPACING_M = 0.25
-"""Between places that the walk may visit."""
+"""Spacing of positions that the walk may visit."""
 PRICES_M = (0.02, 0.05, 0.15)
-"""A cell is worth so much way, at first and when nothing is worth that much any more."""
+"""Path length per cell that a detour may cost, in increasing order: the next is used if no walk is left."""
 TRIES = 20_000
 STRIDE_M, STRAY_M = 2.5, 0.14
-"""So much of the walk is walked before it is planned anew, while a straight line strays no further from it."""
+"""Maximum length of the walk between two plans, and its maximum deviation from a straight line."""
 PACE_M_S = 0.45
-"""Walked no faster, so that rays stand close."""
+"""Maximum speed, so that rays are close to each other."""
 FRONTIER_CELLS, FRONTIER_M = 8, 0.6
-"""Being so near to the edge of what is known is worth so many cells for each cell of that edge."""
+"""Value [cells] of each frontier cell, and the distance within which it counts as visited."""
 GAIN_MIN_CELLS = 8
-"""Where a walk promises less, it is over."""
+"""The survey ends if a walk would clear fewer cells."""
 HUG = 0.8
-"""Places are taken as if robots were so many times as wide; scans keep them from touching what is nearer."""
+"""Factor on the robot radius in planning; collisions are avoided by scans."""
 HELD_UP_TICKS, HELD_UP_M = 5, 0.5
-"""A robot that came no nearer to its goal in this time, so near to it, goes elsewhere."""
+"""A robot within this distance of its goal that makes no progress for this many steps chooses another goal."""
 IDLE_TICKS = 30
 ARRIVAL_M = 0.08
-"""Corners of rooms are walked into: a ray clears floor no further than the robot goes."""
+"""Distance at which a goal is reached; small, because rays only clear floor up to the robot."""
 
 
 class RadioWalk:
-    """Every robot for itself: nearest frontiers until a transmitter is found, then the walk that tells most."""
+    """Each robot on its own: nearest frontiers until a transmitter is found, then the most informative walk."""
 
     def __init__(self, config: EnvConfig):
         self._dynamics = config.dynamics
@@ -49,7 +49,7 @@ class RadioWalk:
         self.reset(0, ())
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
-        """Forget everything."""
+        """Discard all state."""
         self._drivers = {agent: Driver(self._dynamics, self._finder) for agent in agents}
         self._random = {agent: np.random.default_rng([seed, n]) for n, agent in enumerate(agents)}
         self._goals_m: dict[str, Array] = {}
@@ -61,11 +61,11 @@ class RadioWalk:
         self._idle = dict.fromkeys(agents, 0)
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
-        """On along the chosen path, or a new choice."""
+        """Follow the chosen path, or choose a new one."""
         return {agent: self._drive(agent, belief) for agent, belief in beliefs.items()}
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:
-        """Whether no robot has found anything worth walking for a while."""
+        """Whether no robot has found a worthwhile walk for a while."""
         return bool(beliefs) and all(self._idle[agent] >= IDLE_TICKS for agent in beliefs)
 
     def _drive(self, agent: str, belief: Belief) -> Array:
@@ -75,7 +75,7 @@ class RadioWalk:
         if driver.status == "failed" or (driver.status == "driving" and self._is_held_up(agent, here)):
             self._given_up_m[agent].append(self._goals_m[agent])
             driver.stop()
-        if driver.status == "arrived":  # what is told no nearer than a robot gets to walls is not tried for again
+        if driver.status == "arrived":  # cells that cannot be cleared from here are not tried again
             walked += list(self._stretch_m[agent])
         if driver.status != "driving":
             goal = self._choose(agent, belief)
@@ -88,19 +88,19 @@ class RadioWalk:
         return as_action(min(speed, PACE_M_S), turn_rate, self._dynamics)
 
     def _is_held_up(self, agent: str, here: Array) -> bool:
-        """Whether the robot, near its goal, comes no nearer: the wall is nearer than the map has it."""
+        """Whether the robot, near its goal, makes no progress, as when the wall is closer than in the map."""
         away, (nearest, ticks) = math.dist(here, self._goals_m[agent]), self._nearest[agent]
         self._nearest[agent] = (away, 0) if away < nearest - 0.02 else (nearest, ticks + 1)
         return ticks >= HELD_UP_TICKS and away < HELD_UP_M
 
     def _terrain_of(self, belief: Belief, squeeze: float) -> Terrain:
-        """Floor near walls costs no more: rays to there cross most floor."""
+        """Terrain without extra cost near walls, where rays cross most floor."""
         terrain = Terrain.of(belief, squeeze * HUG * self._dynamics.robot_radius_m)
         terrain.cost = np.where(terrain.cost > 0, 2, 0).astype(terrain.cost.dtype)
         return terrain
 
     def _choose(self, agent: str, belief: Belief) -> Array | None:
-        """(2,) where to go next; None when nothing promises enough."""
+        """(2,) the next goal; None if no walk is worthwhile."""
         terrain, here = self._terrain_of(belief, 1.0), belief.pose_map_robot[:2]
         if belief.radio_map is None or len(belief.transmitter_m) == 0:
             plan = self._finder.cheapest(terrain, here, terrain.labels, np.zeros(len(terrain.frontier_sizes)))
@@ -124,7 +124,7 @@ class RadioWalk:
         return None
 
     def _first_stretch(self, agent: str, graph: WalkGraph, turns: Array) -> Array:
-        """(2,) the end of the walk's first straight stretch; what comes after it is kept for the next plan."""
+        """(2,) the end of the first straight part of the walk; the rest is kept for the next plan."""
         way_m = graph.places_m[graph.way(turns)]
         along_m = travelled_m(way_m)
         last = int(np.argmax(np.linalg.norm(way_m - way_m[0], axis=1) > ARRIVAL_M))
@@ -137,7 +137,7 @@ class RadioWalk:
 
 
 def _frontiers_met(terrain: Terrain, places_m: Array, walked_m: Array) -> Array:
-    """(places, k) whether each place is near each piece of the edge of what is known that was not near before."""
+    """(places, k) bool: whether a position is near a frontier cell that was not near the walk so far."""
     rows, columns = np.nonzero(terrain.labels > 0)
     edge_m = terrain.to_metres(np.column_stack([rows, columns]) + 0.5)
     edge_m = edge_m[(np.linalg.norm(edge_m[:, None] - walked_m, axis=2) >= FRONTIER_M + 2 * ARRIVAL_M).all(axis=1)]
@@ -146,7 +146,7 @@ def _frontiers_met(terrain: Terrain, places_m: Array, walked_m: Array) -> Array:
 
 
 def _strays_m(way_m: Array) -> float:
-    """How far the points between (k, 2) lie from the straight line between the first and the last."""
+    """Maximum distance of points (k, 2) from the straight line between the first and the last."""
     along = way_m[-1] - way_m[0]
     length = float(np.hypot(*along))
     if length < 1e-9:

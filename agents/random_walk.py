@@ -1,4 +1,4 @@
-"""The policy to beat: smooth random velocities, blind to everything."""
+"""Baseline policy: smooth random velocities, independent of all observations."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from twc_env.messages import Belief
 
 
 class RandomWalk:
-    """Forward speed and turn rate wander about fixed means (an Ornstein-Uhlenbeck process per robot)."""
+    """Forward speed and turn rate vary around fixed means (an Ornstein-Uhlenbeck process per robot)."""
 
     MEAN = np.array([0.5, 0.0])
     SPREAD = np.array([0.4, 0.6])
-    """Standard deviation over a long time, as shares of the maxima."""
+    """Stationary standard deviation, as shares of the maxima."""
     MEMORY_S = 2.0
-    """Time after which a velocity is mostly forgotten."""
+    """Correlation time."""
 
     def __init__(self, config: EnvConfig):
         self._keep = math.exp(-config.dynamics.time_step_s / self.MEMORY_S)
         self.reset(0, ())
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
-        """Start the wander anew; the same seed gives the same velocities."""
+        """Restart; the same seed gives the same velocities."""
         self._rng = np.random.default_rng(seed)
         self._agents = tuple(agents)
         self._wander = self._rng.normal(size=(len(self._agents), 2))
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, NDArray]:
-        """The next velocities; what the robots believe does not matter."""
+        """The next velocities, independent of the beliefs."""
         fresh = self._rng.normal(size=self._wander.shape)
         self._wander = self._keep * self._wander + math.sqrt(1 - self._keep**2) * fresh
         actions = np.clip(self.MEAN + self.SPREAD * self._wander, -1.0, 1.0).astype(np.float32)
         return {agent: actions[i] for i, agent in enumerate(self._agents) if agent in beliefs}
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:
-        """Never: it has no goal."""
+        """Always False: there is no goal."""
         return False

@@ -1,4 +1,4 @@
-"""What the rays from transmitters to places would clear of the map from radio, as far as scans have shown walls."""
+"""Cells of the radio map that rays from transmitters to positions would clear, given the walls known from scans."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from twc_env.messages import GridMap
 from twc_env.planning import Terrain
 
 WALL_DENSITY = 0.04
-"""A ray with more walls than this per cell clears nothing: so many there are before anything is known."""
+"""Prior density of walls per cell: a ray with more walls clears nothing."""
 SURE_LEVELS = 4.0
-"""A cell that is this sure to be free, as the map holds log-odds, is not doubtful any more."""
+"""A cell with lower log-odds than minus this is certainly free."""
 FAN = (-0.6, -0.3, 0.0, 0.3, 0.6)
-"""Rays end so far beside a place, in spacings of places: readings are taken all the way from one to the next."""
+"""Lateral offsets of rays at a position, in units of the spacing: readings are taken between positions too."""
 
 
 class RayGain:
-    """Which doubtful cells the rays from the transmitters to a place would clear."""
+    """Computes which uncertain cells the rays from the transmitters to a position would clear."""
 
     def __init__(self, radio: GridMap, seen: GridMap, transmitter_m: Array, spacing_m: float):
-        """Doubtful is floor that scans have seen and the map from radio does not hold to be free surely enough."""
+        """Uncertain cells are floor in `seen` (from scans) that is not certainly free in the radio map."""
         self._transmitter_m, self._cell_m, self._spacing_m = transmitter_m, seen.resolution_m, spacing_m
         self._origin_m = np.asarray(seen.origin_m, float)
         rows, columns = seen.log_odds.shape
@@ -31,12 +31,13 @@ class RayGain:
         self._number[1:-1, 1:-1][is_doubtful] = np.arange(is_doubtful.sum())
 
     def told(self, places_m: Array, walked_m: Array) -> Array:
-        """(places, cells) what rays to each place would clear of what no ray to the places walked was to clear."""
+        """(places, cells) bool: cells that rays to each position would clear, except those cleared on the walk so
+        far."""
         held = self._cleared(walked_m).any(axis=0)
         return self._cleared(places_m) & ~held
 
     def _cleared(self, places_m: Array) -> Array:
-        """(places, doubtful cells) bool."""
+        """(places, uncertain cells) bool: cells cleared by rays to each position."""
         cleared = np.zeros((len(places_m), max(int(self._number.max()) + 1, 1)), np.bool_)
         for transmitter_m in self._transmitter_m:
             away = places_m - transmitter_m
@@ -52,13 +53,13 @@ class RayGain:
         return cleared
 
     def _cells(self, points_m: Array) -> tuple[Array, Array]:
-        """Rows and columns of points (..., 2) on the grid with its border; those outside are on the border."""
+        """Rows and columns of points (..., 2) on the padded grid; points outside are on the border."""
         at = np.floor((points_m - self._origin_m) / self._cell_m).astype(int) + 1
         rows, columns = self._number.shape
         return np.clip(at[..., 1], 0, rows - 1), np.clip(at[..., 0], 0, columns - 1)
 
     def _is_clear(self, row: Array, column: Array, distance_m: Array) -> Array:
-        """(rays,) whether rays with samples in these cells (rays, samples) meet few walls for their length."""
+        """(rays,) whether rays with samples in these cells (rays, samples) cross few walls for their length."""
         walls = self._is_wall[row, column]
         runs = walls[:, 0].astype(int) + (walls[:, 1:] & ~walls[:, :-1]).sum(axis=1)
         return runs < WALL_DENSITY * distance_m / self._cell_m

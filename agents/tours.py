@@ -1,4 +1,4 @@
-"""Tours of a robot that has no frontier left: to signs and to places that it has not seen for longest."""
+"""Tours of a robot without frontiers: to signs and to positions not visited for longest."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from twc_env.planning import Disc, PathFinder, Plan, Terrain
 
 
 class Tours:
-    """Chooses where to go next; maps merge where two robots have both been."""
+    """Chooses tour goals, because maps merge where two robots have both been."""
 
     def __init__(self, finder: PathFinder, explorer: ExplorerConfig, time_step_s: float):
         self._finder, self._explorer, self._time_step_s = finder, explorer, time_step_s
@@ -20,9 +20,9 @@ class Tours:
         self, robot: ExplorerRobot, belief: Belief, terrain: Terrain, discs: list[Disc], banned: list[Array],
         random: np.random.Generator,
     ) -> Plan | None:  # fmt: skip
-        """The place that is worth a visit most: signs and spots where the robot has not been for long."""
+        """The plan to the most valuable goal: signs, and positions not visited for long."""
         explorer = self._explorer
-        if robot.goal_kind == "tour":  # keep it, only refresh the path
+        if robot.goal_kind == "tour":  # keep the goal, update the path
             labels = np.zeros_like(terrain.labels)
             if self._mark(labels, terrain, robot.goal_m, 1):
                 plan = self._finder.cheapest(terrain, robot.pose[:2], labels, np.zeros(2), discs)
@@ -43,7 +43,7 @@ class Tours:
         return self._finder.cheapest(terrain, robot.pose[:2], labels, penalty, discs)
 
     def _tour_places(self, belief: Belief, terrain: Terrain) -> tuple[Array, Array]:
-        """Open spots on a lattice and in front of signs (k, 2), and each one's bonus (k,)."""
+        """Open positions on a lattice and at signs (k, 2), and the bonus of each (k,)."""
         stride = max(1, round(self._explorer.tour_spacing_m / terrain.resolution_m))
         rows, columns = np.nonzero(terrain.cost[stride // 2 :: stride, stride // 2 :: stride])
         cells = np.column_stack([rows, columns]) * stride + stride // 2 + 0.5
@@ -55,14 +55,14 @@ class Tours:
         return np.vstack([places, signs]), bonus
 
     def _mark(self, labels: Array, terrain: Terrain, place_m: Array, label: int) -> bool:
-        """Label the open cells within half a metre of a place (signs hang on walls); False if there are none."""
+        """Label the open cells within half a metre of a position (signs are on walls); False if there are none."""
         part = terrain.patch(place_m, 0.5)
         open_cells = terrain.cost[part] > 0
         labels[part][open_cells] = label
         return bool(open_cells.any())
 
     def _absence_s(self, robot: ExplorerRobot, places: Array, step: int) -> Array:
-        """(k,) seconds since the robot was last within 2 m of each place."""
+        """(k,) seconds since the robot was last within 2 m of each position."""
         last = np.zeros(len(places))
         track, steps = np.array(robot.track_m[-600:]), np.array(robot.track_step[-600:])
         for k, place in enumerate(places):

@@ -1,4 +1,4 @@
-"""Keep the wall on the right, at an even distance: the walk of inverse k-visibility's experiments."""
+"""Wall following at a constant distance, with the wall on the right, as in the experiments of inverse k-visibility."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from twc_env.planning import as_action, drive_to
 
 STANDOFF_M = 0.35
 GAIN_RAD_M = 3.0
-"""How sharply it turns to or from the wall, per metre that the distance is wrong."""
+"""Turn towards or away from the wall per metre of distance error."""
 TURN_MAX_RAD = 0.9
 RIGHT_RAD, AHEAD_RAD = -2.6, 0.7
-"""The sector in which the wall is looked for: from behind on the right to a little left of ahead."""
+"""Sector in which the wall is searched: from right behind to slightly left of ahead."""
 AIM_M = 0.5
 ROUND_M, LEFT_M = 0.7, 3.0
-"""A round is done within this distance of its start, once the robot has been this far from it."""
+"""A round ends within the first distance of its start, after the robot was farther away than the second."""
 
 
 class WallFollower:
-    """Drives straight until there is a wall, then along it; finished when every robot has come round."""
+    """Drives straight to a wall, then along it; finished when every robot has completed a round."""
 
     def __init__(self, config: EnvConfig):
         self._dynamics = config.dynamics
         self.reset(0, ())
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
-        """Forget everything."""
+        """Discard all state."""
         self._start: dict[str, Array] = {}
         self._has_left: set[str] = set()
         self._done: set[str] = set()
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
-        """Along the wall, for every robot."""
+        """Follow the wall with every robot."""
         return {agent: self._follow(agent, belief) for agent, belief in beliefs.items()}
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:
-        """Whether all are back where each first met its wall."""
+        """Whether all robots are back where they first reached a wall."""
         return bool(beliefs) and all(agent in self._done for agent in beliefs)
 
     def _follow(self, agent: str, belief: Belief) -> Array:
@@ -58,7 +58,7 @@ class WallFollower:
         return as_action(speed, turn_rate, self._dynamics)
 
     def _note_round(self, agent: str, belief: Belief) -> None:
-        """Rounds are told by dead reckoning, which never jumps."""
+        """Update the progress of the round, from dead reckoning, which never jumps."""
         here = np.asarray(belief.pose_odom[:2], float)
         away_m = math.dist(here, self._start.setdefault(agent, here.copy()))
         if away_m > LEFT_M:
@@ -68,7 +68,7 @@ class WallFollower:
 
 
 def nearest_wall(ranges_m: Array | None) -> tuple[float, float]:
-    """Bearing [rad] and distance [m] of the nearest return on the right or ahead; infinite where there is none."""
+    """Bearing [rad] and distance [m] of the nearest return in the sector; infinite distance if there is none."""
     if ranges_m is None or len(ranges_m) == 0:
         return 0.0, math.inf
     bearings = np.arange(len(ranges_m)) * (2 * math.pi / len(ranges_m))

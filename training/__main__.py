@@ -20,7 +20,7 @@ from twc_env.errors import DataError
 from twc_env.json_values import check_folder, write_json
 
 SEEDS = 2**31
-"""torch and numpy take no larger ones, with the steps added that were taken before a resumption."""
+"""Seeds are below this: torch and numpy accept no larger ones, and resuming adds the number of steps."""
 
 
 def main(arguments: list[str] | None = None) -> int:

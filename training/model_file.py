@@ -1,4 +1,4 @@
-"""Models on disk: written so that a crash leaves the old one whole, read so that a wrong one is named."""
+"""Model files: written atomically, and read with clear errors."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from twc_env.errors import DataError
 
 
 def save_model(model: PPO, path: Path) -> None:
-    """Save so that a crash in between leaves the old model whole."""
+    """Save atomically: a crash leaves the old model intact."""
     part = path.with_name("model.part.zip")
     model.save(part)
     part.replace(path)
 
 
 def load_model(path: Path, policy: type, seen: spaces.Space, chosen: spaces.Space, teams: VecEnv | None = None) -> PPO:
-    """A model that sees and chooses what these spaces hold, to go on learning where there are teams.
+    """Load a model with these observation and action spaces; `teams` are needed to continue training.
 
-    Raises DataError for a file that is missing, broken, or the model of another task.
+    Raises DataError for a file that is missing, invalid, or the model of another task.
     """
     if not path.is_file():
         raise DataError(f"there is no model {path}; train one, or name the model.zip of a run folder")
     try:
         model = PPO.load(path, device="cpu", custom_objects={"policy_class": policy})
-    except Exception as error:  # a broken or foreign archive surfaces as almost any exception
+    except Exception as error:  # an invalid archive raises almost any exception
         raise DataError(f"cannot read the model {path}: {error}; train anew, or name another") from error
     if (model.observation_space, model.action_space) != (seen, chosen):
         raise DataError(f"{path} was trained with other observations or actions than config.json beside it says")

@@ -94,7 +94,7 @@ class ChoiceFeatures(BaseFeaturesExtractor):
         parts = [rows.reshape(count, -1), seen["action_mask"].reshape(count, -1).float()]
         for key in self.others:
             block = seen[key].reshape(count, -1).float()
-            parts.append(torch.sign(block) * torch.log1p(torch.abs(block)))  # metres reach far
+            parts.append(torch.sign(block) * torch.log1p(torch.abs(block)))  # compresses metres
         return torch.cat([*parts, seen["gained"]], 1)
 
 
@@ -109,7 +109,7 @@ class Look(nn.Module):
         self.situation = nn.Sequential(nn.Linear(features.context, width), nn.Tanh())
 
     def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """(batch, choices, width), the best of each figure of those allowed, the situation, which are allowed, gain."""
+        """(batch, choices, width), their maximum over valid choices, the situation, the mask and the return so far."""
         rows, mask, context, gained = torch.split(features, self.sizes, 1)
         allowed = mask > 0
         choices = self.choice(rows.reshape(len(rows), -1, self.row))
@@ -118,7 +118,7 @@ class Look(nn.Module):
 
 
 class ChoiceScorer(nn.Module):
-    """Scores every choice with one network, given the best of the others and the robot's situation.
+    """Scores every choice with one network, given the maximum over all choices and the robot's situation.
 
     The value function has its own network, which also receives the team's gain so far and so predicts the remaining
     return better. The policy does not use it, and it is not needed for inference.
@@ -132,7 +132,7 @@ class ChoiceScorer(nn.Module):
         self.worth = nn.Sequential(nn.Linear(2 * width + 1, width), nn.Tanh())
 
     def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Logits of the choices, and what the value is read from."""
+        """Logits of the choices, and the features of the value."""
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
@@ -239,7 +239,7 @@ def _check_same_run(folder: Path, task: Task, settings: Settings) -> None:
     record = read_settings(folder)
     if not (folder / "model.zip").exists():
         raise DataError(f"{folder} has no model.zip to resume from; start without --resume")
-    # However many processes there are, the numbers are the same.
+    # The number of processes does not change the results.
     settings = replace(settings, workers=record["settings"].get("workers", settings.workers))
     asked = {"task": {**asdict(task), "kinds": list(task.kinds)}, "settings": asdict(settings)}
     changed = [
@@ -268,13 +268,13 @@ class Progress(BaseCallback):
         if self.num_timesteps > 0 and self.path.exists():
             with self.path.open(newline="") as file:
                 rows = [row for row in csv.reader(file) if len(row) == len(COLUMNS) and row[0].isdigit()]
-        rows = [row for row in rows if int(row[0]) <= self.num_timesteps]  # a kill may leave one ahead of its model
+        rows = [row for row in rows if int(row[0]) <= self.num_timesteps]  # a killed run may lack the model of a row
         self.episodes = int(rows[-1][1]) if rows else 0
         with self.path.open("w", newline="") as file:
             csv.writer(file).writerows([COLUMNS, *rows])
 
     def _on_rollout_start(self) -> None:
-        self.logger.dump(self.num_timesteps)  # what the last update came to stands at the decisions that it learnt from
+        self.logger.dump(self.num_timesteps)  # losses of the last update, at its number of decisions
 
     def _on_step(self) -> bool:
         self.bar.update(self.training_env.num_envs)

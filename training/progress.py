@@ -1,4 +1,4 @@
-"""How far a long run has come."""
+"""Progress of a training or an evaluation."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ LOG_INTERVAL_S = 30.0
 
 
 def progress_bar(items: Iterable | None = None, **settings: Any) -> tqdm:
-    """A bar that moves on a terminal; in a log file, where nothing moves, a line every half minute."""
+    """A progress bar on a terminal; in a log a line every half minute."""
     interval_s = 0.1 if sys.stderr.isatty() else LOG_INTERVAL_S
     return tqdm(items, mininterval=interval_s, maxinterval=max(interval_s, 10.0), **settings)

@@ -1,4 +1,4 @@
-"""The folder of one training run: what was asked for, what came out, and how to make its environments again."""
+"""The folder of one training run: task, settings, and how to recreate its environments."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twc_env.errors import DataError, TwcError
 from twc_env.json_values import write_json
 
 HELD_OUT_SEED = 100_000
-"""Generated buildings from this seed on are never trained in."""
+"""Generated buildings with this seed or a larger one are not used for training."""
 SMALL_VIEW = {
     "action.kind": "frontier",
     "action.timing": "asynchronous",
@@ -22,20 +22,20 @@ SMALL_VIEW = {
     "observation.wifi": False,
     "reward.period_steps": 20,
 }
-"""What a learner chooses and sees by default: candidates, its pose, its mates and recent signs."""
+"""Default actions and observations in training: frontier candidates, pose, team and recent signs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is learnt: a team's exploration of small buildings that it has not seen, or of one map."""
+    """A training task: exploration of unseen small buildings by a team, or of one map."""
 
     map: str | None = None
-    """One bundled map or map file to learn and to be judged in; None: generated buildings."""
+    """A bundled map or map file for training and evaluation; None: generated buildings."""
     kinds: tuple[str, ...] = ("office", "ring", "ward")
-    """Of generated buildings, in turns."""
+    """Kinds of generated buildings, in turn."""
     area_m2: float = 250.0
     buildings: int = 300
-    """Generated buildings to train in."""
+    """Number of generated buildings for training."""
     robots: int = 2
     max_cycles: int = 500
     """Time steps per episode."""
@@ -49,18 +49,18 @@ class Task:
         return configuration.override(configuration.EnvConfig(), {**SMALL_VIEW, **self.overrides, **fixed})
 
     def names(self, first: int, count: int) -> list[str]:
-        """Maps of `count` generated buildings, from one seed on; the one map where there is one."""
+        """Names of `count` generated buildings from seed `first` on, or of the one map."""
         if self.map is not None:
             return [self.map]
         return [f"gen:{self.kinds[k % len(self.kinds)]}:{self.area_m2:g}:{k}" for k in range(first, first + count)]
 
     @property
     def training_maps(self) -> list[str]:
-        """Where the team learns."""
+        """Maps for training."""
         return self.names(0, self.buildings)
 
     def held_out_map(self, number: int) -> str:
-        """One of those where it is judged."""
+        """One of the maps for evaluation."""
         return self.names(HELD_OUT_SEED + number, 1)[0]
 
 
@@ -108,11 +108,11 @@ def read_settings(folder: Path) -> dict:
 
 
 def model_in(path: Path) -> Path:
-    """The model of a run folder, or the one that was named."""
+    """The model of a run folder, or the given model file."""
     return path / "model.zip" if path.is_dir() else path
 
 
 def task_of(record: dict) -> Task:
-    """The task of a run from what its folder says."""
+    """The task in the record of a run folder."""
     values = dict(record["task"])
     return Task(**{**values, "kinds": tuple(values["kinds"])})

@@ -1,7 +1,7 @@
-"""What teams note down while they act: the time that is left, what was gained, where each robot is bound for.
+"""Additional observations of learning teams: remaining time, return so far, and goals of the robots.
 
-It follows from the robots' own observations and choices, but for the gain, which is of use to learn and not to act.
-Robots of one group tell each other their goals, as those of the scripted teams do.
+They follow from the robots' own observations and actions, except the return, which only the value function uses. Robots
+of one group share their goals, as those of the scripted teams do.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ HALF_NEAR_M = 2.0
 
 
 class TeamNotes:
-    """Notes of some teams, a row per robot: row k * robots + r is robot r of team k.
+    """Additional observations of several teams: row k * robots + r is robot r of team k.
 
     | block | shape | meaning |
     |---|---|---|
-    | `clock` | (1,) | share of the time steps that are left |
-    | `gained` | (1,) | rewards since the episode began; for judging only: whoever chooses does not know it |
-    | `goals` | (slots, 2) | how near each frontier is to the robot's own last goal, and to the nearest of its group |
+    | `clock` | (1,) | share of time steps remaining |
+    | `gained` | (1,) | return since the start of the episode; used by the value function only |
+    | `goals` | (slots, 2) | closeness of each frontier to the robot's last goal, and to the nearest goal of its group |
     """
 
     def __init__(self, teams: int, robots: int, max_cycles: int):
@@ -36,12 +36,12 @@ class TeamNotes:
         self._elapsed = np.zeros(teams * robots)
         self._gained = np.zeros(teams * robots)
         self._goals_m = np.full((teams * robots, 2), np.nan)
-        """In the robot's map."""
+        """In the map frame of the robot."""
         self._group_sizes = np.zeros(teams * robots)
 
     @staticmethod
     def space(observed: spaces.Space) -> spaces.Dict:
-        """What is observed, with the notes."""
+        """The observation space with these blocks added."""
         assert isinstance(observed, spaces.Dict)
         slots = (observed["frontiers"].shape or ())[0]
         return spaces.Dict(
@@ -54,7 +54,7 @@ class TeamNotes:
         )
 
     def note_choices(self, seen: dict[str, Array], actions: Array) -> None:
-        """Where the robots head for from now on; who can only stay is busy and keeps its goal."""
+        """Record the new goals of the robots; a robot that can only stay is busy and keeps its goal."""
         slots = seen["frontiers"].shape[1]
         chosen = np.flatnonzero(seen["action_mask"].sum(axis=1) > 1)
         self._goals_m[chosen] = np.nan
@@ -64,7 +64,7 @@ class TeamNotes:
         self._goals_m[bound] = pose[:, :2] + turned(offsets_m, pose[:, 2], pose[:, 3])
 
     def note_outcome(self, time_steps: Array | int, rewards: Array | float = 0.0, ended: Array | bool = False) -> None:
-        """How long a step took and what it paid; notes of ended episodes are thrown away."""
+        """Record the duration and rewards of a step; the state of ended episodes is reset."""
         self._elapsed += time_steps
         self._gained += rewards
         self._elapsed[ended] = self._gained[ended] = 0.0
@@ -72,7 +72,7 @@ class TeamNotes:
         self._group_sizes[ended] = 0.0
 
     def beside(self, seen: dict[str, Array]) -> dict[str, Array]:
-        """Observations with the notes."""
+        """The observations with these blocks added."""
         clock = 1.0 - self._elapsed / self._max_cycles
         blocks = {"clock": clock[:, None].astype(np.float32), "gained": self._gained[:, None].astype(np.float32)}
         return {**seen, **blocks, "goals": self._nearness(seen)}
@@ -80,7 +80,7 @@ class TeamNotes:
     def _nearness(self, seen: dict[str, Array]) -> Array:
         """The block `goals`."""
         sizes = seen["team"][:, :, 0].sum(axis=1)
-        self._goals_m[sizes != self._group_sizes] = np.nan  # the map is another one
+        self._goals_m[sizes != self._group_sizes] = np.nan  # the map frame has changed
         self._group_sizes = sizes
         pose, teams, robots = seen["pose"].astype(float), *self._shape
         own_m = turned(self._goals_m - pose[:, :2], pose[:, 2], -pose[:, 3])  # in each robot's own frame
@@ -101,10 +101,10 @@ class TeamNotes:
 
 
 class NotedTeams(VecEnvWrapper):
-    """Shows the notes of the teams beside what is observed, and makes time's end the end.
+    """Adds the observations of `TeamNotes`, and treats the time limit as the end of the episode.
 
-    What is mapped then is the score, and nothing is to be expected beyond it. Without a clock a choice that passes the
-    time would seem to cost nothing.
+    The area mapped by then is the score, so there is no return after it. Without the clock, a choice that takes long
+    would seem to cost nothing.
     """
 
     def __init__(self, teams: TeamVecEnv, max_cycles: int):
@@ -112,17 +112,17 @@ class NotedTeams(VecEnvWrapper):
         self._new_notes = partial(TeamNotes, teams.num_envs // teams.robots, teams.robots, max_cycles)
 
     def reset(self):
-        """As the teams do, with new notes."""
+        """Reset the teams and the added observations."""
         self.notes, self.seen = self._new_notes(), self.venv.reset()
         return self.notes.beside(self.seen)
 
     def step_async(self, actions):
-        """As the teams do, who note where they go."""
+        """Send actions to the teams, and record the goals."""
         self.notes.note_choices(self.seen, actions)
         self.venv.step_async(actions)
 
     def step_wait(self):
-        """As the teams do, without the mark that asks for the value of going on."""
+        """Results of the teams, without `TimeLimit.truncated`, so that no value is added at the time limit."""
         self.seen, rewards, dones, infos = self.venv.step_wait()
         self.notes.note_outcome(np.array([info["time_steps"] for info in infos]), rewards, dones)
         for info in infos:
@@ -131,7 +131,8 @@ class NotedTeams(VecEnvWrapper):
 
 
 def places_m(rows: Array) -> Array:
-    """(..., 2) in the robot's frame, of rows (..., k) with bearing / pi and d / (d + 10 m) as figures 1 and 2."""
+    """(..., 2) positions in the robot frame, from rows (..., k) with bearing / pi and d / (d + 10 m) in columns 1 and
+    2."""
     bearing, share = np.pi * rows[..., 1].astype(float), np.minimum(rows[..., 2].astype(float), 0.999)
     away = HALF_WAY_M * share / (1.0 - share)
     return np.stack([away * np.cos(bearing), away * np.sin(bearing)], axis=-1)
@@ -144,6 +145,6 @@ def turned(offsets: Array, cosine: Array, sine: Array) -> Array:
 
 
 def near(places: Array, goals: Array) -> Array:
-    """How near places (..., 2) are to goals, in [0, 1]; 0 where there is no goal."""
+    """Closeness of positions (..., 2) to goals, in [0, 1]; 0 without a goal."""
     away = np.hypot(places[..., 0] - goals[..., 0], places[..., 1] - goals[..., 1])
     return np.nan_to_num(HALF_NEAR_M / (HALF_NEAR_M + away))
