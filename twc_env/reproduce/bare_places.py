@@ -39,7 +39,7 @@ WALL_LOSS_DB = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Corridor:
-    """A straight one, closed at both ends."""
+    """A straight corridor, closed at both ends."""
 
     length_m: float
     width_m: float
@@ -48,7 +48,7 @@ class Corridor:
     has_wifi: bool = True
 
     def plan(self) -> Floorplan:
-        """Its floor plan."""
+        """The floor plan."""
         along_m = np.arange(FIRST_SIGN_M, self.length_m, SIGN_SPACING_M) if self.signs else ()
         texts = itertools.cycle(WORDS) if self.signs == "words" else (f"DOOR {k}" for k in itertools.count())
         signs = [Sign(text, np.array([x, 0.0]), math.pi / 2) for x, text in zip(along_m, texts, strict=False)]
@@ -58,12 +58,12 @@ class Corridor:
 
 @dataclass(frozen=True, slots=True)
 class Hall:
-    """A square one."""
+    """A square hall."""
 
     side_m: float
 
     def plan(self) -> Floorplan:
-        """Its floor plan."""
+        """The floor plan."""
         along_m = np.arange(HALL_SPACING_M / 2, self.side_m, HALL_SPACING_M)
         signs = [Sign(f"GATE {k}", np.array([x, 0.0]), math.pi / 2) for k, x in enumerate(along_m)]
         signs += [Sign(f"DOCK {k}", np.array([x, self.side_m]), -math.pi / 2) for k, x in enumerate(along_m)]
@@ -108,7 +108,7 @@ def episode(scene: str, seed: int, robots: int, steps: int) -> dict:
     settings = {"robots": robots, "max_cycles": steps, "action.kind": "frontier"}
     env = ExplorationEnv(config=settings, floorplan=SCENES[scene].plan())
     observations, _ = env.reset(seed=seed)
-    while env.agents:  # the first frontier that the mask allows is the nearest
+    while env.agents:  # the first valid choice is the nearest frontier
         observations, *_ = env.step({agent: int(observations[agent]["action_mask"].argmax()) for agent in env.agents})
     env.engine.finish()
     (mapper,), result = env.engine.mappers, env.result()

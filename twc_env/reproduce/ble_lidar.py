@@ -45,12 +45,12 @@ BEAMS, RANGE_MAX_M = 360, 12.0
 RECOGNISERS = {"lidar": "lidar", "radio+lidar": "fused"}
 CELL_M = 0.1
 SEARCH, SEARCH_SHARE = (0.15, 0.15), (0.4, 0.35)
-"""Window around the commanded motion [m, rad], and how much wider it is for each metre or radian commanded ..."""
+"""Search window around the commanded motion [m, rad], its growth per commanded metre or radian ..."""
 SEARCH_STEP = (0.05, 0.03)
 """... and its steps."""
 REFINE_REACH_M, REFINE_ITERATIONS, DEGENERATE_SHARE, NEAR_WALL_M = 0.4, 20, 0.04, 0.15
 MET_MIN = 0.5
-"""A match that explains a smaller share of the scan is not believed; the command is."""
+"""If a match explains a smaller share of the scan, the commanded motion is used."""
 SETTINGS: dict = {
     "robots": 1,
     "lidar": {"beam_count": BEAMS, "range_max_m": RANGE_MAX_M},
@@ -118,7 +118,7 @@ def _summed(frames: list[SensorFrame]) -> Array:
 
 
 def scan_odometry(frames: list[SensorFrame]) -> list[SensorFrame]:
-    """The frames with the motion that matching each scan to the one before finds in a window around the command."""
+    """The frames with the motion from matching each scan to the previous one, in a window around the command."""
     field = LineField(2 * (RANGE_MAX_M + 1.0), CELL_M, RANGE_MAX_M)
     out = frames[:1]
     for before, frame in itertools.pairwise(frames):
@@ -137,7 +137,7 @@ def scan_odometry(frames: list[SensorFrame]) -> list[SensorFrame]:
 
 
 def _on_plan(path: Array, tracked_m: Array) -> Array:
-    """The path (frames, 3) moved rigidly onto the tracked positions."""
+    """The path (frames, 3) aligned rigidly with the tracked positions."""
     known = np.isfinite(tracked_m[:, 0])
     return compose(metrics.align_team(path[known, :2], tracked_m[known]), path)
 
@@ -169,7 +169,7 @@ def draw_map(path: Array, scans: Array) -> OccupancyGrid:
 
 
 def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
-    """Each drive's map by radio and LiDAR under the outline of the flat."""
+    """Draw the map and path of each method for each drive, with the outline of the flat."""
     data = data_folder() / "wifi" / "ble_lidar"
     ring = read_flat(data).outline_m
     written = []

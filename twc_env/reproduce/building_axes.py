@@ -24,7 +24,7 @@ CHOOSES = ("seeds",)
 LOGS = ("aces", "freiburg-079", "freiburg-101", "intel", "orebro")
 ROUNDS = 100
 LEAST_RAD = np.radians(1.0)
-"""Deviations below this are not told apart: a few ways that lie exactly on an axis would explain all."""
+"""Lower limit of the deviation: otherwise a few segments exactly on an axis would dominate the fit."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +46,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 
 def figures(path: Array) -> dict[str, float]:
-    """Ways along a path (n, 3), the share that follows axes, and how far these are off [deg], one at least."""
+    """Number of segments of a path (n, 3), the share that follows the axes, and their deviation [deg], at least 1."""
     places, axes = spaced(path[:, :2]), BuildingAxes()
     for _ in range(ROUNDS):
         axes = dataclasses.replace(axes.fitted(places), std_rad=max(axes.deviation_rad(places), LEAST_RAD))
@@ -54,7 +54,7 @@ def figures(path: Array) -> dict[str, float]:
 
 
 def spaced(path_m: Array) -> Array:
-    """The first place of a path (n, 2), and each next one that lies `LENGTH_M` or more from the last."""
+    """Points of a path (n, 2): the first, then each next one at least `LENGTH_M` from the last chosen."""
     chosen = [path_m[0]]
     for place in path_m[1:]:
         if np.hypot(*(place - chosen[-1])) >= LENGTH_M:

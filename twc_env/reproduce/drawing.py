@@ -1,4 +1,4 @@
-"""What the pictures of tables share: a figure without a window, and an occupancy map in it."""
+"""Shared parts of pictures: a figure without a window, and drawing of an occupancy map."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 def can_draw() -> bool:
-    """Whether matplotlib is there, for pictures that are left out without it."""
+    """Whether matplotlib is installed, for pictures that are optional."""
     return find_spec("matplotlib") is not None
 
 
 def new_figure(width: float, height: float, dpi: int = 100) -> Figure:
-    """A figure of that size [inches]. Raises DataError without matplotlib."""
+    """A figure of this size [inches]. Raises DataError without matplotlib."""
     if not can_draw():
         raise DataError("pictures need matplotlib; run `pip install 'twc_env[viz]'`")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -33,7 +33,7 @@ def new_figure(width: float, height: float, dpi: int = 100) -> Figure:
 
 
 def draw_grid(axes: Axes, grid: OccupancyGrid) -> None:
-    """Walls black, floor white, the unknown grey, in the metres of the grid."""
+    """Draw a grid in metres: walls black, floor white, unknown cells grey."""
     shown = np.where(grid.log_odds > 0, 0.0, np.where(grid.log_odds < 0, 1.0, 0.6))
     (left, low), (right, top) = grid.origin_m, grid.origin_m + np.array(shown.shape[::-1]) * grid.resolution_m
     extent = (left, right, low, top)

@@ -48,7 +48,7 @@ SUMMARY = "the Intel Lab log from raw odometry to a map: one robot, and split in
 CHOOSES = ("robots", "seeds")
 
 SAME_SCAN_S = 1e-6
-"""Stamps are written to the microsecond: what is farther apart is another scan."""
+"""Time stamps have microseconds: a larger difference means another scan."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -116,7 +116,7 @@ def read_log(count: int) -> tuple[ScanLog, Relations]:
 
 
 def run_engine(log: ScanLog, robots: int) -> dict:
-    """Poses (scans, 3) by the engine, each in the map of its robot's group, and the group (scans,) of each."""
+    """Poses (scans, 3) of the engine, each in the map of its group, and the group (scans,) of each."""
     pieces = np.array_split(np.arange(len(log.times_s)), robots)
     paths = [sensor_frames(log, BEAMS, RANGE_MAX_M, piece, robot) for robot, piece in enumerate(pieces)]
     engine = CooperativeSlam(from_dict(SETTINGS | {"robots": robots}), robots)
@@ -126,7 +126,7 @@ def run_engine(log: ScanLog, robots: int) -> dict:
 
 
 def place_frames(engine: CooperativeSlam, paths: Sequence[Sequence[SensorFrame]]) -> list[Array]:
-    """Run the engine over all robots' frames at once; (frames, 3) of each robot in the map of its group at the end."""
+    """Run the engine on the frames of all robots; (frames, 3) poses of each robot in the final map of its group."""
     poses_odom: list[list[Array]] = [[] for _ in paths]
     for step in range(max(map(len, paths))):
         frames = [path[step] for path in paths if step < len(path)]
@@ -138,14 +138,14 @@ def place_frames(engine: CooperativeSlam, paths: Sequence[Sequence[SensorFrame]]
 
 
 def _in_map(engine: CooperativeSlam, robot: int, poses_odom: Array) -> Array:
-    """(scans, 3) a robot's path, carried by the keyframes that it took on the way."""
+    """(scans, 3) the path of a robot, placed by its keyframes."""
     steps = engine.team.keyframe_steps(robot)
     last = np.searchsorted(steps, np.arange(len(poses_odom)), side="right") - 1
     return compose(engine.team.poses_of(robot)[last], between(poses_odom[steps[last]], poses_odom))
 
 
 def row(method: str, poses: Array, group: Array, relations: Relations, robots: int) -> dict:
-    """Errors of poses (scans, 3), each in the frame of its group (scans,), at the relations (k,) inside one group."""
+    """Errors of poses (scans, 3), each in the frame of its group (scans,), at relations within a group."""
     translation_m, rotation_deg = relations.errors(poses)
     judged = group[relations.first] == group[relations.second]
     exact = judged & (relations.away_s < SAME_SCAN_S)
@@ -166,7 +166,7 @@ def row(method: str, poses: Array, group: Array, relations: Relations, robots: i
 
 
 def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
-    """The map of the largest group of each run, from the log's scans at the engine's poses."""
+    """Draw the map of the largest group of each run, from the scans at the engine's poses."""
     log, _ = read_log(options.scans)
     scans = np.array([frame.ranges_m for frame in sensor_frames(log, BEAMS, RANGE_MAX_M)])
     written = []

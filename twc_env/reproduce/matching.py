@@ -115,7 +115,7 @@ def trials(name: str, options: argparse.Namespace) -> list[dict]:
 def _tasks(
     config: EnvConfig, scans: list[Array], guess: Array, far_guess: Array
 ) -> list[tuple[str, str, str, Callable[[], Array]]]:
-    """(task, method, kind of guess, what to do): each gives the pose that it finds."""
+    """(task, method, kind of guess, function that returns the found pose)."""
     slam, range_max_m = config.slam, config.lidar.range_max_m
     verifier = LoopVerifier(slam.verification, slam.odometry_filter, config.lidar)
     field = LineField(2 * range_max_m + 2.0, FIELD_CELL_M, range_max_m)
@@ -157,7 +157,7 @@ def _keyframe(robot: int, scan: Array) -> Keyframe:
 
 
 def _timed(work: Callable[[], Array]) -> tuple[float, Array]:
-    """The best time [ms] of a few repetitions, after one for compiling, and what came of it."""
+    """The best time [ms] of a few repetitions, after one that compiles, and the result."""
     found = work()
     best = math.inf
     for _ in range(REPEATS):

@@ -37,12 +37,12 @@ from twc_env.world.splits import split_names
 SUMMARY = "map merging from unknown start frames in 100 unseen generated buildings"
 CHOOSES = ("buildings",)
 ROOMS_MAX = 4
-"""Rooms of its own strip that a robot tours."""
+"""Maximum number of rooms of its own strip that a robot tours."""
 STEPS_PER_M = 20.0
 BYTES = ("bytes_to_first_merge", *(f"bytes_{kind}" for kind in KINDS))
 THICKNESS = ("wall_thickness_m", "wall_thickness_true_m")
 STUCK_STEPS, ESCAPE_STEPS = 30, 12
-"""A walker that got nowhere for so many steps backs off for so many, by turns to the left and right."""
+"""A walker without progress for the first number of steps backs off for the second, alternating left and right."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,7 +57,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """A row per building, and one for all `buildings` at the end."""
     names = first_buildings(options.buildings)
     settings = assignments(options.set)
-    override(EnvConfig(), settings)  # a misspelt setting fails now
+    override(EnvConfig(), settings)  # an unknown setting fails before the first episode
     found = runner.each(names, lambda name: merge_in(name, options.robots, options.seed, settings))
     total = {
         "building": f"all {len(found)}",
@@ -123,9 +123,9 @@ def _thickness(grid: GridMap, pose_building_map: Array, plan: Floorplan) -> floa
 
 
 def overlapping_ways(plan: Floorplan, robots: int) -> list[Array]:
-    """A way (points, 2) for each robot: the rooms of its strip, then the first room of the next.
+    """A path (points, 2) for each robot: the rooms of its strip, then the first rooms of the next.
 
-    Raises ConfigError where there are fewer rooms than robots.
+    Raises ConfigError if there are fewer rooms than robots.
     """
     if len(plan.rooms) < robots:
         raise ConfigError(f"{plan.name} has {len(plan.rooms)} rooms for {robots} robots: choose fewer robots")
@@ -141,12 +141,12 @@ def overlapping_ways(plan: Floorplan, robots: int) -> list[Array]:
 
 
 def _spread(strip: Sequence[int], count: int) -> list[int]:
-    """At most `count` of a strip, spread over it, its first always among them."""
+    """At most `count` elements, evenly spread, including the first."""
     return [strip[int(i)] for i in np.unique(np.linspace(0, len(strip) - 1, min(count, len(strip))).astype(int))]
 
 
 def _apart(ways: list[Array]) -> list[Array]:
-    """Cut the beginnings so that no two robots start within a metre of each other."""
+    """Shorten the paths at the start so that no two robots start within a metre of each other."""
     starts: list[Array] = []
     cut = []
     for way in ways:
@@ -164,7 +164,7 @@ def _known(statistic: Callable, values: Iterable[float | None]) -> float | None:
 
 
 class Walker:
-    """Drives one robot along its way by its true pose; backs off when something stands in it."""
+    """Drives one robot along its path by its true pose; backs off when it is blocked."""
 
     def __init__(self, way_m: Array):
         self._way_m, self._at = way_m, 0
@@ -192,7 +192,7 @@ class Walker:
 
 
 def begin(env: ExplorationEnv, ways: Sequence[Array], seed: int) -> list[Walker]:
-    """Begin an episode in which each robot looks along its way from where that begins; who walks there."""
+    """Begin an episode in which each robot starts at its path, heading along it; returns the walkers."""
     headings = [math.atan2(*(way[min(5, len(way) - 1)] - way[0])[::-1]) for way in ways]
     starts = np.array([[*way[0], heading] for way, heading in zip(ways, headings, strict=True)])
     env.reset(seed=seed, options={"starts": starts})
@@ -200,6 +200,6 @@ def begin(env: ExplorationEnv, ways: Sequence[Array], seed: int) -> list[Walker]
 
 
 def walk_on(env: ExplorationEnv, walkers: Sequence[Walker]) -> None:
-    """One step of all."""
+    """One step of all walkers."""
     poses = env.state().reshape(len(walkers), 6)[:, :3]
     env.step({a: w.act(p, env) for a, w, p in zip(env.agents, walkers, poses, strict=True)})

@@ -24,9 +24,9 @@ SUMMARY = "raw odometry of the Intel Lab log against the simulated platform, at 
 CHOOSES = ("seeds",)
 
 _BANDS_M = ((0.0, 0.5), (5.0, 200.0), (200.0, 1000.0))
-"""Path between the two scans of a relation."""
+"""Ranges of path length between the two scans of a relation."""
 _LONG_S = 60.0
-"""A relation over more time than this closes a loop."""
+"""Relations over a longer time count as loops."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +68,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 
 def dead_reckoning(path: Array, config: OdometryConfig, seed: int) -> Array:
-    """Poses (k, 3) that the platform's odometry gives for a true path (k, 3), begun at its first pose."""
+    """Poses (k, 3) from the platform's odometry on a true path (k, 3), starting at its first pose."""
     odometry = Odometry(config, 1.0, 1, seed)
     motions = [odometry.measure(a[None], b[None])[0][0] for a, b in itertools.pairwise(path)]
     return compose(path[0], poses_along(np.array(motions)))
@@ -85,7 +85,7 @@ def figures(poses: Array, relations: Relations, groups: dict[str, Array]) -> dic
 
 
 def _groups(relations: Relations, times_s: Array, path: Array) -> dict[str, Array]:
-    """Which relations belong together: all, those over a long time, and bands of the path in between."""
+    """Groups of relations: all, those over a long time, and ranges of path length in between."""
     travel_m = travelled_m(path)
     between_m = np.abs(travel_m[relations.second] - travel_m[relations.first])
     groups = {

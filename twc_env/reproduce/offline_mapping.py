@@ -1,9 +1,9 @@
 """TWC-SLAM's global mapping of whole walks at once: candidates, scan matching, one frame, one pose graph (T13-T15).
 
-The engine does the same step by step and with more caution; here each part stands alone, so that recognisers and back
-ends can be exchanged one at a time. Back ends: `plain` believes every matched candidate, as the paper prints it;
-`robust` weighs them by a Cauchy loss (c = 3); `pcm` keeps the pairwise consistent ones; `ours` also asks scan matching
-for overlap and free space, and grows the map from the surest closures.
+The engine does the same incrementally and with further checks; here recognisers and back ends can be combined freely.
+Back ends: `plain` accepts every matched candidate, as in the paper; `robust` weighs them by a Cauchy loss (c = 3);
+`pcm` keeps the pairwise consistent ones; `ours` also requires overlap and free space from scan matching, and grows the
+map from the most certain closures.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ BACKENDS = {
     "ours": PoseGraphConfig(robust="ours", iterations_max=100),
 }
 REPEAT_REACH_M = 2.0
-"""A candidate nearer than this, along both paths, to an earlier one says nothing new."""
+"""A candidate closer than this to an earlier one along both paths is a repetition."""
 AGREE_M, AGREE_PER_M = 0.6, 0.02
-"""Closures between two robots speak for one common frame when they put each other's places this near."""
+"""Closures between two robots agree on a frame if they place each other's poses within this distance."""
 
 CELL_M, GHOST_REACH_M = 0.1, 3.0
-"""Cells of a point cloud, and how far from a true wall its ghost may stand."""
+"""Cell size of a point cloud, and the maximum distance of a ghost from its true wall."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matched:
-    """A candidate after scan matching, and whether it is right."""
+    """A candidate after scan matching, and whether it is correct."""
 
     closure: LoopClosure
     is_right: bool
@@ -52,18 +52,18 @@ class Matched:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OfflineMap:
-    """Where a back end puts all keyframes."""
+    """The poses of all keyframes from a back end."""
 
     poses: tuple[Array, ...]
     """One (keyframes, 3) per robot, in the frame of its group."""
     groups: tuple[tuple[int, ...], ...]
     """Robots that share a frame, the largest group first."""
     accepted: Array
-    """(matched,) bool: the closures it believes."""
+    """(matched,) bool: the accepted closures."""
 
 
 def candidates(config: EnvConfig, walks: Sequence[Walk]) -> list[LoopCandidate]:
-    """What the configured recogniser proposes when all robots walk at the same time, without repetitions."""
+    """Candidates of the configured recogniser for robots that walk simultaneously, without repetitions."""
     recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
     is_news, found = ProposalFilter(), []
     for keyframe in in_time([w.keyframes for w in walks]):
@@ -75,7 +75,7 @@ def candidates(config: EnvConfig, walks: Sequence[Walk]) -> list[LoopCandidate]:
 
 
 def in_time(paths: Sequence[Sequence[Keyframe]]) -> list[Keyframe]:
-    """All robots' keyframes in the order in which they were taken."""
+    """The keyframes of all robots in order of time."""
     return sorted(itertools.chain(*paths), key=lambda keyframe: (keyframe.time_s, keyframe.robot))
 
 
@@ -93,7 +93,7 @@ def match(config: EnvConfig, walks: Sequence[Walk], found: Sequence[LoopCandidat
 
 
 def build(walks: Sequence[Walk], matched: Sequence[Matched], backend: str) -> OfflineMap:
-    """The map by one back end: `ours` gets the candidates only that scan matching confirms, all others get all."""
+    """The map of one back end: `ours` gets only candidates confirmed by scan matching, the others get all."""
     offered = np.array([m.closure.status == "accepted" or backend != "ours" for m in matched], bool)
     closures = [m.closure for m, is_offered in zip(matched, offered, strict=True) if is_offered]
     odometry = [np.array([k.pose_odom for k in w.keyframes]) for w in walks]
@@ -120,9 +120,9 @@ def build(walks: Sequence[Walk], matched: Sequence[Matched], backend: str) -> Of
 
 
 def common_frames(odometry: Sequence[Array], closures: Sequence[LoopClosure]) -> list[Array]:
-    """(3,) where each robot's odom frame lies in that of robot 0 (papers.md T14); its own where nothing ties it.
+    """Poses (3,) of the odom frames in that of robot 0 (papers.md T14); zeros for a robot without closures.
 
-    Along a spanning tree whose links are the pairs of robots with most closures that agree on one relative frame.
+    Found along a spanning tree of the pairs of robots with most closures that agree on one relative frame.
     """
     links = {}
     for a, b in itertools.permutations(range(len(odometry)), 2):
@@ -143,7 +143,7 @@ def common_frames(odometry: Sequence[Array], closures: Sequence[LoopClosure]) ->
 def _agreed_frame(
     a: int, b: int, odometry: Sequence[Array], closures: Sequence[LoopClosure]
 ) -> tuple[int, Array] | None:
-    """How many closures agree on where the frame of robot b lies in that of a, and where; None without any."""
+    """The number of closures that agree on the pose of frame b in frame a, and that pose; None without closures."""
     puts, places = [], []
     for closure in closures:
         target, source, z = closure.candidate.target, closure.candidate.source, closure.pose_target_source
@@ -172,7 +172,7 @@ def _odometry_edges(walks: Sequence[Walk], first: Array) -> tuple[list, list, li
 
 
 def _groups(robots: int, closures: Sequence[LoopClosure]) -> tuple[tuple[int, ...], ...]:
-    """Robots that believed closures tie together."""
+    """Groups of robots connected by closures, the largest first."""
     group = list(range(robots))
     for closure in closures:
         a, b = group[closure.candidate.target[0]], group[closure.candidate.source[0]]
@@ -181,11 +181,11 @@ def _groups(robots: int, closures: Sequence[LoopClosure]) -> tuple[tuple[int, ..
     return tuple(sorted(members, key=lambda robots: (-len(robots), robots)))
 
 
-# --- what the map looks like ---
+# --- appearance of the map ---
 
 
 def point_cloud(walks: Sequence[Walk], built: OfflineMap, range_max_m: float) -> Array:
-    """(n, 2) end points of all beams of the largest group, its map laid on the building."""
+    """(n, 2) end points of all beams of the largest group, aligned with the building."""
     true = np.concatenate([np.array(walks[robot].poses) for robot in built.groups[0]])
     pose = metrics.align_team(np.concatenate([built.poses[robot] for robot in built.groups[0]]), true)
     clouds = [
@@ -197,7 +197,7 @@ def point_cloud(walks: Sequence[Walk], built: OfflineMap, range_max_m: float) ->
 
 
 def wall_thickness_m(points_m: Array, walls_m: Array) -> float:
-    """Mean thickness of the walls of a point cloud (n, 2): cells of 0.1 m that hold at least two points."""
+    """Mean wall thickness of a point cloud (n, 2), from cells of 0.1 m with at least two points."""
     origin_m = np.floor(points_m.min(axis=0) / CELL_M) * CELL_M
     column, row = ((points_m - origin_m) / CELL_M).astype(np.int64).T
     counts = np.zeros((row.max() + 1, column.max() + 1), np.int64)

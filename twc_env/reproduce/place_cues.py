@@ -1,4 +1,4 @@
-"""What two places have in common, for all pairs of places at once: names, radio, and both along the way."""
+"""Similarity of all pairs of places: names, radio, and both along the traces."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TEXT_LIMIT = 8.0
 
 
 class Cues:
-    """Everything the methods use, for all pairs of places of different traces."""
+    """The cues of all methods, for all pairs of places on different traces."""
 
     def __init__(self, places: Places):
         first, second = np.triu_indices(len(places.trace), 1)
@@ -37,11 +37,11 @@ class Cues:
             [evidence[pairs], radio[pairs], np.log(self.macs + 0.02), _loud(places.rssi_dbm)[pairs]]
             + [_along(cue, places.trace)[pairs] for cue in (evidence, radio)]
         )
-        """(pairs, 6): text, radio, shared transmitters, loudest transmitters, and the first two along both traces."""
+        """(pairs, 6): text, radio, shared transmitters, strongest transmitters, and the first two along both traces."""
 
 
 def _best_pair(owned: tuple[tuple, ...], compare: Callable[[list], Array]) -> Array:
-    """(places, places) the largest comparison between any value of one place and any of the other."""
+    """(places, places) the maximum similarity between the values of two places."""
     values = sorted({value for own in owned for value in own})
     number = {value: k for k, value in enumerate(values)}
     owners = [np.array([number[value] for value in own]) for own in owned]
@@ -51,7 +51,7 @@ def _best_pair(owned: tuple[tuple, ...], compare: Callable[[list], Array]) -> Ar
 
 
 def _loud(rssi_dbm: Array) -> Array:
-    """(places, places) cosine of the received powers to the fourth root: the loudest transmitters decide."""
+    """(places, places) cosine of the fourth roots of received powers, dominated by the strongest transmitters."""
     power = np.where(np.isfinite(rssi_dbm), 10 ** (np.nan_to_num(rssi_dbm, nan=-100.0) / 40), 0.0)
     power /= np.maximum(np.linalg.norm(power, axis=1, keepdims=True), 1e-12)
     return power @ power.T
@@ -62,7 +62,7 @@ def _similarity(texts: list[str]) -> Array:
 
 
 def _log_text_ratio(values: list[tuple[str, int]]) -> Array:
-    """How much likelier a reading is of the other's sign than of any sign read on this floor."""
+    """Log-likelihood ratio of two readings: same sign against any sign read on this floor."""
     texts, counts = [text for text, _ in values], np.array([count for _, count in values])
     likelihood = np.stack([log_text_likelihood(text, texts, count, counts) for text, count in values])
     chance = np.logaddexp.reduce(likelihood, axis=1, keepdims=True) - np.log(len(values))
@@ -71,7 +71,8 @@ def _log_text_ratio(values: list[tuple[str, int]]) -> Array:
 
 
 def _compare_radio(rssi_dbm: Array) -> tuple[Array, Array, Array, Array]:
-    """(n, n) shared transmitters, rms over them, rms over all that either heard (offset removed); (n,) heard."""
+    """(n, n) shared transmitters, rms difference over them, rms over all heard by either (offset removed); (n,)
+    heard."""
     heard = np.isfinite(rssi_dbm)
     mask = heard.astype(float)
     level = np.where(heard, np.maximum(rssi_dbm - FLOOR_DBM, 0.0), 0.0)
@@ -87,7 +88,7 @@ def _compare_radio(rssi_dbm: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _log_ratios(difference_db: Array, distance_m: Array, trace: Array) -> Array:
-    """(n, n) log-likelihood ratios of the radio differences, after learning within each trace how they grow."""
+    """(n, n) log-likelihood ratios of the radio differences, learned from their growth within each trace."""
     statistics = RadioStatistics()
     own = trace[:, None] == trace[None]
     for i, j in zip(*np.nonzero(np.triu(own, 1)), strict=True):
@@ -98,7 +99,7 @@ def _log_ratios(difference_db: Array, distance_m: Array, trace: Array) -> Array:
 
 
 def _along(cue: Array, trace: Array) -> Array:
-    """The cue at the neighbours of both places, walked alike or against each other, whichever agrees more."""
+    """Mean cue of the neighbours of both places along the traces, in the direction that agrees more."""
     n = len(trace)
     before, after = np.maximum(np.arange(n) - 1, 0), np.minimum(np.arange(n) + 1, n - 1)
     before = np.where(trace[before] == trace, before, np.arange(n))

@@ -1,4 +1,4 @@
-"""Judging place recognition: precision and recall of accepted pairs, by both ways of counting, and whole curves."""
+"""Evaluation of place recognition: precision and recall of accepted pairs, with both ways of counting, and curves."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from numpy.typing import NDArray as Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairs:
-    """Candidate pairs of places of different robots, and which of them truly are one place."""
+    """Candidate pairs of places of different robots, and which of them are the same place."""
 
     first: Array
-    """(pairs,) number of the first place."""
+    """(pairs,) index of the first place."""
     second: Array
-    """(pairs,) number of the second place."""
+    """(pairs,) index of the second place."""
     robots: Array
-    """(pairs, 2) whose places they are."""
+    """(pairs, 2) the robots of both places."""
     is_same: Array
     """(pairs,) bool."""
 
@@ -28,31 +28,31 @@ class Pairs:
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """What a rule accepted."""
+    """Counts of accepted, correct and true pairs."""
 
     accepted: int
     right: int
     true: int
-    """How many it should have found."""
+    """Number of pairs that should be accepted."""
 
     @property
     def precision(self) -> float:
-        """NaN when nothing was accepted."""
+        """NaN if nothing was accepted."""
         return self.right / self.accepted if self.accepted else math.nan
 
     @property
     def recall(self) -> float:
-        """NaN when there was nothing to find."""
+        """NaN if there is nothing to find."""
         return self.right / self.true if self.true else math.nan
 
 
 def all_pairs(accepted: Array, pairs: Pairs) -> Counts:
-    """Every accepted pair counts (papers.md T10, the default)."""
+    """Counts over all accepted pairs (papers.md T10, the default)."""
     return Counts(int(accepted.sum()), int((accepted & pairs.is_same).sum()), int(pairs.is_same.sum()))
 
 
 def best_match(accepted: Array, score: Array, pairs: Pairs) -> Counts:
-    """Each place is matched with its best accepted partner on each other robot; only that counts (papers.md T10)."""
+    """Counts over the best accepted match of each place on each other robot (papers.md T10)."""
     matches = right = true = 0
     for mine, other in ((0, 1), (1, 0)):
         place = pairs.first if mine == 0 else pairs.second
@@ -67,13 +67,14 @@ def best_match(accepted: Array, score: Array, pairs: Pairs) -> Counts:
 
 
 def average_precision(score: Array, is_same: Array) -> float:
-    """Area under the precision-recall curve in steps; pairs of one score enter together. NaN with nothing to find."""
+    """Area under the stepwise precision-recall curve; pairs of equal score are added together. NaN with nothing to
+    find."""
     precision, recall = precision_recall_curve(score, is_same)
     return float((np.diff(recall, prepend=0.0) * precision).sum()) if is_same.any() else math.nan
 
 
 def recall_at_full_precision(score: Array, is_same: Array) -> float:
-    """The largest recall of any threshold that accepts no wrong pair; 0 where there is none."""
+    """The largest recall of any threshold without a wrong pair; 0 if there is none."""
     if not is_same.any():
         return math.nan
     precision, recall = precision_recall_curve(score, is_same)
@@ -81,7 +82,7 @@ def recall_at_full_precision(score: Array, is_same: Array) -> float:
 
 
 def precision_recall_curve(score: Array, is_same: Array) -> tuple[Array, Array]:
-    """Precision and recall at every distinct score, from the highest down."""
+    """Precision and recall at every distinct score, in descending order."""
     order = np.argsort(-score, kind="stable")
     score, right = score[order], np.cumsum(is_same[order])
     is_last = np.append(score[1:] != score[:-1], True)[: len(score)]

@@ -1,6 +1,6 @@
-"""Figures 3 and 4 of the radio SLAM paper from a walk of ours: models, trajectories, occupancy map.
+"""Figures 3 and 4 of the radio SLAM paper for our walks: models, trajectories, occupancy map.
 
-What they show of a walk is kept as JSON beside its errors, so that drawing works nothing out again.
+Their content is kept as JSON with the errors of a walk, so that drawing repeats no computation.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ DIGITS = 2
 
 
 def shown(outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
-    """What pictures show of a walk, by what its methods made of it: paths, models and a map, if there are any."""
+    """The content of the pictures of a walk: paths, models and maps of its methods, if any."""
     paths, models, maps = {}, {}, {}
     for method, outcome in outcomes.items():
         if method in PATHS:
@@ -46,7 +46,7 @@ def _rounded(positions_m: Array) -> list:
 
 
 def _picture(grid: GridMap, start: Array) -> dict[str, Any]:
-    """Free white (255), walls black, in base64 as zlib makes it; the map's frame is that of the first true pose."""
+    """The cells (free 255, walls 0) as base64 of zlib; the map frame is that of the first true pose."""
     free = 1.0 / (1.0 + np.exp(np.clip(grid.log_odds / LOG_ODDS_SCALE, -LOG_ODDS_MAX, LOG_ODDS_MAX)))
     cells = np.round(255 * free).astype(np.uint8)
     packed = base64.b64encode(zlib.compress(cells.tobytes())).decode("ascii")
@@ -55,9 +55,9 @@ def _picture(grid: GridMap, start: Array) -> dict[str, Any]:
 
 
 def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> list[Path]:
-    """Write `NAME-models.png`, `NAME-trajectories.png` and `NAME-map.png`, as far as the walk (`shown`) has them.
+    """Write `NAME-models.png`, `NAME-trajectories.png` and `NAME-map.png`, if the walk (`shown`) has the content.
 
-    `twin` names the map. Returns what was written. Raises DataError when matplotlib is missing.
+    `twin` names the map. Returns the paths. Raises DataError without matplotlib.
     """
     folder.mkdir(parents=True, exist_ok=True)
     figures = {}
@@ -99,6 +99,6 @@ def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> list[Pa
 
 
 def _walls_of(twin: str) -> Array:
-    """(points, 2) of all walls as one line, NaN between them."""
+    """(points, 2) all walls as one line, separated by NaN."""
     walls = load_map(twin).walls_m
     return np.concatenate([walls, np.full((len(walls), 1, 2), np.nan)], axis=1).reshape(-1, 2)

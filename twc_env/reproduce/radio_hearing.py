@@ -1,7 +1,6 @@
-"""How a real receiver hears, told by its own readings: where its hearing ends, how sharply, and what it misses.
+"""Detection curve of a real receiver from its own readings: detection floor, slope, and missed strong signals.
 
-Neither needs to know where the transmitters stand, so that it can be set for a simulated receiver before the two are
-compared.
+Positions of transmitters are not needed, so these can be set for a simulated receiver before both are compared.
 """
 
 from __future__ import annotations
@@ -14,19 +13,18 @@ from twc_env.datasets.fingerprints import RadioSurvey
 from twc_env.errors import DataError
 
 _FAINT_SHARE = 0.3
-"""So many of the readings, the faintest, tell where a receiver's hearing ends and how sharply."""
+"""Share of the readings, the weakest, that the detection curve is fitted to."""
 _BELOW_DB = 30.0
 _STRONG_DB = 25.0
-"""Heard so far above the end of hearing, a signal is above it too at points beside: from one to the other it changes by
-a few dB."""
+"""A signal this far above the detection floor is above it at neighbouring points too, where it differs by a few dB."""
 _BESIDE_M = 1.6
 
 
 def hearing(rssi_dbm: Array) -> tuple[float, float]:
-    """Floor [dBm] and slope [dB] of a receiver's curve of detection, from its readings in whole dBm alone.
+    """Floor [dBm] and slope [dB] of the detection curve of a receiver, from its readings in whole dBm.
 
-    Were all signals heard, about as many would come at each of the faint levels; so the faintest readings thin out as
-    the curve falls. Greatest likelihood of the readings up to a level under that curve.
+    Weak levels are assumed to be equally frequent, so that the counts of weak readings follow the detection curve.
+    Maximum likelihood fit to the readings up to a level.
     """
     readings = rssi_dbm[np.isfinite(rssi_dbm)].astype(float)
     last = np.floor(np.quantile(readings, _FAINT_SHARE))
@@ -44,7 +42,7 @@ def hearing(rssi_dbm: Array) -> tuple[float, float]:
 
 
 def missed_share(survey: RadioSurvey, is_high: bool) -> float:
-    """Of one receiver's strong signals of a band, the share that it did not hear at points beside."""
+    """Share of the strong signals of a band that one receiver did not hear at neighbouring points."""
     rssi = survey.rssi_dbm[:, survey.transmitters[2] == is_high]
     is_beside = np.linalg.norm(survey.position_m[:, None] - survey.position_m[None], axis=2) < _BESIDE_M
     is_beside &= survey.floor[:, None] == survey.floor[None]
@@ -54,8 +52,8 @@ def missed_share(survey: RadioSurvey, is_high: bool) -> float:
 
 
 def missed_by_sweeps(survey: RadioSurvey, is_high: bool) -> float:
-    """Of the strong signals of a band that a phone on the way heard in one sweep and again two sweeps later, the share
-    that the sweep in between did not hear."""
+    """Share of the strong signals of a band that a moving phone heard in one sweep and two sweeps later, but not in the
+    sweep in between."""
     ages_s, high = survey.age_s, survey.is_high_band
     if ages_s is None or high is None:
         raise DataError(f"survey {survey.name} has no ages and bands of readings; use one that does")
@@ -71,7 +69,7 @@ def missed_by_sweeps(survey: RadioSurvey, is_high: bool) -> float:
 
 
 def device_hearing(survey: RadioSurvey) -> dict:
-    """Settings of the detection curves of a survey's own receiver, by band."""
+    """Settings of the detection curves of the receiver of a survey, by band."""
     bands = [survey.rssi_dbm[:, survey.transmitters[2] == is_high] for is_high in (False, True)]
     (low_dbm, low_db), (high_dbm, high_db) = map(hearing, bands)
     low_missed, high_missed = (missed_share(survey, is_high) for is_high in (False, True))

@@ -1,7 +1,7 @@
-"""Likeness of fingerprints against distance: phones of walkers in two malls, and a robot's laptop on an office floor.
+"""Similarity of fingerprints by distance: phones in two malls, and a laptop on a robot on an office floor.
 
-What belongs to a place or a device is an input and never judged: how many transmitters there are, what a receiver
-tells of faint ones, and what its sweeps miss of strong ones. All else is the preset's.
+Properties of a place or device are inputs and not evaluated: the number of transmitters, the reporting of weak signals,
+and the share of missed strong ones. All other settings are those of the preset.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ _ADDRESSES_PER_BOX = 4.83
 _MALL_DRAWS = 40
 _MALL_CELL_M = 0.5
 _CONCOURSE_WIDTH_M, _SHOP_DEPTH_M = 4.0, 8.64
-"""Access points stand along floor at least so wide, up to so far beside it, as shops open to concourses and service
-corridors lie behind. The depth is fitted."""
+"""Access points are within this depth (fitted) of floor at least this wide: in shops along concourses, not along
+service corridors."""
 _FITTED = "site1_B1"
 
 
 class _Mall(Study):
-    """Phones of one model held by walkers, whose scans repeat old readings."""
+    """Phones of one model carried by walkers; their scans repeat old readings."""
 
     def __init__(self, floor: str, role: str, boxes_per_m2: float, high_share: float):
         changes = {"high_band": {"share": high_share}}
@@ -77,18 +77,18 @@ class _Mall(Study):
 
 @lru_cache(maxsize=2)
 def _mall(folder: Path, floor: str, quick: bool) -> RadioSurvey:
-    """All readings of one floor, old ones too."""
+    """All readings of one floor, including old ones."""
     return read_indoor20(folder / "indoor20" / floor, np.inf, traces_max=12 if quick else None)
 
 
 @lru_cache(maxsize=2)
 def _missed(folder: Path, floor: str, quick: bool) -> tuple[float, float]:
-    """What sweeps miss of strong signals at 2.4 and 5 GHz."""
+    """Share of strong signals that sweeps miss at 2.4 and at 5 GHz."""
     return missed_by_sweeps(_mall(folder, floor, quick), False), missed_by_sweeps(_mall(folder, floor, quick), True)
 
 
 def _missed_beside_the_fit(folder: Path, floor: str, config: RadioConfig, quick: bool) -> dict:
-    """Settings for a floor whose sweeps miss more of strong signals than where the preset was fitted: phones are of one
+    """Settings for a floor whose sweeps miss more strong signals than on the floor of the fit: the phones are of one
     model, but channels may be crowded."""
     low, high = np.subtract(_missed(folder, floor, quick), _missed(folder, _FITTED, quick)).tolist()
     return {
@@ -116,7 +116,7 @@ _MALL_REASONS = {
 
 
 def _mall_evidence(survey: RadioSurvey) -> Figures:
-    """How unlike the walks are: at one place, and those that hear most, a quarter, beside the others."""
+    """Differences between walks: at the same place, and between the quarter that hears most and the others."""
     fresh = np.isfinite(survey.fresh(FRESH_S).rssi_dbm).sum(axis=1)
     walks = [survey.walk == walk for walk in np.unique(survey.walk)]
     few, many = np.quantile([fresh[walk].mean() for walk in walks], [0.25, 0.75]).tolist()
@@ -135,7 +135,7 @@ def _mall_evidence(survey: RadioSurvey) -> Figures:
 
 
 def _mall_figures(survey: RadioSurvey) -> Figures:
-    """Likeness of the fresh readings, and how old the others are."""
+    """Similarity of the fresh readings, and ages of the others."""
     fresh, heard = survey.fresh(FRESH_S), np.isfinite(survey.rssi_dbm)
     age_s = survey.age_s[heard] if survey.age_s is not None else np.zeros(1)
     is_high = np.broadcast_to(False if survey.is_high_band is None else survey.is_high_band, heard.shape)
@@ -151,15 +151,15 @@ def _mall_figures(survey: RadioSurvey) -> Figures:
 
 
 MALLS = (_Mall("site1_B1", "calibrated", 0.011, 0.5), _Mall("site2_F6", "reported", 0.025, 0.68))
-"""With access points per m2 of concourse and shops, and which share of their addresses is at 5 GHz. Fitted to
-site1_B1; on site2_F6 both are scaled until its walks hear as many addresses ten times or more, in proportion to the
-real ones, and as many of them at 5 GHz, as on site1_B1."""
+"""With access points per m2 of concourse and shops, and the share of addresses at 5 GHz. Fitted to site1_B1; on
+site2_F6 both are scaled so that the numbers of addresses heard at least ten times, and of those at 5 GHz, have the same
+ratio to the real ones as on site1_B1."""
 
 
 _ROBOT_FAINTEST_DBM = -90.0
-"""The log tells what is fainter as this: a third of its readings."""
+"""The log reports weaker signals, a third of its readings, as this value."""
 _ROBOT_ROOMS = (5.0, 5.0)
-"""Width [m] and wall loss [dB] of the rooms drawn for the floor, fitted."""
+"""Fitted width [m] and wall loss [dB] of the rooms of the simulated floor."""
 _ROBOT_RECEIVER = {"detection_floor_dbm": -93.8, "detection_slope_db": 2.0, "high_band": {"share": 0.0}}
 _ROBOT_REASONS = {"": "where the access points of the floor and its neighbours stand is not known"}
 

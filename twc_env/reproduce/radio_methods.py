@@ -28,14 +28,14 @@ LIDAR = LidarConfig(beam_count=360, range_max_m=20.0)
 CONFIG = EnvConfig(robots=1, lidar=LIDAR)
 """One robot with the paper's scanner."""
 FALSE_DISTANCE_M, FALSE_VARIANCE_M2 = 3.0, 4.0
-"""What a false closure claims: about what true ones do."""
+"""Distance and variance of a false closure, similar to those of true ones."""
 PARTICLE_STRIDE, PARTICLE_CELL_M = 2, 0.2
-"""The particle filter takes every second beam, into cells of this size: twenty maps of a whole campus are held."""
+"""The particle filter uses every second beam and this cell size, because it holds twenty maps of a whole campus."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What a method made of a walk."""
+    """The result of a method on a walk."""
 
     truth: Array
     """(n, 3)."""
@@ -46,14 +46,14 @@ class Outcome:
     grid: GridMap | None = None
 
     def errors(self) -> dict[str, float]:
-        """Mean and deviation of the positions' errors, and their root mean square after one rigid alignment [m]."""
+        """Mean and standard deviation of position errors, and root mean square after one rigid alignment [m]."""
         away = np.linalg.norm(self.poses[:, :2] - self.truth[:, :2], axis=1)
         ate = absolute_trajectory_error_m(self.poses, self.truth)
         return {"mean_m": float(away.mean()), "std_m": float(away.std()), "ate_m": ate}
 
 
 def outcomes(place: Place, seed: int, methods: Sequence[str]) -> dict[str, Outcome]:
-    """By method, those that the place has no laser for left out."""
+    """Results by method; methods with laser only at places that have one."""
     methods = [method for method in methods if place.has_lidar or method not in WITH_LIDAR]
     needed = {METHODS[method][0] for method in methods} - {""}
     walks = {kind: record(place, kind, seed) for kind in sorted(needed | {"wifi"})}
@@ -61,7 +61,7 @@ def outcomes(place: Place, seed: int, methods: Sequence[str]) -> dict[str, Outco
 
 
 def means(errors: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Of `Outcome.errors`, over walks."""
+    """Means of `Outcome.errors` over walks."""
     names = {"error_mean_m": "mean_m", "error_std_m": "std_m", "ate_m": "ate_m"}
     return {name: float(np.mean([error[key] for error in errors])) for name, key in names.items()}
 
@@ -72,7 +72,7 @@ def odometry(_place: Place, walk: RecordedWalk, _seed: int) -> Outcome:
 
 
 def radio(weighting: str, false_share: float = 0.0) -> Callable[[Place, RecordedWalk, int], Outcome]:
-    """Radio SLAM by this weighting, with that share of false closures among the true ones."""
+    """Radio SLAM with this weighting, and this share of false closures."""
 
     def run(_place: Place, walk: RecordedWalk, seed: int) -> Outcome:
         clean = _clean(walk, weighting)
@@ -108,14 +108,14 @@ def _false_closures(walk: RecordedWalk, count: int, seed: int) -> Distances:
 
 
 def with_lidar(place: Place, walk: RecordedWalk, seed: int) -> Outcome:
-    """Radio SLAM, then scan matching where its path comes near itself."""
+    """Radio SLAM, then scan matching where the path returns to itself."""
     keyframes, truth = keyframes_of(place, walk, seed)
     result = radio_lidar.solve(keyframes, CONFIG)
     return Outcome(truth, compose(truth[0], result.poses), grid=result.grid)
 
 
 def gmapping(place: Place, walk: RecordedWalk, seed: int) -> Outcome:
-    """The particle filter on the walk's odometry and a laser scan wherever the radio was heard too."""
+    """The particle filter on the odometry of the walk and a laser scan at each radio scan."""
     plan = load_map(place.twin)
     ranges = radio_walks.scan_lidar(plan, LIDAR, walk.true_poses, seed)[:, ::PARTICLE_STRIDE]
     frames = [
@@ -130,7 +130,7 @@ def gmapping(place: Place, walk: RecordedWalk, seed: int) -> Outcome:
 
 
 def keyframes_of(place: Place, walk: RecordedWalk, seed: int):
-    """What the engine's front end remembers of a walk with its laser, and the true poses (keyframes, 3)."""
+    """Keyframes of the engine's front end on a walk with laser, and their true poses (keyframes, 3)."""
     true_poses = true_path(place, seed)
     ranges = radio_walks.scan_lidar(load_map(place.twin), LIDAR, true_poses, seed)
     odometry = radio_walks.odometry_of(walk.drift, walk.odometry_stream)
@@ -161,5 +161,5 @@ METHODS: dict[str, tuple[str, Callable[[Place, RecordedWalk, int], Outcome]]] = 
     "wifi+lidar": ("wifi", with_lidar),
     "gmapping": ("", gmapping),
 }
-"""Name -> which radio it hears ("" for none), and how it is run."""
+"""Name -> the radio it uses ("" for none), and its function."""
 WITH_LIDAR = ("wifi+lidar", "gmapping")

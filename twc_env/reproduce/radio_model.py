@@ -36,9 +36,9 @@ CHOOSES = ("seeds", "only")
 
 _EVIDENCE, _SPREAD, _REAL = -3, -2, -1
 _NAMES = {_EVIDENCE: "evidence", _SPREAD: "spread", _REAL: "real"}
-"""Numbers of the parts of a set that are no simulated run."""
+"""Part numbers of a set other than simulated runs."""
 _DETECTED_MIN = 0.02
-"""Detection rates below this are left out: a relative error of next to nothing says nothing."""
+"""Detection rates below this are left out, since their relative error is not meaningful."""
 STUDIES: tuple[Study, ...] = (
     *OFFICES, *LIBRARIES, *FLATS, *MALLS, ROBOT_FLOOR, *FINGERPRINT_SLAM, *K_VISIBILITY,
 )  # fmt: skip
@@ -101,7 +101,7 @@ def _measure(part: tuple[Study, int], folder: Path, quick: bool) -> Figures | Sp
 
 
 def _label(part: tuple[Study, int]) -> str:
-    """Names a part by the settings too, so that other presets are computed anew."""
+    """The label of a part, with a digest of its settings, so that changed presets are recomputed."""
     study, seed = part
     settings = hashlib.sha256(repr(dataclasses.asdict(study.config)).encode()).hexdigest()[:8]
     return f"{study.name} {_NAMES.get(seed, f'simulated {seed}')} {settings if seed >= 0 else ''}"

@@ -1,7 +1,7 @@
-"""Offices whose access points stand at known places (SODIndoorLoc), and the radio model at the same places.
+"""Offices with known access points (SODIndoorLoc), and the radio model at the same places.
 
-What belongs to a place or a device is taken from the set as an input and never judged: where the access points stand,
-which surveyed points share a room, and how faint signals each phone still hears. All else is the preset's.
+Properties of a place or device are inputs and not evaluated: positions of access points, which surveyed points share a
+room, and the detection floor of each phone. All other settings are those of the preset.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _FITTED = "CETC331"
 
 
 class _Office(Study):
-    """Places and storeys of the access points are known, and of each point the kind of room and the phone."""
+    """Known are positions and storeys of access points, and room type and phone of each point."""
 
     def __init__(self, building: str, role: str, reasons: dict[str, str]):
         changes = {"high_band": {"share": 0.5}}
@@ -85,7 +85,7 @@ _FAR_M = 40.0
 
 
 def _office_evidence(survey: RadioSurvey) -> Figures:
-    """How many access points there are, what phones miss, and how clearly far ones are heard."""
+    """Number of access points, missed signals of phones, and levels of far access points."""
     transmitter_m, storeys, is_high = survey.transmitters
     phones = [survey.at_scans(survey.walk == phone) for phone in np.unique(survey.walk)]
     apart_m = np.linalg.norm(survey.position_m[:, None] - transmitter_m[None], axis=2)
@@ -102,7 +102,7 @@ def _office_evidence(survey: RadioSurvey) -> Figures:
 
 
 def _near_wall_db(survey: RadioSurvey) -> float:
-    """What a wall takes at 5 GHz from access points of the same storey near by, where none is too faint to be heard."""
+    """Loss per wall at 5 GHz, from near access points of the same storey, none of which is too weak to be heard."""
     transmitter_m, storeys, is_high = survey.transmitters
     apart_m = np.linalg.norm(survey.position_m[:, None] - transmitter_m[None], axis=2)
     walls = np.zeros(apart_m.shape)
@@ -115,7 +115,7 @@ def _near_wall_db(survey: RadioSurvey) -> float:
 
 
 def _is_heard_near_by(survey: RadioSurvey) -> Array:
-    """(t,) whether any scan near an access point heard its address: else it was off, or stands elsewhere than told."""
+    """(t,) whether any scan near an access point heard its address; else it was off or its position is wrong."""
     transmitter_m, storeys, _ = survey.transmitters
     apart_m = np.linalg.norm(survey.position_m[:, None] - transmitter_m[None], axis=2)
     is_near = (apart_m < _NEAR_BY_M) & (survey.floor[:, None] == storeys[None])

@@ -1,7 +1,7 @@
-"""What two papers print about their signals, beside the radio model in twins of their places.
+"""Signal statistics published by two papers, and the radio model in twins of their places.
 
 Radio fingerprint SLAM (papers.md R14-R15): transmitters per scan, and distance at cosine 0.8. Inverse k-visibility: the
-strengths along the walks of its experiments E3 and E5, cut into classes by the thresholds of the authors' program.
+strengths along the walks of its experiments E3 and E5, classified by the thresholds of the authors' program.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from twc_env.world.floorplan import AccessPoint, Floorplan
 
 _PHONES = 5
 _STROLL_M, _STROLL_SPEED_M_S, _STROLL_STEP_M = 1072.6, 0.42, 1.5
-"""The robot of papers.md R14 at NTU: path and speed, and how far it came between two scans."""
+"""The robot of papers.md R14 at NTU: path length, speed, and distance between two scans."""
 _WINDOW_M = {"wifi": 60.0, "lte": 150.0}
-"""Pairs closer than this along the path teach the similarity model (papers.md R5)."""
+"""The similarity model is trained on pairs closer than this along the path (papers.md R5)."""
 _OFFSET_DB = {"wifi": 100.0, "lte": 120.0}
 
 _QUANTITIES = "transmitters per scan", "distance at cosine 0.8: mean [m]", "distance at cosine 0.8: sd [m]"
@@ -41,9 +41,9 @@ _PRINTED = {
     ("radio-sutd-outdoor", "wifi"): (88.23,),
     ("radio-sutd-outdoor", "lte"): (18.74,),
 }
-"""As far as they are printed."""
+"""Published values of `_QUANTITIES`, as far as available."""
 _CELLS_HEARD = {"radio-ntu": 85, "radio-sutd-indoor": 193, "radio-sutd-outdoor": 170}
-"""LTE cells heard in all, as printed: as many more stand around SUTD as more were heard."""
+"""Published total numbers of LTE cells heard; the simulated numbers of cells have the same ratios."""
 _WIFI_PRESET = {
     "radio-ntu": "radio-semi-indoor",
     "radio-sutd-indoor": "radio-indoor",
@@ -52,14 +52,14 @@ _WIFI_PRESET = {
 
 _PHONE_SETTINGS = ("detection_floor_dbm", "detection_slope_db", "miss_probability", "device_sensitivity_std_db")
 _PHONE = {key: RADIO_PRESETS["radio-semi-indoor"][key] for key in _PHONE_SETTINGS}
-"""The same five phones rode through all three places: how little they hear was fitted at NTU."""
+"""The same five phones were used at all three places: their detection was fitted at NTU."""
 _STOREYS = {"radio-sutd-indoor": (0, 1, -1, 2, -2, 3, -3)}
-"""1,921 addresses are too many for one floor of 5,000 m2: the building has more storeys, and all hold access points."""
+"""1,921 addresses are too many for one floor of 5,000 m2: other storeys hold access points too."""
 
 
 @lru_cache(maxsize=16)
 def _stroll(name: str, length_m: float, seed: int) -> RadioSurvey:
-    """The same walk for both radios."""
+    """A walk without readings, the same for both radios."""
     return places.stroll(load_map(name), length_m, _STROLL_STEP_M, _STROLL_SPEED_M_S, seed)
 
 
@@ -92,7 +92,7 @@ class _FingerprintSlam(Study):
         return similarity_figures(walk, places.merged(phones).rssi_dbm, is_pair, _OFFSET_DB[self._kind])
 
     def evidence(self, folder: Path, quick: bool) -> Figures:
-        """How far apart all pairs of places within the window are, on one walk through the twin."""
+        """Spread of the distances of all pairs of places within the window, on one walk through the twin."""
         walk, is_pair = self._walk(0, quick)
         first, second = np.nonzero(np.triu(is_pair, 1))
         apart_m = np.linalg.norm(walk.position_m[first] - walk.position_m[second], axis=1)
@@ -100,7 +100,7 @@ class _FingerprintSlam(Study):
         return {"pairs_sd_m": float(apart_m.std()), "width_m": float(width_m), "height_m": float(height_m)}
 
     def _walk(self, seed: int, quick: bool) -> tuple[RadioSurvey, Array]:
-        """A walk (n) without readings, and which pairs (n, n) of its places lie within the window."""
+        """A walk (n) without readings, and which pairs (n, n) of its places are within the window."""
         walk = _stroll(self._place, 100.0 if quick else _STROLL_M, seed)
         travel_m = walk.time_s * _STROLL_SPEED_M_S
         return walk, np.abs(travel_m[:, None] - travel_m[None]) < _WINDOW_M[self._kind]
@@ -125,7 +125,7 @@ def _cells(name: str) -> int:
 FINGERPRINT_SLAM = tuple(_FingerprintSlam(place, kind) for place, kind in _PRINTED)
 
 _ROUTERS, _SMOOTHED = {"E3": 1, "E5": 2}, {"E3": 25, "E5": 1}
-"""Of each experiment; E3 was smoothed by the authors over about so many samples (papers.md K6)."""
+"""Number of routers, and of samples over which the authors smoothed (papers.md K6), by experiment."""
 _WALK_SPEED_M_S = 0.3
 _WALL_DB = 16.7
 _AUTHORS_FLAT = {
@@ -137,10 +137,9 @@ _AUTHORS_FLAT = {
     "shadowing_length_m": 0.3,
     "noise_std_db": 2.5,
 }
-"""Fitted to E3 with its rooms known; further walls cost next to nothing there, as in the flat with BLE anchors. How
-strong routers are is told by each experiment's readings near by and in sight, what its walls take by 5 GHz where it has
-them. The preset stands for the twins, whose rooms are drawn so that the printed classes come out: there strength falls
-less with distance."""
+"""Fitted to E3 with known rooms; further walls add almost no loss there, as in the flat with BLE anchors. The power of
+the routers follows from near readings in line of sight, the wall loss from 5 GHz where available. The preset `sfw` is
+for the twins, whose rooms are designed to give the printed classes: there strength decreases less with distance."""
 _FITTED = "E3"
 _MANY_WALLS = 3
 _MAP_CELL_M = 0.1
@@ -173,7 +172,7 @@ class _KVisibility(Study):
         }
 
     def evidence(self, folder: Path, quick: bool) -> Figures:
-        """What the first and the further walls take [dB] from the router that both experiments know, and its spread."""
+        """Loss of the first and of further walls [dB] for the router of both experiments, and its spread in sight."""
         figures: Figures = {}
         for experiment, routers in _ROUTERS.items():
             laid = _laid(folder, routers)
@@ -190,7 +189,7 @@ class _KVisibility(Study):
 
 
 def _heard_in_flat(folder: Path, experiment: str, config: RadioConfig, seed: int) -> RadioSurvey:
-    """What the radio model gives along the walk of an experiment."""
+    """Simulated readings along the walk of an experiment."""
     laid = _laid(folder, _ROUTERS[experiment])
     walk, plan = _walk_and_plan(laid)
     share = _wall_loss_db(laid) / _wall_loss_db(_laid(folder, _ROUTERS[_FITTED]))
@@ -200,7 +199,7 @@ def _heard_in_flat(folder: Path, experiment: str, config: RadioConfig, seed: int
 
 
 def _power_in_sight(laid: LaidWalk, walk: RadioSurvey, plan: Floorplan, config: RadioConfig) -> float:
-    """Strength at 1 m [dBm] that the readings near by and in sight tell of an experiment's routers and receiver."""
+    """Strength at 1 m [dBm] of the routers of an experiment, from near readings in line of sight."""
     powers = []
     for point, level in zip(plan.access_points, _low_band(laid.walk), strict=True):
         apart_m = np.maximum(np.linalg.norm(walk.position_m - point.position_m, axis=1), config.distance_min_m)
@@ -212,9 +211,9 @@ def _power_in_sight(laid: LaidWalk, walk: RadioSurvey, plan: Floorplan, config: 
 
 @lru_cache(maxsize=2)
 def _wall_loss_db(laid: LaidWalk) -> float:
-    """What being behind walls takes at 2.4 GHz, told by the 5 GHz columns where the log has them: no row judges these.
+    """Loss behind walls at 2.4 GHz, from the 5 GHz columns if the log has them, since these are not evaluated.
 
-    At 5 GHz walls take as much more as by the default settings. Doors may stand open in one experiment alone.
+    The ratio of losses at 5 and 2.4 GHz is that of the default settings. Doors may be open in one experiment only.
     """
     first = np.unique(laid.walk.router_of, return_index=True)[1]
     high = np.setdiff1d(np.arange(len(laid.walk.router_of)), first)
@@ -225,7 +224,7 @@ def _wall_loss_db(laid: LaidWalk) -> float:
 
 
 def _behind_walls_db(laid: LaidWalk, column: int, rssi_dbm: Array) -> float:
-    """How much fainter readings (k,) of a column are behind walls, be it one or more."""
+    """Loss of the readings (k,) of a column behind any number of walls [dB]."""
     walk, plan = _walk_and_plan(laid)
     router_m = plan.access_points[laid.walk.router_of[column]].position_m
     behind = plan.wall_index.crossing(router_m, walk.position_m)[0] > 0
@@ -242,7 +241,7 @@ _K_VISIBILITY_REASONS = {
 
 
 K_VISIBILITY = (_KVisibility("E3", "calibrated"), _KVisibility("E5", "reported"))
-"""One router calibrated the settings; two are only reported."""
+"""The experiment with one router is calibrated, the one with two is reported."""
 
 
 @lru_cache(maxsize=2)
@@ -251,12 +250,12 @@ def _laid(folder: Path, routers: int) -> LaidWalk:
 
 
 def _low_band(walk: AuthorsWalk) -> list[Array]:
-    """Readings of each router at 2.4 GHz, which stands before its 5 GHz."""
+    """Readings of each router at 2.4 GHz, its first column."""
     return [walk.rssi_dbm[:, int(np.flatnonzero(walk.router_of == router)[0])] for router in np.unique(walk.router_of)]
 
 
 def _walk_and_plan(laid: LaidWalk) -> tuple[RadioSurvey, Floorplan]:
-    """The walk as an empty survey, and the rooms of the LiDAR map with the authors' routers."""
+    """The walk as a survey without readings, and the rooms of the LiDAR map with the authors' routers."""
     at_m = laid.placed.position_m
     travel_m = travelled_m(at_m)
     zeros = np.zeros(len(at_m), int)
@@ -272,12 +271,12 @@ def _walk_and_plan(laid: LaidWalk) -> tuple[RadioSurvey, Floorplan]:
 
 
 def _range(real: float, mine: list[float], others: list[float]) -> tuple[float, float, float]:
-    """Over the routers of both experiments, and which share of the other one's comes near a figure."""
+    """Range over the routers of both experiments, and the share of the other experiment's routers near a figure."""
     return float(np.nanmin(mine + others)), float(np.nanmax(mine + others)), share_near(np.array(others), real)
 
 
 def _class_figures(levels_dbm: list[Array]) -> Figures:
-    """Of each router's readings: spread, and share, mean and spread of each class; means over routers."""
+    """Spread of the readings, and share, mean and spread of each class; means over routers."""
     found: list[Figures] = []
     for level in levels_dbm:
         figures: Figures = {"mean RSS [dBm]": float(level.mean()), "sd of all readings [dB]": float(level.std())}

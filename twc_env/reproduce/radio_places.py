@@ -1,7 +1,7 @@
-"""Plans that imitate the places of real radio surveys, and the radio model run at the survey's own scans.
+"""Plans that imitate the places of real radio surveys, and simulation of the radio model at the scans of a survey.
 
-Walls that a set does not tell are drawn as an office or hall of its extent; access points stand where the set says,
-else they are spread by seed. Strengths are never taken from the data.
+Unknown walls are those of an office or hall of the same extent; access points are at their known positions, or spread
+by seed. Strengths are never taken from the data.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from twc_env.world.reception import WifiReceiver
 
 _VENDOR = 0x02_00_5E << 24
 MODULE_M, WALL_DB, OUTER_WALL_DB = 7.0, 4.0, 10.0
-"""Width of rooms, and losses of walls, where a set tells neither."""
+"""Width of rooms, and losses of walls, if unknown."""
 WALL_FACES = 2
-"""Lines of a flat's outline, or rims of its free space, that a way through one wall crosses."""
+"""Lines of the outline of a flat, or of its free space, that a ray through one wall crosses."""
 
 
 def office(name: str, bounds_m: Array, module_m: float = MODULE_M, wall_db: float = WALL_DB) -> Floorplan:
@@ -57,7 +57,7 @@ def office(name: str, bounds_m: Array, module_m: float = MODULE_M, wall_db: floa
 
 
 def flat(plan: Flat, wall_db: float) -> Floorplan:
-    """The outline itself: each face of a wall takes half of its loss."""
+    """The outline as a plan: each face of a wall has half of its loss."""
     ends = np.stack([plan.outline_m, np.roll(plan.outline_m, -1, axis=0)], axis=1)
     points = [AccessPoint(f"anchor-{i}", place, (i + 1,)) for i, place in enumerate(plan.anchors_m)]
     return Floorplan(
@@ -66,17 +66,17 @@ def flat(plan: Flat, wall_db: float) -> Floorplan:
 
 
 def walls_of(faces: Array) -> Array:
-    """Walls crossed where so many faces are; what ends inside a wall has crossed it."""
+    """Number of walls from the number of faces crossed; a ray that ends inside a wall has crossed it."""
     return (faces + WALL_FACES - 1) // WALL_FACES
 
 
 def another(plan: Floorplan, seed: int) -> Floorplan:
-    """The same walls and transmitters in another building: shadowing and powers are drawn by a plan's name, too."""
+    """The plan under another name, which gives other shadowing and transmitter powers."""
     return dataclasses.replace(plan, name=f"{plan.name} {seed}")
 
 
 def with_known_transmitters(plan: Floorplan, survey: RadioSurvey, floor: int) -> Floorplan:
-    """Access points where the survey has its transmitters: address k of the plan is column k - 1 of the survey."""
+    """Access points at the transmitters of the survey: address k of the plan is column k - 1 of the survey."""
     transmitter_m, storeys, is_high = survey.transmitters
     boxes: dict[tuple, list[int]] = {}
     for k, (place, level) in enumerate(zip(transmitter_m, storeys, strict=True)):
@@ -97,8 +97,8 @@ def with_spread_transmitters(
     floors: Sequence[int] = (0,),
     around: Cells | None = None,
 ) -> Floorplan:
-    """Access points at random places shared out over storeys: within bounds (default: the plan's), or where `around` is
-    free."""
+    """Access points at random positions, distributed over storeys: within bounds (default: the plan's), or on the free
+    cells of `around`."""
     random = random_stream(seed, f"transmitters {plan.name}")
     if around is not None:
         rows, columns = np.nonzero(around.free)
@@ -121,7 +121,7 @@ def with_spread_transmitters(
 
 
 def beside_wide_floor(cells: Cells, width_m: float, depth_m: float) -> Cells:
-    """What lies within `depth_m` of floor at least `width_m` wide: shops along a concourse, no service corridors."""
+    """The area within `depth_m` of floor at least `width_m` wide: shops along a concourse, no service corridors."""
     inside_m = distance_transform_edt(np.pad(cells.free, 1))[1:-1, 1:-1] * cells.resolution_m
     wide = distance_transform_edt(inside_m < width_m / 2) * cells.resolution_m <= width_m / 2
     beside = distance_transform_edt(~wide) * cells.resolution_m <= depth_m
@@ -129,20 +129,20 @@ def beside_wide_floor(cells: Cells, width_m: float, depth_m: float) -> Cells:
 
 
 def over_storeys(plan: Floorplan, floors: Sequence[int]) -> Floorplan:
-    """The plan with its access points dealt out over storeys."""
+    """The plan with its access points distributed over storeys."""
     points = [dataclasses.replace(point, floor=floors[i % len(floors)]) for i, point in enumerate(plan.access_points)]
     return dataclasses.replace(plan, access_points=tuple(points))
 
 
 class RememberingModel(RadioModel):
-    """A radio model that computes each place once: for several receivers that visit the same places."""
+    """A radio model that caches its results by position, for several receivers at the same positions."""
 
     def __init__(self, config: RadioConfig, plan: Floorplan):
         super().__init__(config, plan)
         self._known: dict[bytes, Array] = {}
 
     def mean_rssi_dbm(self, position_m: Array) -> Array:
-        """(transmitters,) as of RadioModel."""
+        """(transmitters,) as RadioModel."""
         key = np.asarray(position_m, float).tobytes()
         if key not in self._known:
             self._known[key] = super().mean_rssi_dbm(position_m)
@@ -157,9 +157,9 @@ def simulate(
     phones: bool = True,
     model: RadioModel | None = None,
 ) -> RadioSurvey:
-    """What the radio model gives at the places and times of a survey, in the plan of one storey.
+    """The survey with simulated readings at its positions and times, in the plan of one storey.
 
-    Each walk is another phone, or one receiver takes them all. A model at hand saves building one.
+    Each walk has its own phone, unless `phones` is False. An existing `model` may be given.
     """
     model = model or RadioModel(config, plan)
     table = np.full((len(survey.position_m), len(model.macs)), np.nan, np.float32)
@@ -185,7 +185,7 @@ def simulate(
 
 
 def stroll(plan: Floorplan, length_m: float, spacing_m: float, speed_m_s: float, seed: int) -> RadioSurvey:
-    """An empty survey along a walk between random places of the open floor."""
+    """A survey without readings along a walk between random places of the open floor."""
     way = RoutePlanner(plan).wander(length_m, random_stream(seed, f"stroll {plan.name}"))
     at = np.arange(0.0, length_m, spacing_m)
     zeros, nothing = np.zeros(len(at), int), np.zeros((len(at), 0), np.float32)
@@ -193,7 +193,8 @@ def stroll(plan: Floorplan, length_m: float, spacing_m: float, speed_m_s: float,
 
 
 def merged(surveys: Sequence[RadioSurvey]) -> RadioSurvey:
-    """Scans that several phones took side by side: the mean of all that heard a transmitter (papers.md R3)."""
+    """The scans of several phones at the same positions, averaged over those that heard a transmitter (papers.md
+    R3)."""
     readings = np.stack([survey.rssi_dbm for survey in surveys])
     count = np.isfinite(readings).sum(axis=0)
     total = np.nansum(readings, axis=0)

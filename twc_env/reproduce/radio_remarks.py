@@ -1,4 +1,4 @@
-"""What the table of the radio model shows, in words: how many figures are near, how sure the real ones are, why."""
+"""Notes on the table of the radio model: shares of good figures, certainty of the real ones, reasons of misses."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from twc_env.reproduce.radio_study import NEAR, Figures, Study
 
 _SURE = 0.95
-"""Share of real places that must come near a real figure, for it to be told well enough to be hit."""
+"""A real figure is certain if this share of real places is near it."""
 
 
 def told(table: Sequence[dict], studies: Sequence[Study], evidence: Mapping[str, Figures]) -> Iterator[str]:
-    """Sentences about the rows; `evidence` is what the data of each set tells for the reasons of its study."""
+    """Sentences about the rows; `evidence` are figures of each set for the reasons of its study."""
     judged = [row for row in table if row["real"]]
     for role in ("calibrated", "reported"):
         mine = [row for row in judged if row["role"] == role]
@@ -58,7 +58,7 @@ def _is_inside(row: dict) -> bool:
 
 
 def _among(row: dict) -> str:
-    """How a miss compares with what real places differ by."""
+    """Comparison of a miss with the spread of real places."""
     if row["real_low"] is None:
         return ""
     inside = ", within the real spread" if _is_inside(row) else ""
@@ -66,6 +66,6 @@ def _among(row: dict) -> str:
 
 
 def _reason(reasons: Mapping[str, str], quantity: str) -> str:
-    """The reason with the longest key that the quantity begins with."""
+    """The reason with the longest key that is a prefix of the quantity."""
     fitting = [key for key in reasons if quantity.startswith(key)]
     return reasons[max(fitting, key=len)] if fitting else "not understood"

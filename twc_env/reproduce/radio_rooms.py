@@ -1,7 +1,6 @@
-"""The rooms that a survey itself tells: its points say what kind of room each lies in.
+"""Rooms inferred from a survey whose points have room types.
 
-A corridor whose points were surveyed is open from end to end, a meeting room has walls around it. Where nobody
-surveyed, square rooms are drawn.
+A surveyed corridor is open from end to end, other rooms have walls around them. Unsurveyed areas get square rooms.
 """
 
 from __future__ import annotations
@@ -17,16 +16,16 @@ from twc_env.world.floorplan import Floorplan
 
 CELL_M = 0.2
 REACH_M = 1.7
-"""A room goes on this far beyond its outermost points: access points hang on walls 1.6 to 2 m away from them."""
+"""A room extends this far beyond its outermost points: access points on walls are 1.6 to 2 m away from them."""
 BRIDGED_M = 5.0
-"""Furniture up to this wide keeps surveyors out of the middle of a room."""
+"""Maximum width of unsurveyed areas inside a room, such as furniture."""
 ROOM_MIN_M2 = 10.0
 CORRIDOR = 1
-"""Kind of room in which the points fill the floor."""
+"""Room type whose points cover the floor."""
 
 
 def surveyed_rooms(survey: RadioSurvey, floor: int, bounds_m: Array) -> Floorplan:
-    """The storey of a survey that tells its kinds of rooms, within bounds (4,)."""
+    """The plan of a storey of a survey with room types, within bounds (4,)."""
     origin = np.asarray(bounds_m[:2], float)
     columns, rows = np.ceil((np.asarray(bounds_m[2:]) - origin) / CELL_M).astype(int).tolist()
     here = survey.floor == floor
@@ -45,7 +44,7 @@ def surveyed_rooms(survey: RadioSurvey, floor: int, bounds_m: Array) -> Floorpla
 
 
 def _known(cells: Array, kinds: Array, shape: tuple[int, int]) -> Array:
-    """(rows, columns) number of the surveyed room of each cell, 0 for none; where two meet, the nearest point tells."""
+    """(rows, columns) number of the surveyed room of each cell, 0 for none; overlaps go to the nearest point."""
     rooms, away = [], []
     for kind in np.unique(kinds):
         points = np.zeros(shape, bool)
@@ -55,7 +54,7 @@ def _known(cells: Array, kinds: Array, shape: tuple[int, int]) -> Array:
         room = minimum_filter(wide, _width(bridged_m - 2 * REACH_M), mode="constant", cval=1)
         rooms.append(binary_fill_holes(room))
         away.append(distance_transform_edt(~points))
-    # Which of two points is nearer changes from cell to cell along a wall: what most cells say makes it straight.
+    # The nearest point changes from cell to cell along a wall; a median filter makes it straight.
     nearest = median_filter(np.argmin(away, axis=0), _width(2 * REACH_M))
     labels = np.zeros(shape, int)
     for number, room in enumerate(rooms):
@@ -65,18 +64,18 @@ def _known(cells: Array, kinds: Array, shape: tuple[int, int]) -> Array:
 
 
 def _width(length_m: float) -> int:
-    """Of a square window, an odd number of cells."""
+    """Size of a square window, an odd number of cells."""
     return 2 * round(length_m / CELL_M / 2) + 1
 
 
 def _drawn(shape: tuple[int, int]) -> Array:
-    """(rows, columns) number from 0 of the drawn room of each cell: squares of MODULE_M."""
+    """(rows, columns) number of the square room (MODULE_M) of each cell, from 0."""
     (row, column), module = np.indices(shape), MODULE_M / CELL_M
     return (row // module * shape[1] + column // module).astype(int)
 
 
 def _without_slivers(labels: Array) -> Array:
-    """What is too small for a room belongs to the nearest one that is not."""
+    """Labels in which parts that are too small for a room belong to the nearest room."""
     is_room = np.zeros(labels.shape, bool)
     numbers = np.zeros_like(labels)
     for label in np.unique(labels):

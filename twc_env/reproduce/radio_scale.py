@@ -30,7 +30,7 @@ SUMMARY = "radio SLAM over ten kilometres: memory and time per scan; search amon
 CHOOSES = ("seeds",)
 PLACE = PLACES["semi-indoor"]
 HEARD = 44
-"""Addresses in each fingerprint of the search."""
+"""Number of addresses per fingerprint in the search."""
 SPREADS = {"in a building of 4096 addresses": 4096, "in one room of 88 addresses": 88}
 BULK, REPEATS = 4000, 5
 
@@ -98,14 +98,14 @@ def run(part: tuple[float, int]) -> list[dict]:
 
 
 def _warm_up(motions: Array, turned_rad: Array, prints: tuple[Fingerprint, ...]) -> None:
-    """Compile what a run needs."""
+    """Compile the kernels of a run."""
     trail = RadioTrail(RadioSlamConfig())
     for motion, turn, heard in zip(motions[:300], turned_rad[:300].tolist(), prints[:300], strict=True):
         trail.add(motion, turn, heard)
 
 
 def similarity_speed(stored: int, transmitters: int) -> dict[str, float]:
-    """{search_ms, pair_us}: one against many, and each of all pairs; the best of several, in CPU time."""
+    """{search_ms, pair_us}: CPU time of one against many, and per pair of all pairs; the best of several."""
     random = np.random.default_rng(0)
     prints = [_made(random, transmitters) for _ in range(max(stored, BULK))]
     store = FingerprintStore()
@@ -120,7 +120,7 @@ def similarity_speed(stored: int, transmitters: int) -> dict[str, float]:
 
 
 def _made(random: np.random.Generator, transmitters: int) -> Fingerprint:
-    """What is heard at one place: neighbouring addresses, as of transmitters near by."""
+    """A random fingerprint of neighbouring addresses, as from near transmitters."""
     first = random.integers(0, transmitters - 2 * HEARD + 1)
     macs = first + np.sort(random.choice(2 * HEARD, HEARD, replace=False))
     return Fingerprint(macs.astype(np.int64), random.uniform(-90.0, -40.0, HEARD))

@@ -1,4 +1,4 @@
-"""One set of radio measurements and its simulated twin, and what the studies of all sets share."""
+"""One set of radio measurements and its simulation, and shared functions of all sets."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from twc_env.random_streams import random_stream
 Figures = dict[str, float]
 
 Spread = dict[str, tuple[float, float, float]]
-"""Of each figure the middle 95 % over real places, and the share of them within NEAR of the set's own figure."""
+"""Per figure the central 95 % over real places, and the share of them within NEAR of the figure of the set."""
 
 NEAR = 0.15
-"""A figure this near to the real one, as a share of it, is near enough."""
+"""Relative tolerance of a figure."""
 
 SIMILARITIES = (0.7, 0.8, 0.9)
 _INTERVAL = 0.95
 
 
 class Study(ABC):
-    """One set: what it measured, and what the model gives in its place.
+    """One set: its measured figures, and those of the model.
 
-    Figures are worked out from the folder of real data; `quick` asks for a small part of them.
+    Figures are computed from the folder of real data; `quick` selects a small part of the data.
     """
 
     def __init__(
@@ -38,13 +38,12 @@ class Study(ABC):
     ):
         self.name = name
         self.role = role
-        """calibrated or reported."""
+        """"calibrated" or "reported"."""
         self.reasons = reasons or {}
-        """Why figures whose name begins with the key are missed; names in braces stand for figures of the evidence."""
+        """Reasons of misses by prefix of the quantity; names in braces are figures of the evidence."""
         self.runs = runs
-        """Simulated buildings per seed: small sets take more, as one building's shadowing and powers are much of
-        chance."""
-        self._preset, self._changes = preset, changes  # settings of the place that differ from the preset
+        """Simulated buildings per seed: more for small sets, since shadowing and powers of one building are random."""
+        self._preset, self._changes = preset, changes  # settings that differ from the preset
 
     @property
     def config(self) -> RadioConfig:
@@ -53,23 +52,23 @@ class Study(ABC):
 
     @abstractmethod
     def real(self, folder: Path, quick: bool) -> Figures:
-        """What was measured."""
+        """The measured figures."""
 
     @abstractmethod
     def simulated(self, folder: Path, config: RadioConfig, seed: int, quick: bool) -> Figures:
-        """What the model gives in its place."""
+        """The figures of the model."""
 
     def evidence(self, folder: Path, quick: bool) -> Figures:
-        """What the data tells for the reasons."""
+        """Figures for the reasons."""
         return {}
 
     def spread(self, folder: Path, quick: bool) -> Spread:
-        """How far apart the real figures are of other access points, walks or routers of the same kind of place."""
+        """Spread of the real figures over access points, walks or routers."""
         return {}
 
 
 def similarity_figures(survey: RadioSurvey, rssi_dbm: Array, is_pair: Array, offset_db: float = 100.0) -> Figures:
-    """Transmitters per scan, and how far apart pairs of like scans are."""
+    """Transmitters per scan, and distances of pairs of similar scans."""
     similarity = cosine_similarity(rssi_dbm, offset_db)
     figures = {"transmitters per scan": float(np.isfinite(rssi_dbm).sum(axis=1).mean())}
     for at in SIMILARITIES:
@@ -80,7 +79,7 @@ def similarity_figures(survey: RadioSurvey, rssi_dbm: Array, is_pair: Array, off
 
 
 def spread_over(units: int, figures_of: Callable[[Array], Figures], draws: int = 100) -> Spread:
-    """Bootstrap: each figure over draws (units,) with replacement of what a set happens to have."""
+    """Bootstrap of each figure, over draws (units,) with replacement."""
     random = random_stream(0, "spread")
     found = [figures_of(random.integers(0, units, units)) for _ in range(draws)]
     spread = {}
@@ -93,7 +92,7 @@ def spread_over(units: int, figures_of: Callable[[Array], Figures], draws: int =
 
 
 def share_near(values: Array, real: float) -> float:
-    """Of values (k,), how many lie within NEAR of the real one; 0 where that is none or nothing."""
+    """Share of values (k,) within NEAR of the real one; 0 if that is not finite."""
     return float(np.mean(np.abs(values - real) <= NEAR * abs(real))) if np.isfinite(real) else 0.0
 
 
@@ -105,7 +104,7 @@ def with_settings(config: RadioConfig, changes: dict) -> RadioConfig:
 
 
 def thinned(survey: RadioSurvey, quick: bool) -> RadioSurvey:
-    """Every tenth scan, for a quick look."""
+    """The survey, with every tenth scan only if `quick`."""
     if not quick:
         return survey
     return survey.at_scans(np.arange(0, len(survey.position_m), 10))

@@ -1,7 +1,7 @@
 """Published radio surveys and the radio model at the same places: a library and a flat.
 
-What belongs to a place or a device is taken from the set as an input and never judged: where the anchors stand or how
-many access points there are. All else is the preset's.
+Properties of a place or device are inputs and not evaluated: positions of anchors or the number of access points. All
+other settings are those of the preset.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class _Library(Study):
         return spread_over(len(true.addresses), lambda drawn: _library_figures(true, true.rssi_dbm[:, drawn]))
 
     def evidence(self, folder: Path, quick: bool) -> Figures:
-        """The figure of both months."""
+        """The spread in both months."""
         surveys = {name: _library(folder, month) for name, month in _LIBRARY_MONTHS.items()}
         return {f"{name}_db": spread_at_points(s.walk, s.rssi_dbm, _HEARD_MIN) for name, s in surveys.items()}
 
@@ -85,9 +85,9 @@ _BLE_TAG = {
     "power_spread_db": 0.0,
     "high_band": {"share": 0.0},
 }
-"""A tag on a robot in rooms of 4 m: short ways on which reflections make up for distance."""
+"""A tag on a robot in rooms of 4 m: over short distances reflections compensate for distance."""
 _OWN_WALKS = (0, 1)
-"""Of the calibration run; its other two are the runs that are only reported."""
+"""Walks of the calibration run that are calibrated; its other two are the reported runs."""
 
 
 class _Flat(Study):
@@ -118,7 +118,7 @@ class _Flat(Study):
         return spread_over(rssi.shape[1], of_anchors)
 
     def evidence(self, folder: Path, quick: bool) -> Figures:
-        """The lowest and highest exponents of the four drives."""
+        """The minimum and maximum exponents of the four drives."""
         plan = _flat_plan(folder)
         every = read_ble_run(folder / "wifi" / "ble_lidar", "calibration")
         drives = [every.at_scans(every.walk == walk) for walk in np.unique(every.walk)]
@@ -155,7 +155,7 @@ def _together(surveys: list[RadioSurvey]) -> Array:
 
 
 def _flat_ways(surveys: list[RadioSurvey], plan: Floorplan) -> tuple[Array, Array]:
-    """(scans, anchors) distance, and walls in between."""
+    """(scans, anchors) distances, and walls in between."""
     distances, walls = [], []
     for survey in surveys:
         transmitter_m = survey.transmitters[0]

@@ -1,4 +1,4 @@
-"""What the world decides about radio SLAM: its error semi-indoor against access points, drift and distance walked."""
+"""Error of radio SLAM in the semi-indoor twin by number of access points, drift and path length."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ LENGTHS_M = (300.0, 600.0, 1200.0, 2400.0)
 METHODS = {"odometry": radio_methods.odometry, "wifi": radio_methods.radio("ours")}
 
 Cases = dict[str, tuple[Place, float]]
-"""What is varied -> the place, and which share of its access points is heard."""
+"""Varied quantity -> the place, and the share of its access points that is heard."""
 
 
 def rows(seeds: Sequence[int], runner: Runner, share: float, processes: int) -> list[dict]:
-    """One row a case and method; means over seeds."""
+    """One row per case and method; means over seeds."""
     cases = _cases(PLACES["semi-indoor"], share)
     found = runner.grid(cases, seeds, partial(_measured, cases), processes)
     table = []
@@ -37,7 +37,7 @@ def rows(seeds: Sequence[int], runner: Runner, share: float, processes: int) -> 
 
 
 def _cases(whole: Place, share: float) -> Cases:
-    """Named by what they are at the whole length; this share of it is walked, with as much less drift."""
+    """Cases named by their values at full length; this share of the length is walked, with drift scaled likewise."""
     cases = {f"{s:.0%} of the access points": (whole, s) for s in AP_SHARES}
     for error_m in ODOMETRY_ERRORS_M:
         place = dataclasses.replace(whole, odometry_m=error_m, drift=whole.drift * error_m / whole.odometry_m)

@@ -30,7 +30,7 @@ from twc_env.reproduce.runner import Runner, add_seeds, chosen
 SUMMARY = "radio SLAM in twins of its three environments: WiFi, LTE, WiFi with laser"
 CHOOSES = ("seeds", "places")
 SURVEY_PRINTED_S = 8619.2
-"""Time a laser survey of small loops took (Fig. 5)."""
+"""Published duration of a laser survey in small loops (Fig. 5)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,12 +51,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
-    """One row an environment and method; means over seeds."""
-    chosen(options.places, PLACES)  # a misspelt place fails now
+    """One row per environment and method; means over seeds."""
+    chosen(options.places, PLACES)  # an unknown place fails before the first walk
     if options.sweep:
         return radio_sweep.rows(options.seeds, runner, options.share, options.processes)
     if options.out:
-        new_figure(1, 1)  # fails now without matplotlib, not after the walks
+        new_figure(1, 1)  # without matplotlib this fails before the first walk
     methods = chosen(options.methods, METHODS)
     table = []
     for name, found in _walks(options, runner, options.seeds).items():
@@ -72,7 +72,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 
 def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
-    """The same pictures of each place's first walk beside the rows, where no other folder was named."""
+    """Draw the first walk of each place into the folder of the rows, unless --out names another."""
     if options.out or options.sweep:
         return []
     first = _walks(options, runner, options.seeds[:1])
@@ -84,13 +84,13 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
 
 
 def _walks(options: argparse.Namespace, runner: Runner, seeds: list[int]) -> dict[str, list[dict]]:
-    """By place what `_measured` gives of each seed's walk."""
+    """Place -> results of `_measured` for each seed."""
     work = functools.partial(_measured, share=options.share, methods=chosen(options.methods, METHODS))
     return runner.grid(chosen(options.places, PLACES), seeds, work, options.processes)
 
 
 def _measured(name: str, seed: int, share: float, methods: list[str]) -> dict[str, dict]:
-    """Of one walk: by method its errors, and what pictures show of it."""
+    """The errors of one walk by method, and the content of its pictures."""
     found = outcomes(PLACES[name].shortened(share), seed, methods)
     errors = {method: outcome.errors() for method, outcome in found.items()}
     return {"errors": errors, "drawn": radio_figures.shown(found)}
@@ -109,7 +109,7 @@ def _row(name: str, method: str, walks: list[dict]) -> dict:
 
 
 def _note_worse(runner: Runner, name: str, walks: list[dict]) -> None:
-    """How the methods did against the odometry of the same walk, and their spread over seeds."""
+    """Note the spread over seeds of each method, and how often it is worse than the odometry of the same walk."""
     for method in walks[0]:
         if method == "odometry" or "odometry" not in walks[0]:
             continue

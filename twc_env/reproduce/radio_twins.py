@@ -1,4 +1,4 @@
-"""The three environments of the radio SLAM paper's Table 1: what is printed of each, its twin, and walks through it."""
+"""The three environments of Table 1 of the radio SLAM paper: published values, twins, and walks through them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twc_env.reproduce.radio_walks import RecordedWalk
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """One environment of Table 1: what is printed of it, and its twin."""
+    """One environment of Table 1: published values and its twin."""
 
     twin: str
     preset: str
@@ -22,21 +22,21 @@ class Place:
     duration_s: float
     odometry_m: float
     drift: float
-    """Of the odometry, about which it is matched to the printed error."""
+    """Nominal drift of the odometry, which is adjusted to the published error."""
     printed: dict[str, tuple[float, float | None]]
-    """Method -> mean and deviation of the error [m]."""
+    """Method -> published mean and standard deviation of the error [m]."""
     storeys: tuple[int, ...] = (0,)
     resolution_m: float = 0.1
-    """Of the planner of ways."""
+    """Resolution of the route planner."""
     has_lidar: bool = False
 
     @property
     def speed_m_s(self) -> float:
-        """As the printed length and duration have it (the printed 0.4 m/s contradicts them outdoors)."""
+        """From the published length and duration (the published 0.4 m/s contradicts them outdoors)."""
         return self.length_m / self.duration_s
 
     def shortened(self, share: float) -> Place:
-        """With this share of the way; its odometry drifts off as much less."""
+        """The place with this share of the path length and of the odometry error."""
         length_m, duration_s, odometry_m = self.length_m * share, self.duration_s * share, self.odometry_m * share
         return dataclasses.replace(self, length_m=length_m, duration_s=duration_s, odometry_m=odometry_m)
 

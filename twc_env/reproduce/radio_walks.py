@@ -1,7 +1,7 @@
 """Walks of a robot with five phones and wheel odometry through the places of the radio SLAM paper (papers.md R14).
 
-The printed table tells lengths, durations and how far off odometry was; each walk's odometry is as far off as printed.
-The robot stops nowhere: it moves along shortest ways between random places.
+Length, duration and mean odometry error of each walk are those of the published table. The robot moves without stops
+along shortest paths between random places.
 """
 
 from __future__ import annotations
@@ -37,25 +37,25 @@ SCAN_PERIOD_S = 2.0
 ODOMETRY_STEP_S = 0.5
 STEPS_PER_SCAN = round(SCAN_PERIOD_S / ODOMETRY_STEP_S)
 ROUNDING_M = 0.4
-"""Corners of the shortest way are rounded over about this length."""
+"""Length over which corners of the path are rounded."""
 TURN_RATE_RAD_S = 0.6
 DRIFT_FACTORS, STREAMS_MAX = (0.6, 1.7), 100
 MATCHED_SHARE = 0.005
-"""Odometry counts as matched when its error is this near to the wanted one."""
+"""Relative tolerance of the odometry error."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedWalk:
-    """What one robot sensed at its radio scans (n), beside the truth."""
+    """Measurements of one robot at its radio scans (n), and the ground truth."""
 
     true_poses: Array
     """(n, 3)."""
     motions: Array
     """(n - 1, 3) odometry from each scan to the next."""
     turned_rad: Array
-    """(n - 1,) how far it says the robot turned on the way, not wrapped."""
+    """(n - 1,) measured turn from each scan to the next, not wrapped."""
     fingerprints: tuple[Fingerprint, ...]
-    """One per scan, merged over the phones; WiFi or LTE, as the radio was configured."""
+    """One per scan, merged over the phones; WiFi or LTE, depending on the configuration."""
     drift: float
     odometry_stream: int
     """Seed of the odometry's noise."""
@@ -68,12 +68,12 @@ class RecordedWalk:
 
 @lru_cache(maxsize=4)
 def planner(name: str, resolution_m: float) -> RoutePlanner:
-    """Ways through a named map."""
+    """The route planner of a named map."""
     return RoutePlanner(load_map(name), resolution_m)
 
 
 def drive(name: str, length_m: float, speed_m_s: float, seed: int, resolution_m: float = 0.1) -> Array:
-    """(steps, 3) true poses every ODOMETRY_STEP_S along a way of this length between random places."""
+    """(steps, 3) true poses every ODOMETRY_STEP_S along a path of this length between random places."""
     way = planner(name, resolution_m).wander(length_m + 1.0, random_stream(seed, f"radio walk {name}"))
     return _poses_along(way, length_m, speed_m_s)
 
@@ -88,7 +88,7 @@ def _poses_along(way: Array, length_m: float, speed_m_s: float) -> Array:
 
 
 def _turning_slowly(positions: Array, heading: Array) -> Array:
-    """Poses (more, 3) of a robot that stops for turns it cannot make on the way."""
+    """Poses (k, 3), with more steps where the robot stops for turns that are too fast for it."""
     turn = wrap_angle(np.diff(heading))
     steps = np.maximum(1, np.ceil(np.abs(turn) / (TURN_RATE_RAD_S * ODOMETRY_STEP_S))).astype(int)
     at = np.repeat(np.arange(len(turn)), steps)
@@ -108,7 +108,7 @@ def record(
     nominal_drift: float,
     storeys: tuple[int, ...] = (0,),
 ) -> RecordedWalk:
-    """What the robot senses on a `drive`, with odometry whose mean error is `odometry_error_m`."""
+    """Measurements on a `drive`, with odometry whose mean error is `odometry_error_m`."""
     at = np.arange(0, len(true_poses), STEPS_PER_SCAN)
     drift, stream = matched_odometry(true_poses, at, odometry_error_m, nominal_drift, seed)
     motions, turned_rad = measured_odometry(true_poses, at, drift, stream)
@@ -129,7 +129,7 @@ def scan_radio(plan: Floorplan, radio: RadioConfig, poses: Array, seed: int) -> 
 
 
 def thinned(fingerprints: Sequence[Fingerprint], share: float, seed: int) -> tuple[Fingerprint, ...]:
-    """As heard with only this share of the transmitters."""
+    """The fingerprints with only this share of the transmitters."""
     known = np.unique(np.concatenate([f.macs for f in fingerprints]))
     kept = known[random_stream(seed, "transmitters kept").random(len(known)) < share]
     return tuple(
@@ -145,7 +145,7 @@ def scan_lidar(plan: Floorplan, lidar: LidarConfig, poses: Array, seed: int) -> 
 
 
 def dead_reckoning(start: Array, motions: Array) -> Array:
-    """(n, 3) poses from a first one and the motions (n - 1, 3) that follow."""
+    """(n, 3) poses from the first one and the motions (n - 1, 3)."""
     return compose(start, poses_along(motions))
 
 
@@ -155,7 +155,7 @@ def odometry_of(drift: float, seed: int) -> Odometry:
 
 
 def measured_odometry(true_poses: Array, at: Array, drift: float, seed: int) -> tuple[Array, Array]:
-    """Motions (scans - 1, 3) between the scans, that lie at the steps `at`, and turns (scans - 1,) not wrapped."""
+    """Motions (scans - 1, 3) between the scans, at the steps `at`, and turns (scans - 1,), not wrapped."""
     odometry = odometry_of(drift, seed)
     steps = np.array([odometry.measure(a[None], b[None])[0][0] for a, b in itertools.pairwise(true_poses)])
     motions = steps[at[:-1]]
@@ -168,9 +168,9 @@ def measured_odometry(true_poses: Array, at: Array, drift: float, seed: int) -> 
 def matched_odometry(
     true_poses: Array, at: Array, wanted_m: float, nominal_drift: float, seed: int
 ) -> tuple[float, int]:
-    """Drift near the nominal one, and the stream of noise, for which odometry is off by `wanted_m` on average.
+    """Drift near the nominal one, and the noise stream, for which the mean odometry error is `wanted_m`.
 
-    How far a path drifts is mostly chance; streams that need a quite different drift for it are passed over.
+    The error is mostly random; noise streams that would need a very different drift are skipped.
     """
     for stream in range(STREAMS_MAX * seed, STREAMS_MAX * (seed + 1)):
         low, high = (factor * nominal_drift for factor in DRIFT_FACTORS)

@@ -54,7 +54,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 
 def remarks(table: list[dict]) -> list[str]:
-    """How far `fused` is above the best other method on each floor, in units of the spread over draws."""
+    """Margin of `fused` over the best other method on each floor, compared with the spread over draws."""
     lines = []
     for floor in dict.fromkeys(row["floor"] for row in table):
         rows_of = {row["method"]: row for row in table if row["floor"] == floor}
@@ -70,7 +70,7 @@ def remarks(table: list[dict]) -> list[str]:
 
 
 def judge_draw(floors: dict[str, Floor], seed: int) -> dict[str, dict[str, dict[str, float]]]:
-    """Each floor judged by what was learned on the other: floor -> method -> figures."""
+    """Evaluate each floor with parameters learned on the other: floor -> method -> figures."""
     cues = {name: Cues(draw_places(floor, seed)) for name, floor in floors.items()}
     learned = {name: learn(c) for name, c in cues.items()}
     result = {}
@@ -83,7 +83,7 @@ def judge_draw(floors: dict[str, Floor], seed: int) -> dict[str, dict[str, dict[
 
 
 def scores(cues: Cues, learned: dict[str, dict]) -> dict[str, Array]:
-    """Method -> (pairs,) score; for rules of several thresholds the smallest likeness, all moved together."""
+    """Method -> (pairs,) score; for rules with several thresholds the smallest similarity."""
     fused = _standard(cues.features, learned["fused"]) @ learned["fused"]["weights"]
     return {
         "text": cues.text,
@@ -94,7 +94,7 @@ def scores(cues: Cues, learned: dict[str, dict]) -> dict[str, Array]:
 
 
 def learn(cues: Cues) -> dict[str, dict]:
-    """What each method takes along to the other floor."""
+    """Parameters of each method, learned on one floor."""
     wifi = {t: average_precision(_wifi(cues, t), cues.is_same) for t in TOLERANCES_DB}
     both = {t: average_precision(np.minimum(cues.text, _wifi(cues, t)), cues.is_same) for t in TOLERANCES_DB}
     learned: dict[str, dict] = {
@@ -114,12 +114,12 @@ def _wifi(cues: Cues, tolerance_db: float) -> Array:
 
 
 def _standard(features: Array, learned: dict) -> Array:
-    """Features in units of the training floor's spread, and a constant."""
+    """Features standardised with the training floor, and a constant."""
     return np.column_stack([(features - learned["mean"]) / learned["std"], np.ones(len(features))])
 
 
 def logistic(features: Array, is_same: Array) -> Array:
-    """(features,) weights of a logistic regression with a weak pull to zero, by Newton's method."""
+    """(features,) weights of a logistic regression with weak ridge regularisation, by Newton's method."""
     weights = np.zeros(features.shape[1])
     for _ in range(NEWTON_STEPS):
         share = expit(features @ weights)
@@ -130,7 +130,7 @@ def logistic(features: Array, is_same: Array) -> Array:
 
 
 def _best_threshold(score: Array, is_same: Array) -> float:
-    """The score at which precision and recall are best together (F1)."""
+    """The score with the best F1."""
     precision, recall = precision_recall_curve(score, is_same)
     f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-12)
     return float(np.unique(score)[::-1][int(np.argmax(f1))])

@@ -1,9 +1,8 @@
-"""How well radio could place phone walks: one walk is looked for while all others are told where they truly lie.
+"""Oracle for the localisation of phone walks by radio: one walk is localised while the poses of all others are known.
 
-The scans of the others span a map: at each place the mean of what was heard around, the walk itself left out. The walk
-is laid where its scans are most alike to the map, over the whole floor. This uses surveyed positions and is no method:
-it says how much of an error is left by what radio tells, by one of the best likelihoods that were found without
-training on surveyed positions.
+The scans of the others give a radio map: at each cell the weighted mean of the scans around it. The walk is placed
+where its scans are most similar to this map, over the whole floor. This uses surveyed positions and is no method: it
+shows the error that remains with one of the best likelihoods found without training on surveyed positions.
 """
 
 from __future__ import annotations
@@ -20,21 +19,21 @@ from twc_env.slam.trace_joining import COMPASS_STD_RAD, SHARPNESS
 
 CELL_M, MARGIN_M = 2.0, 15.0
 REACH_M, FALL = 2.5, 1.5
-"""A scan counts (1 + (distance / reach)^2)^-fall at a place."""
+"""Weight of a scan at a cell: (1 + (distance / reach)^2)^-fall."""
 GAIN = 30.0
-"""How much the cosine of one scan says, in units of log likelihood; a walk of n scans says sqrt(n) of that."""
+"""Log likelihood per unit of cosine of one scan; a walk of n scans counts sqrt(n) times."""
 TURNS_RAD = np.linspace(-0.2, 0.2, 3)
-"""Headings that are tried of a walk whose compass may be off."""
+"""Tested rotations of a walk, for errors of its compass."""
 _SMALLEST = 1e-9
 _ROUNDING = 1e-5
-"""Of a sum of single precision, at most: less is left of none."""
+"""Relative rounding error of sums in single precision: smaller remainders are zero."""
 
 
 def sought(walks: Sequence[WalkerTrace], is_shape_told: bool) -> Array:
-    """(n,) how far [m] each scan of every walk is found from the truth.
+    """(n,) distance [m] of each scan of every walk from its true position.
 
-    With `is_shape_told` the walk's true shape and heading are known and only its place is looked for; else its shape
-    is dead reckoning and its heading the compass's.
+    With `is_shape_told` the true shape and heading of the walk are known and only its position is estimated; otherwise
+    they are from dead reckoning and compass.
     """
     true_m = np.concatenate([walk.surveyed_m for walk in walks])
     shape_m = true_m if is_shape_told else np.concatenate([walk.reckoned[:, :2] for walk in walks])
@@ -49,7 +48,7 @@ def sought(walks: Sequence[WalkerTrace], is_shape_told: bool) -> Array:
 
 
 class _Others:
-    """The map that scans span, of which any walk can be left out."""
+    """The radio map of all scans, from which any walk can be excluded."""
 
     def __init__(self, positions_m: Array, fingerprints: Sequence):
         rows = feature_rows(fingerprints, RadioSlamConfig().similarity)
@@ -61,11 +60,12 @@ class _Others:
         self._cells_m = low + CELL_M * cells
         away = [np.subtract.outer(c, p).astype(np.float32) for c, p in zip(self._cells_m.T, positions_m.T, strict=True)]
         self._weight = (1.0 + (away[0] ** 2 + away[1] ** 2) / REACH_M**2) ** np.float32(-FALL)  # (cells, n)
-        self._product = self._weight @ self._alike  # of each cell's mean, not of unit length, with each scan
-        self._squared = (self._product * self._weight).sum(axis=1)  # length of that mean
+        self._product = self._weight @ self._alike  # of the mean of each cell (not normalised) with each scan
+        self._squared = (self._product * self._weight).sum(axis=1)  # squared length of that mean
 
     def placed(self, own: Array, shape_m: Array, turns_rad: Array) -> Array:
-        """(k, 2) where scans `own` (k,) of a walk of this shape (k, 2) most likely lie, by all other scans."""
+        """(k, 2) the most likely positions of scans `own` (k,) of a walk of this shape (k, 2), given all other
+        scans."""
         alike = self._alikeness(own)
         centred = shape_m - shape_m.mean(axis=0)
         best, found = -np.inf, centred
@@ -78,16 +78,17 @@ class _Others:
         return found
 
     def _alikeness(self, own: Array) -> Array:
-        """(k, cells) cosine of each of a walk's scans with the map that the others span."""
+        """(k, cells) cosine of each scan of a walk with the radio map of the others."""
         weight, alike = self._weight[:, own], self._alike[np.ix_(own, own)]
         within = weight @ alike
         squared = self._squared - 2 * (self._product[:, own] * weight).sum(axis=1) + (within * weight).sum(axis=1)
         others = self._product[:, own] - within
-        others[others < _ROUNDING * within] = 0.0  # nobody else heard the like
+        others[others < _ROUNDING * within] = 0.0  # no other scan is similar
         return (others / np.sqrt(np.maximum(squared, _SMALLEST))[:, None]).T
 
     def _summed(self, alike: Array, offsets_m: Array) -> Array:
-        """(cells,) what scans say together of their middle being there; beyond the floor as at its edge."""
+        """(cells,) summed cosines for the middle of the walk at each cell; positions off the floor count as its
+        edge."""
         width, height = self._shape
         total = np.zeros(self._shape)
         for row, (dx, dy) in zip(alike, np.rint(offsets_m / CELL_M).astype(int), strict=True):

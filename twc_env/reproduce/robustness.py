@@ -38,11 +38,11 @@ DATASETS = {"intel": "intel", "MIT": "MIT", "M3500": "manhattan", "ringCity": "r
 METHODS = ("plain", "cauchy", "dcs", "gnc", "pcm", "ours")
 KINDS = ("random", "grouped")
 WRONG_M, WRONG_RAD, WRONG_SQUARED = 0.5, math.radians(10.0), 16.27
-"""A false closure is off by more than one of the first two, and by more than chi squared at 99.9 %."""
+"""A false closure exceeds one of the first two, and chi squared at 99.9 %."""
 ITERATIONS_MAX = {"plain": 10, "cauchy": 10}
-"""These two never stop hearing false closures, which makes their equations dense; all others may take 100 steps."""
+"""Maximum iterations; the default is 100. These two keep all false closures, which makes their equations dense."""
 GROUP = 20
-"""False closures in a row of a group."""
+"""Number of consecutive false closures in a group."""
 RANDOM_STD = np.array([1.0, 1.0, 0.3])
 GROUP_STD, MEMBER_STD = np.array([0.3, 0.3, 0.1]), np.array([0.05, 0.05, 0.02])
 SEPARATION_STEPS = {"random": 20, "grouped": 40}
@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
-    """One row a set, kind, share and method; means over the seeds, and the worst error."""
+    """One row per set, kind, share and method; means over the seeds, and the worst error."""
     folder = data_folder() / "posegraph"
     datasets, methods = chosen(options.datasets, DATASETS), chosen(options.methods, METHODS)
     shares = _shares(options.shares)
@@ -112,7 +112,7 @@ def run_case(case: Case, folder: Path) -> dict:
 
 
 def corrupt(graph: Graph, best: Array, kind: str, share: float, seed: int) -> tuple[Graph, Array]:
-    """The graph with false closures so that they are `share` of all, and which edges (e,) are true."""
+    """The graph with false closures as `share` of all closures, and which edges (e,) are true."""
     true_count = int(graph.is_closure.sum())
     count = round(true_count * share / (1 - share))
     information = np.median(graph.information[graph.is_closure], axis=0)
@@ -158,7 +158,7 @@ def _are_wrong(error: Array, information: Array) -> bool:
 
 @cache
 def _clean(folder: Path, dataset: str) -> tuple[Array, Graph, Array]:
-    """Poses by odometry alone, the true graph, and its optimum."""
+    """Poses from odometry only, the graph without false closures, and its optimum."""
     graph = read_graph(folder / f"{DATASETS[dataset]}.g2o.gz")
     start = dead_reckoning(graph)
     config = PoseGraphConfig(robust="plain", iterations_max=100)
@@ -168,7 +168,7 @@ def _clean(folder: Path, dataset: str) -> tuple[Array, Graph, Array]:
 
 
 def read_graph(path: Path) -> Graph:
-    """Edges of a g2o file; odometry are the edges from one vertex to the next."""
+    """The graph of a g2o file; edges between consecutive vertices are odometry."""
     read = read_g2o(path)
     edges = read["edges_ij"]
     return Graph(edges, read["edges_z"], read["edges_information"], edges[:, 1] != edges[:, 0] + 1)

@@ -1,7 +1,7 @@
-"""Scripted walks through the true building, and what robots sense and remember on them.
+"""Scripted walks through the true building, with the keyframes of the robots.
 
-For tables that need data and no exploration. The walker knows the map; what it gathers are the keyframes of the
-engine's own front end, beside the truth that tables are scored with.
+For tables that need data without exploration. The walker knows the map; results are the keyframes of the engine's front
+end, and the ground truth for scoring.
 """
 
 from __future__ import annotations
@@ -27,34 +27,34 @@ from twc_env.world.floorplan import Floorplan, Room
 from twc_env.world.world import World
 
 CLEARANCE_M = 0.32
-"""Routes keep this far from walls."""
+"""Minimum distance of routes from walls."""
 FROM_WALL_M = 1.0
-"""A tour of a room touches the corners of a box that lies this far inside it."""
+"""Distance of the tour of a room from its walls."""
 CRUISE_M_S = 0.8
 LEGS_AT_ONCE = 6
-"""Random places drawn at a time until the way is long enough."""
+"""Number of random stops added at a time until the path is long enough."""
 AIM_AHEAD_M = 0.5
 PASS_GAP_S = 3.0
-"""A sign that was out of view for longer is passed anew."""
+"""A sign that was out of view for longer begins a new pass."""
 SIGHTING_RANGE_M = 3.0
-"""A pass counts as a sighting when the sign was read from this near (papers.md T3)."""
+"""A pass counts as a sighting if the sign was read within this distance (papers.md T3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """One pass of a robot by a sign: the reading at the closest approach, and the truth behind it."""
+    """One pass of a robot by a sign: the reading at the closest approach, and the ground truth."""
 
     keyframe: Keyframe
-    """The keyframe that took up the reading, with no other sign."""
+    """The keyframe of the reading, with no other sign."""
     sign: int
-    """True number of the sign in the plan."""
+    """Index of the true sign in the plan."""
     position_m: Array
     """(2,) true position of the sensor."""
 
 
 @dataclass(slots=True, eq=False)
 class Walk:
-    """One robot's trajectory: all it remembers, and the truth."""
+    """The keyframes of one robot, and the ground truth."""
 
     keyframes: list[Keyframe] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)
@@ -64,7 +64,7 @@ class Walk:
 
 
 class RoutePlanner:
-    """Shortest ways over the open floor of a plan that keep clear of walls."""
+    """Shortest paths over the open floor of a plan at a distance from walls."""
 
     def __init__(self, plan: Floorplan, resolution_m: float = 0.1):
         self._cells = plan.cells(resolution_m)
@@ -88,7 +88,7 @@ class RoutePlanner:
         return int(np.argmin(((self._centres_m - point_m) ** 2).sum(axis=1)))
 
     def route(self, stops_m: Sequence[Array]) -> Array:
-        """(points, 2) a way through the stops in order, in steps of a cell."""
+        """(points, 2) a path through the stops in order, in steps of a cell."""
         stops = [self.nearest(np.asarray(stop)) for stop in stops_m]
         way = [stops[0]]
         for goal in stops[1:]:
@@ -103,7 +103,7 @@ class RoutePlanner:
         return self._centres_m[way]
 
     def wander(self, length_m: float, random: np.random.Generator) -> Array:
-        """(points, 2) a way between random places of the open floor, at least so long."""
+        """(points, 2) a path between random places of the open floor, of at least this length."""
         floor_m = self._cells.centre_of(np.argwhere(self._cells.free))
         way = np.zeros((0, 2))
         while path_length_m(way) < length_m:
@@ -122,9 +122,9 @@ def room_tour(room: Room, clockwise: bool = False) -> list[Array]:
 
 
 def walk(config: EnvConfig, plan: Floorplan, way_m: Array, robot: int, seed: int) -> Walk:
-    """Drive one robot alone along a way (points, 2); it appears as number `robot` of a team.
+    """Drive one robot along a path (points, 2); its keyframes have the number `robot`.
 
-    Alone, because the paper's trajectories were recorded one after the other and nobody stood in the way.
+    It is alone, because the trajectories of the paper were recorded one after the other.
     """
     config = dataclasses.replace(config, robots=1)
     world = World(config, plan)
@@ -172,7 +172,7 @@ class _Passes:
         self._open[sighting.sign] = (time_s, *held[1:])
 
     def finished(self) -> list[Sighting]:
-        """In the order of time."""
+        """The sightings in order of time."""
         passes = self._done + [held[1:] for held in self._open.values()]
         near = [sighting for range_m, sighting in passes if range_m <= SIGHTING_RANGE_M]
         return sorted(near, key=lambda s: (s.keyframe.index, s.sign))
@@ -181,7 +181,7 @@ class _Passes:
 def steer(
     pose: Array, way_m: Array, at: int, config: EnvConfig, ahead_m: float = AIM_AHEAD_M
 ) -> tuple[tuple[float, float] | None, int]:
-    """Speed and turn rate towards a point a little ahead on the way; None at its end. `at` is how far one has come."""
+    """Speed and turn rate towards a point ahead on the path, or None at its end, and the updated path index `at`."""
     reach = way_m[at : at + 12]
     at += int(np.argmin(((reach - pose[:2]) ** 2).sum(axis=1)))
     if at >= len(way_m) - 2:

@@ -1,4 +1,4 @@
-"""What all tables share: progress, resuming after an interruption, printing and writing rows."""
+"""Shared parts of all tables: progress, resuming after an interruption, printing and writing rows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TABLES = (
     "real-places", "robustness", "solver", "stress", "bare-places", "sfw-table1", "sfw-routers", "sfw-authors",
     "sfw-ble", "sfw-houseexpo", "radio-table1", "radio-scale", "building-axes", "real-radio",
 )  # fmt: skip
-"""Names on the command line; with _ for - those of modules of this package."""
+"""Names on the command line; with _ instead of - the modules of this package."""
 
 _EPILOG = """\
 example:
@@ -36,7 +36,7 @@ Tables of real data read the folder in the environment variable TWC_DATA (docs/r
 
 
 class Runner:
-    """Runs the parts of a table one by one, keeps what is finished on disk, and says how far it is."""
+    """Runs the parts of a table, keeps finished parts on disk, and reports the progress."""
 
     def __init__(self, name: str, folder: Path, settings: dict):
         self._parts = FinishedParts(folder, name, settings)
@@ -44,15 +44,15 @@ class Runner:
         if self._parts.remark:
             print(self._parts.remark, file=sys.stderr)
         self.notes: list[str] = []
-        """Sentences that are printed below the rows."""
+        """Sentences to print below the rows."""
 
     def each(
         self, parts: Sequence, work: Callable[..., object], label: Callable[..., str] = str, processes: int = 1
     ) -> list:
-        """`work(part)` for every part, in order; a part that an earlier run finished is read back instead.
+        """`work(part)` for every part, in order; parts that an earlier run finished are read from disk.
 
-        What `work` gives must survive JSON; `label` names a part uniquely. With several processes, `work` and the parts
-        must be picklable; each process computes with one thread.
+        Results of `work` must survive JSON; `label` names a part uniquely. With several processes, `work` and the parts
+        must be picklable; each process uses one thread.
         """
         labelled = [(label(part), partial(work, part)) for part in parts]
         under_way = iter([name for name, _ in labelled] if processes <= 1 else ())
@@ -65,7 +65,7 @@ class Runner:
         return [results[k] for k in range(len(parts))]
 
     def grid(self, kinds: Iterable, seeds: Iterable, work: Callable[..., object], processes: int = 1) -> dict:
-        """`work(kind, seed)` for each kind with each seed: by kind what came of its seeds. As `each`."""
+        """`work(kind, seed)` for each kind and seed, as `each`: kind -> results of its seeds."""
         parts = list(itertools.product(dict.fromkeys(kinds), seeds))
         found = self.each(parts, partial(_unpacked, work), lambda part: f"{part[0]} seed {part[1]}", processes)
         results: dict = {kind: [] for kind, _ in parts}
@@ -87,7 +87,7 @@ def _unpacked(work: Callable[..., object], part: tuple) -> object:
 
 
 def data_folder() -> Path:
-    """The folder with real data that the environment variable TWC_DATA names; DataError when it is not set."""
+    """The folder of real data named by the environment variable TWC_DATA; DataError if it is not set."""
     folder = os.environ.get("TWC_DATA")
     if not folder or not Path(folder).is_dir():
         now = f"{folder} is no folder" if folder else "it is not set"
@@ -99,7 +99,7 @@ def data_folder() -> Path:
 
 
 def seeds_argument(text: str) -> list[int]:
-    """Seeds as an argument's type: a count ("20": 0 to 19) or a range ("0-9")."""
+    """Type of a seeds argument: a count ("20": 0 to 19) or ranges ("0-9")."""
     try:
         return list(parse_seeds(text) if "-" in text else range(count(text)))
     except (ConfigError, argparse.ArgumentTypeError):
@@ -113,7 +113,7 @@ def add_seeds(parser: argparse.ArgumentParser, default: str, what: str) -> None:
 
 
 def chosen(text: str, known: Iterable[str]) -> list[str]:
-    """The names of a list like "intel,MIT". Raises ConfigError for one that is not known, or where there is none."""
+    """The names in a list like "intel,MIT". Raises ConfigError for an unknown name or an empty list."""
     known, names = list(known), [name.strip() for name in text.split(",") if name.strip()]
     for name in names or [text]:
         if name not in known:

@@ -55,7 +55,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 
 def remarks(table: list[dict]) -> list[str]:
-    """The registrations, in words."""
+    """One sentence per registration."""
     return [
         f"experiment {row['experiment']}: map laid on the walk with scale {row['fit_scale']:.4f}, turned "
         f"{row['fit_angle_deg']:.2f} degrees; {row['fit_free_share']:.1%} of the path in free space, mean gap of the "
@@ -110,18 +110,18 @@ def measure(routers: int, folder: Path, out: Path | None) -> list[dict]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaidWalk:
-    """A log of the authors on the cells of their LiDAR map."""
+    """A log of the authors, registered on the cells of their LiDAR map."""
 
     walk: AuthorsWalk
     fit: Registration
     cells: Cells
     placed: WalkReadings
-    """In metres of the cells, with one column for each column of the log."""
+    """In metres on the cells, with the columns of the log."""
     pixels_per_m: float
 
 
 def lay(folder: Path, routers: int) -> LaidWalk:
-    """The walk with so many routers, laid on the map. DataError for broken files."""
+    """The walk with this number of routers, registered on the map. DataError for invalid files."""
     walk = read_authors_walk(folder, routers)
     free, wall = read_lidar_map(folder)
     free = largest_part(free)
@@ -132,7 +132,7 @@ def lay(folder: Path, routers: int) -> LaidWalk:
 
 
 def _cells(free: Array, wall: Array, pixels_per_m: float) -> Cells:
-    """The picture as cells of the scoring grid, y up: free where most pixels are, wall where dark beside free ones."""
+    """The picture as cells of the scoring grid, y up: free if most pixels are, wall if dark and next to free cells."""
     size = scoring.RESOLUTION_M * pixels_per_m
     rows, columns = (np.ceil(np.array(free.shape) / size)).astype(int)
     row, column = (np.floor(np.arange(n) / size).astype(int) for n in free.shape)
@@ -159,7 +159,7 @@ def _placed(walk: AuthorsWalk, fit: Registration, cells: Cells, height_px: int, 
 
 
 def _walls_between(cells: Cells, router_m: Array, position_m: Array) -> Array:
-    """Runs of cells that are not free; what a router or reading itself stands in by a misfit of the map is none."""
+    """Number of runs of non-free cells; those that contain a router or reading because of misfit do not count."""
     blocked = ~cells.free
     at = np.floor((np.vstack([router_m, position_m]) - cells.origin_m) / cells.resolution_m).astype(int)
     standing = np.zeros(blocked.shape, bool)
@@ -172,7 +172,7 @@ def _walls_between(cells: Cells, router_m: Array, position_m: Array) -> Array:
 
 
 def _strongest_column_each(walk: WalkReadings, router_of: Array) -> WalkReadings:
-    """One column per router: the strongest of its bands, as the authors' own last column."""
+    """One column per router, the strongest of its bands, as in the last column of the authors."""
     numbers = np.unique(router_of)
     first = [int(np.flatnonzero(router_of == n)[0]) for n in numbers]
     rssi = np.column_stack([walk.rssi_dbm[:, router_of == n].max(axis=1) for n in numbers])

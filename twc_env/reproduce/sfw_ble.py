@@ -62,7 +62,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 
 def remarks(table: list[dict]) -> list[str]:
-    """Why so few are right, in words."""
+    """A sentence on the limits of the accuracy."""
     return [
         "the first wall takes 10 dB on average and the second 4 dB more, a reading strays by 6 dB: even with the true "
         "power, exponent and loss known, two walls are hardly told from one by strength alone; rays that cross say more"

@@ -1,4 +1,4 @@
-"""Small flats drawn by seed, of the size of the k-visibility twins, to choose settings on instead of on the twins."""
+"""Small generated flats of the size of the k-visibility twins, for choosing settings without using the twins."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TRIES = 30
 
 
 def flat(seed: int, routers: int = 1) -> Floorplan:
-    """A rectangle cut into rooms with a door in every cut, some stubs of wall, and routers near opposite ends."""
+    """A rectangle divided into rooms with a door in every division, short walls, and routers near opposite ends."""
     random = np.random.default_rng([seed, 20])
     size = np.array([random.uniform(*SIDE_M), random.uniform(*SHORT_SIDE_M)]).round(1)
     inner: list[Array] = []
@@ -48,7 +48,7 @@ def flat(seed: int, routers: int = 1) -> Floorplan:
 
 
 def _cut(box: Array, random: np.random.Generator, inner: list[Array], doors: list[Array]) -> list[Array]:
-    """Cut a box (2, 2) low, high in two and so on; walls (2, 2) and door gaps (2, 2) are added to the lists."""
+    """Divide a box (2, 2) low, high recursively; walls (2, 2) and door gaps (2, 2) are appended to the lists."""
     extent = box[1] - box[0]
     axis = int(np.argmax(extent * random.uniform(0.8, 1.2, 2)))
     if extent[axis] < 2 * ROOM_MIN_M or extent[1 - axis] < 1.3 or random.random() < 0.1:
@@ -77,13 +77,13 @@ def _cut(box: Array, random: np.random.Generator, inner: list[Array], doors: lis
 
 
 def _apart(door: Array, ends: Array) -> bool:
-    """Whether neither end of a wall comes to stand near a door."""
+    """Whether no end of a wall is near a door."""
     middle, half = door.mean(axis=0), float(np.linalg.norm(door[1] - door[0])) / 2
     return bool((np.linalg.norm(ends - middle, axis=1) > half + 0.5).all())
 
 
 def _stub(room: Array, random: np.random.Generator, doors: list[Array]) -> list[Array]:
-    """A short wall into the room from the middle of one of its sides, where it leaves ways around it."""
+    """A short wall from the middle of one side into the room, if it leaves passages around it."""
     axis = int(random.integers(2))
     extent = room[1] - room[0]
     length = min(float(random.uniform(*STUB_M)), extent[1 - axis] - 0.9)

@@ -30,10 +30,10 @@ SUMMARY = "structure from WiFi on HouseExpo plans, route along all walls, with a
 CHOOSES = ("plans",)
 _READINGS_PER_M = 40.0
 _WALL_LOSS_SCALE = 1.6
-"""The plans' walls are drawn with 5 dB: 8 dB is what walls take in the paper's experiments."""
+"""Walls of the plans have 5 dB; in the experiments of the paper it is 8 dB."""
 _STANDOFFS_M = (0.3, 0.25, 0.2, 0.15)
 _ALONG_SHARE = 0.85
-"""A route gets around when it is as long as this share of the walls."""
+"""Minimum length of a complete route, as a share of the length of walls."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +68,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 
 def measure(path: Path, options: argparse.Namespace) -> dict | None:
-    """Both methods on one plan, and (probability, is wall) of our cells; None for a plan that is left out."""
+    """Results of both methods on one plan, and (probability, is wall) of our cells; None without a complete route."""
     plan = read_house_expo(path)
     found = _route(plan)
     if found is None:
@@ -103,7 +103,7 @@ def measure(path: Path, options: argparse.Namespace) -> dict | None:
 
 
 def _route(plan: Floorplan) -> tuple[float, np.ndarray] | None:
-    """The largest standoff that gets around, with the route; None where none does."""
+    """The largest standoff with a complete route, and the route; None if there is none."""
     walls = float(np.linalg.norm(plan.walls_m[:, 0] - plan.walls_m[:, 1], axis=1).sum())
     for standoff_m in _STANDOFFS_M:
         try:
@@ -116,7 +116,7 @@ def _route(plan: Floorplan) -> tuple[float, np.ndarray] | None:
 
 
 def remarks(table: list[dict]) -> list[str]:
-    """How many plans there are, and which figures miss 0.97 free IoU at coverage 0.8, with why, in words."""
+    """The number of plans, and those that miss 0.97 free IoU or coverage 0.8, with reasons."""
     own = [row for row in table if row["method"] == "ours" and not row["plan"].startswith("mean")]
     far = [row for row in own if row["coverage"] < 0.8]
     bad = [row for row in own if row["iou_free"] < 0.97]
@@ -132,7 +132,7 @@ def _names(rows_: list[dict]) -> str:
 
 
 def draw_reliability(path: Path, probability: np.ndarray, is_wall: np.ndarray) -> None:
-    """The share of walls among cells of each probability. Says nothing where matplotlib is missing."""
+    """Draw the share of walls among cells by probability. Does nothing without matplotlib."""
     if not can_draw():
         return
     mean, share, count = reliability(probability, is_wall)

@@ -1,4 +1,5 @@
-"""Lay a LiDAR picture on a walk: the similarity transform that puts the path into free space, close along its walls."""
+"""Registration of a LiDAR picture and a walk: the similarity transform that places the path in free space near
+walls."""
 
 from __future__ import annotations
 
@@ -11,22 +12,22 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 _OUTSIDE_WEIGHT = 4.0
-"""A path point outside counts this many times as much as a wall point as far from the path."""
+"""Weight of the distance of path points outside free space, relative to that of wall points from the path."""
 _WALL_POINTS = 400
 _BODY_PX = 12.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """How walk pixels go into the picture: scale * rotation(angle) * p + shift."""
+    """Transform from walk pixels to picture pixels: scale * rotation(angle) * p + shift."""
 
     scale: float
     angle_rad: float
     shift_px: Array
     free_share: float
-    """Share of the path that comes to lie in free space."""
+    """Share of the path in free space."""
     wall_gap_px: float
-    """Mean distance, in picture pixels, from the free space's rim to the path."""
+    """Mean distance from the boundary of free space to the path, in picture pixels."""
 
     def apply(self, points: Array) -> Array:
         """(n, 2) walk pixels -> picture pixels (x, y)."""
@@ -36,10 +37,10 @@ class Registration:
 def register(path_px: Array, free: Array) -> Registration:
     """Fit a path (n, 2) to free pixels (rows, columns), both with y running down.
 
-    Little of the path may lie outside, and no part of the free space's rim far from it: the first alone would let the
-    path shrink. Starts from the extents of both, at several scales and angles.
+    Minimises the distance of the path from free space and that of the boundary of free space from the path; the first
+    alone would shrink the path. Starts from the extents of both, at several scales and angles.
     """
-    # How far a place is outside, or nearer to a wall than a robot's middle can be.
+    # Distance outside of free space, or by which a point is closer to a wall than the centre of a robot can be.
     outside = distance_transform_edt(~free) + np.maximum(_BODY_PX - distance_transform_edt(free), 0.0)
     rim = np.argwhere(binary_dilation(~free) & free)[:, ::-1].astype(float)
     rim = rim[:: max(len(rim) // _WALL_POINTS, 1)]

@@ -43,7 +43,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 
 def errors_m(experiment: int, seed: int) -> list[float]:
-    """Distance between each router and where it was placed."""
+    """Distance between the true and estimated position of each router."""
     plan = load_map(f"sfw-e{experiment}")
     walk = read_walk(plan, radio_preset("sfw"), resampled(wall_following_route(plan), POINTS[experiment]), seed)
     bins = bin_along_path(walk.position_m, walk.rssi_dbm)

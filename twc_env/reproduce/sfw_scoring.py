@@ -1,4 +1,4 @@
-"""Run the published and our structure from WiFi on one walk, and score both alike."""
+"""Run the published and our structure from WiFi on one walk, and score both in the same way."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from twc_env.world.floor_cells import Cells
 
 METHODS = ("paper", "ours")
 COMPENSATED = "paper, distance"
-"""The published method on readings compensated for their distance from the router."""
+"""The published method on readings compensated for the distance from the router."""
 FIGURES = ("k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier")
 RESOLUTION_M = 0.1
 _FREE_SPACE_EXPONENT = 2.0
 _DENSE_READINGS = 1000
-"""With more readings than this the paper's window is 25 wide, else 7 (papers.md K6)."""
+"""With more readings than this the window of the paper is 25, else 7 (papers.md K6)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mapped:
-    """What one method made of a walk, on the grid of the truth."""
+    """The map of one method for a walk, on the grid of the truth."""
 
     k_accuracy: float
     score: StructureScore
@@ -41,14 +41,14 @@ class Mapped:
 
     @property
     def figures(self) -> dict[str, float]:
-        """The columns that every table of maps has."""
+        """The columns common to all tables of maps."""
         score = self.score
         columns = (self.k_accuracy, score.iou_free, score.iou_wall, score.coverage, score.mse, score.brier)
         return dict(zip(FIGURES, columns, strict=True))
 
 
 def focus_of(walk: WalkReadings) -> tuple[Array, Array]:
-    """Rows of the readings that heard any router, and the strongest router of each."""
+    """Indices of the readings that heard any router, and the strongest router of each."""
     rows = np.flatnonzero(np.isfinite(walk.rssi_dbm).any(axis=1))
     return rows, np.argmax(np.nan_to_num(walk.rssi_dbm[rows], nan=-200.0), axis=1)
 
@@ -56,8 +56,8 @@ def focus_of(walk: WalkReadings) -> tuple[Array, Array]:
 def by_paper(walk: WalkReadings, cells: Cells, is_compensated: bool = False) -> Mapped:
     """Sorted k-means on the strongest router's readings, sliding window, rules 1-5 with Eq. 4 and 5 as printed.
 
-    The paper does not print its number of clusters: the one that serves it best, in hindsight, is taken. Compensated:
-    the loss over distance in free space is added to the readings before they are clustered.
+    The paper does not state its number of clusters: the best one in hindsight is used. `is_compensated`: the free-space
+    path loss is added to the readings before clustering.
     """
     rows, focus = focus_of(walk)
     rssi = walk.rssi_dbm
@@ -77,7 +77,7 @@ def by_paper(walk: WalkReadings, cells: Cells, is_compensated: bool = False) -> 
 
 
 def by_rules(walk: WalkReadings, cells: Cells, walls: Array) -> Mapped:
-    """The published map from the walls (heard readings,) between each reading and its strongest router."""
+    """The published map, from the number of walls (heard readings,) to the strongest router of each reading."""
     rows, focus = focus_of(walk)
     at = np.floor((walk.position_m[rows] - cells.origin_m) / cells.resolution_m).astype(np.int64)[:, ::-1]
     routers = ((walk.router_m - cells.origin_m) / cells.resolution_m)[:, ::-1]
@@ -102,10 +102,10 @@ def by_ours(walk: WalkReadings, cells: Cells, seed: int) -> Mapped:
 
 
 def at_coverage(made: Mapped, rays: Array, coverage: float) -> Mapped:
-    """The same map, but only the surest cells told, so that no more than `coverage` of the scored cells are.
+    """The map reduced to its most certain cells, so that at most `coverage` of the scored cells are known.
 
-    What two methods leave unknown differs, and IoU excuses it: this is how they are compared at one coverage. Of cells
-    that are equally sure, those come first that more rays (rows, columns) have passed.
+    IoU ignores unknown cells, which differ between methods; this allows a comparison at equal coverage. Equally certain
+    cells are ordered by the number of rays (rows, columns) through them.
     """
     doubt = 0.5 * (FREE_BELOW + WALL_ABOVE)
     sureness = np.abs(np.nan_to_num(made.probability, nan=doubt) - doubt)
@@ -120,7 +120,7 @@ def at_coverage(made: Mapped, rays: Array, coverage: float) -> Mapped:
 
 
 def on_grid(values: Array, origin_m: Array, cells: Cells, outside) -> Array:
-    """Values of a grid with the same cells but another extent, on the grid of the truth."""
+    """Values of a grid with the same cells but another extent, transferred to the grid of the truth."""
     placed = np.full(cells.free.shape, outside, values.dtype)
     column, row = np.round((origin_m - cells.origin_m) / cells.resolution_m).astype(int)
     r0, c0 = max(row, 0), max(column, 0)
@@ -139,7 +139,7 @@ def _judged(
 
 
 def draw_maps(path: Path, title: str, walk: WalkReadings, cells: Cells, maps: dict[str, Mapped]) -> None:
-    """Truth, and each method's map beside it. Says nothing where matplotlib is missing."""
+    """Draw the truth and the map of each method. Does nothing without matplotlib."""
     if not can_draw():
         return
     rows, columns = cells.free.shape

@@ -1,4 +1,4 @@
-"""The path of a structure-from-WiFi walk as the SLAM engine believes it, instead of the true one."""
+"""The path of a structure-from-WiFi walk as estimated by the SLAM engine."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from twc_env.world.world import World
 
 AHEAD_M = 0.15
 _CONFIG = EnvConfig(robots=1, dynamics=DynamicsConfig(robot_radius_m=0.1, speed_max_m_s=0.5))
-"""A small, slow robot, which passes corners at the walker's distance."""
+"""A small, slow robot, which can keep the standoff of the route at corners."""
 
 
 def slam_walk(plan: Floorplan, way_m: Array, count: int, seed: int) -> tuple[Array, Array]:
-    """Drive along a way (points, 2) with odometry, scans and the engine: (count, 2) true places, evenly spaced in path
-    length, and where the engine had the robot at each. Only the pose at the start is given.
+    """Drive along a path (points, 2) with odometry, scans and the engine: (count, 2) true positions, evenly spaced
+    along the path, and the estimated ones. Only the start pose is given.
     """
     config = dataclasses.replace(_CONFIG, map=plan.name)
     world, engine = World(config, plan), make_engine(config, 1)

@@ -39,7 +39,7 @@ _PRINTED_ACCURACY = {1: 84.93, 2: 82.79, 3: 85.32, 4: 94.18, 5: 95.73, 6: 96.44}
 _PRINTED_IOU = {1: 0.8531, 2: 0.9028, 3: 0.8321, 4: 0.9349, 5: 0.8364, 6: 0.9627}
 _READINGS_PER_M = 40.0
 _FLAT_NOISE_SEED = 100
-"""Flats are walked with the noise of these seeds and on, the twins with those from 0."""
+"""First noise seed of the flats; the twins use seeds from 0."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,7 +79,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 
 def _flat_rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
-    """One row per number of routers and method: the mean of all flats, and the spread between them."""
+    """One row per number of routers and method: mean over all flats, and their spread."""
     parts = [(number, routers) for routers in (1, 2) for number in range(options.flats)]
     runs = runner.each(
         parts,
@@ -112,7 +112,7 @@ def update_time_ms() -> float:
 
 
 def remarks(table: list[dict]) -> list[str]:
-    """Each figure of ours that misses its goal, and how far it is."""
+    """Our figures that miss their goals, and deviations of `paper` from the published accuracy."""
     goals = {"k_accuracy": 0.97, "iou_free": 0.97, "iou_wall": 0.75, "coverage": 0.8}
     missed = [
         f"experiment {row['experiment']}, {row['method']}: {key} {row[key]:.3f} < {goal}"
@@ -139,7 +139,7 @@ def measure(experiment: int, seed: int, out: Path | None) -> dict:
 
 
 def measure_flat(number: int, routers: int, out: Path) -> dict:
-    """All methods on one flat drawn by seed: {method: figures}, and the number of readings under `points`."""
+    """All methods on one generated flat: {method: figures}, and the number of readings under `points`."""
     plan = flat(number, routers)
     points = round(_READINGS_PER_M * path_length_m(wall_following_route(plan)))
     picture = out / f"{plan.name}-{routers}.png"

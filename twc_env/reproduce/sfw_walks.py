@@ -1,4 +1,4 @@
-"""Walks for structure-from-WiFi tables: a route along all walls, and what a receiver reads on it (papers.md K21)."""
+"""Walks for structure-from-WiFi tables: a route along all walls, and the readings on it (papers.md K21)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from twc_env.world.radio import RadioModel
 from twc_env.world.reception import WifiReceiver
 
 STANDOFF_M = 0.3
-"""The walker's sensor keeps this far from the wall that it follows."""
+"""Distance of the sensor from the wall that it follows."""
 _FINE_M = 0.05
 _SMOOTH_M = 0.2
 _AROUND = np.array([(0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1)])
@@ -27,7 +27,7 @@ _AROUND = np.array([(0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0),
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkReadings:
-    """Readings of one walk, with the truth that tables are scored by."""
+    """Readings of one walk, with the ground truth for scoring."""
 
     position_m: Array
     """(readings, 2) building frame."""
@@ -40,10 +40,10 @@ class WalkReadings:
 
 
 def wall_following_route(plan: Floorplan, standoff_m: float = STANDOFF_M) -> Array:
-    """(points, 2) a way along every wall of the open floor, room by room, that keeps `standoff_m` from it (Fig. 7).
+    """(points, 2) a path along every wall of the open floor at a distance of `standoff_m` (Fig. 7).
 
-    One round per contour: first the outer one, then around each free-standing block. MapError when nothing is that
-    clear of walls.
+    One round per contour: first the outer one, then each free-standing block. Raises MapError if there is no floor at
+    that distance from walls.
     """
     cells = plan.cells(_FINE_M)
     centres = cells.centre_of(np.argwhere(cells.free))
@@ -62,7 +62,7 @@ def wall_following_route(plan: Floorplan, standoff_m: float = STANDOFF_M) -> Arr
 
 
 def _contours(inside: Array) -> list[Array]:
-    """(cells, 2) rows and columns of the rim of a region, once around the outside, then around each hole."""
+    """Contours (cells, 2) of a region as rows and columns: the outer one, then each hole."""
     holes, count = label(~np.pad(inside, 1), structure=np.ones((3, 3)))
     loops = []
     for hole in range(1, count + 1):
@@ -73,7 +73,7 @@ def _contours(inside: Array) -> list[Array]:
 
 
 def _trace(inside: Array, hole: Array, start: Array) -> Array:
-    """Moore's tracing: keep the hole on one side until back at the start and heading as at first."""
+    """Moore neighbour tracing of one hole, until a cell is reached in the same direction again."""
     padded_inside, padded_hole = np.pad(inside, 1), np.pad(hole, 1, constant_values=bool(hole[0, 0]))
     at = start + 1
     looks = next(k for k in range(0, 8, 2) if padded_hole[tuple(at + _AROUND[k])])
@@ -98,14 +98,14 @@ def _trace(inside: Array, hole: Array, start: Array) -> Array:
 
 
 def resampled(way_m: Array, count: int) -> Array:
-    """(count, 2) points evenly spaced along a way."""
+    """(count, 2) points evenly spaced along a path."""
     return points_along(way_m, np.linspace(0.0, travelled_m(way_m)[-1], count))
 
 
 def read_walk(
     plan: Floorplan, config: RadioConfig, position_m: Array, seed: int, faces_per_wall: int = 1
 ) -> WalkReadings:
-    """What one receiver reads of each router (the first address of each access point) at every position."""
+    """Readings of one receiver of each router (the first address of each access point) at every position."""
     points = tuple(dataclasses.replace(p, macs=p.macs[:1]) for p in plan.access_points)
     plan = dataclasses.replace(plan, access_points=points)
     config = dataclasses.replace(config, bssids_per_access_point=0)
