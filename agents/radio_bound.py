@@ -30,10 +30,10 @@ def shortest_known_walk_m(plan, start_m: Array, share: float) -> float:
     radio = GridMap(np.zeros_like(seen.log_odds), seen.origin_m, RESOLUTION_M)
     transmitter_m = np.array([point.position_m for point in plan.access_points])
     graph = walk_graph(Terrain(seen, HUG * DynamicsConfig().robot_radius_m), start_m, SPACING_M)
-    told = RayGain(radio, seen, transmitter_m, SPACING_M).told(graph.places_m, np.zeros((0, 2)))
+    cleared = RayGain(radio, seen, transmitter_m, SPACING_M).cells_cleared(graph.places_m, np.zeros((0, 2)))
     random, turns, best_m = np.random.default_rng(0), np.array([0]), math.inf
     for price_m in PRICES_M:
-        turns, cells = covering_walk(graph, told, price_m, turns, random.random((TRIES, 4)))
-        if cells >= share * told.shape[1]:
+        turns, cells = covering_walk(graph, cleared, price_m, turns, random.random((TRIES, 4)))
+        if cells >= share * cleared.shape[1]:
             best_m = min(best_m, float(graph.lengths_m[turns[:-1], turns[1:]].sum()))
     return best_m

@@ -21,10 +21,10 @@ class RadioFrontier(NearestFrontier):
 
     def extra_penalty_m(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> Array:
         """(frontiers,) smaller penalty for frontiers next to unseen floor predicted from radio."""
-        return told_by_radio_m(beliefs[agent], terrain.frontier_centres_m)
+        return radio_penalty_m(beliefs[agent], terrain.frontier_centres_m)
 
 
-def told_by_radio_m(belief: Belief, centres_m: Array) -> Array:
+def radio_penalty_m(belief: Belief, centres_m: Array) -> Array:
     """(frontiers,) penalty [m] of frontiers at centres (frontiers, 2) relative to the best one."""
     radio, grid = belief.radio_map, belief.grid
     if radio is None or grid.log_odds.size == 0:

@@ -109,16 +109,16 @@ class RadioWalk:
         given_up = np.array(self._given_up_m[agent]).reshape(-1, 2)
         is_barred = (np.linalg.norm(graph.places_m[:, None] - given_up, axis=2) < SPACING_M / 2).any(axis=1)
         held = np.array(self._walked_m[agent])
-        told = np.hstack([
-            RayGain(belief.radio_map, belief.grid, belief.transmitter_m, SPACING_M).told(graph.places_m, held),
+        cleared = np.hstack([
+            RayGain(belief.radio_map, belief.grid, belief.transmitter_m, SPACING_M).cells_cleared(graph.places_m, held),
             _frontiers_met(terrain, graph.places_m, held),
         ])  # fmt: skip
-        told[is_barred] = False
-        told[:, told[np.linalg.norm(graph.places_m - here, axis=1) <= ARRIVAL_M].any(axis=0)] = False
+        cleared[is_barred] = False
+        cleared[:, cleared[np.linalg.norm(graph.places_m - here, axis=1) <= ARRIVAL_M].any(axis=0)] = False
         begin = [0, *(int(np.argmin(np.linalg.norm(graph.places_m - at, axis=1))) for at in self._turns_m[agent])]
         for price_m in PRICES_M:
             draws = self._random[agent].random((TRIES, 4))
-            turns, cells = covering_walk(graph, told, price_m, np.array(begin), draws)
+            turns, cells = covering_walk(graph, cleared, price_m, np.array(begin), draws)
             if len(turns) > 1 and cells >= GAIN_MIN_CELLS:
                 return self._first_stretch(agent, graph, turns)
         return None

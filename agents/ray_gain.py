@@ -30,7 +30,7 @@ class RayGain:
         self._number = np.full((rows + 2, columns + 2), -1)
         self._number[1:-1, 1:-1][is_doubtful] = np.arange(is_doubtful.sum())
 
-    def told(self, places_m: Array, walked_m: Array) -> Array:
+    def cells_cleared(self, places_m: Array, walked_m: Array) -> Array:
         """(places, cells) bool: cells that rays to each position would clear, except those cleared on the walk so
         far."""
         held = self._cleared(walked_m).any(axis=0)

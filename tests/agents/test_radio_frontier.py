@@ -1,6 +1,6 @@
 import numpy as np
 
-from agents.radio_frontier import told_by_radio_m
+from agents.radio_frontier import radio_penalty_m
 from twc_env.messages import Belief, GridMap
 
 
@@ -14,6 +14,6 @@ def test_a_frontier_with_free_floor_beyond_is_wanted_more_and_seen_floor_counts_
     levels = np.zeros((60, 60), np.int16)
     levels[:, 20:] = -5  # free to the right, of which the middle is seen already
     centres = np.array([[2.0, 3.0], [4.0, 3.0]])
-    left, right = told_by_radio_m(belief(GridMap(levels, np.zeros(2), 0.1)), centres)
+    left, right = radio_penalty_m(belief(GridMap(levels, np.zeros(2), 0.1)), centres)
     assert left > right == 0.0
-    assert not told_by_radio_m(belief(None), centres).any()
+    assert not radio_penalty_m(belief(None), centres).any()

@@ -49,14 +49,14 @@ def test_rays_tell_doubtful_floor_once_and_nothing_across_many_walls():
     radio, nowhere = grid(np.zeros((40, 60), np.int16)), np.zeros((0, 2))
     places = np.array([[1.0, 2.0], [5.0, 2.0]])
     gain = RayGain(radio, grid(seen), router, 0.25)
-    near, far = gain.told(places, nowhere)
+    near, far = gain.cells_cleared(places, nowhere)
     assert far.sum() > near.sum() > 0
-    assert not gain.told(places, places[1:])[1].any()
+    assert not gain.cells_cleared(places, places[1:])[1].any()
     sure = grid(np.full((40, 60), -30, np.int16))
-    assert not RayGain(sure, grid(seen), router, 0.25).told(places, nowhere).any()
+    assert not RayGain(sure, grid(seen), router, 0.25).cells_cleared(places, nowhere).any()
     walled = seen.copy()
     walled[:, [15, 20, 25, 30]] = 10
-    near, far = RayGain(radio, grid(walled), router, 0.25).told(places, nowhere)
+    near, far = RayGain(radio, grid(walled), router, 0.25).cells_cleared(places, nowhere)
     assert near.any()
     assert not far.any()
 

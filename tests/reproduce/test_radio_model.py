@@ -11,7 +11,7 @@ from twc_env.reproduce import radio_likeness, radio_papers
 from twc_env.reproduce import radio_places as places
 from twc_env.reproduce.radio_hearing import device_hearing, hearing, missed_by_sweeps, missed_share
 from twc_env.reproduce.radio_model import STUDIES
-from twc_env.reproduce.radio_remarks import told
+from twc_env.reproduce.radio_remarks import notes
 from twc_env.reproduce.radio_rooms import surveyed_rooms
 from twc_env.reproduce.radio_study import spread_over
 from twc_env.world.floor_cells import Cells
@@ -174,7 +174,7 @@ def test_remarks_count_what_is_near_and_quote_the_evidence():
         {**row, "quantity": "level far off", "real": 1.0, "simulated": None},
     ]
     study = SimpleNamespace(name="hall", reasons={"level": "it is {loud:.1f}", "rate": "unused"})
-    said = list(told(table, [study], {"hall": {"loud": 2.5}}))
+    said = list(notes(table, [study], {"hall": {"loud": 2.5}}))
     assert "1 of 3 rows within 15%" in said[0]
     assert "2 of 3" not in said[1]
     assert "where other real places of the kind would have 1.5; 3 real figures" in said[2]

@@ -49,7 +49,7 @@ def test_pictures_are_drawn_of_what_an_earlier_run_found(tmp_path, monkeypatch, 
 def test_a_map_is_drawn_from_its_start_with_the_true_walls_over_it(tmp_path, monkeypatch):
     start = np.array([[40.0, 30.0, np.pi / 2], [40.0, 31.0, np.pi / 2]])
     grid = GridMap(np.zeros((200, 100), np.int16), np.array([-20.0, -50.0]), 0.5)
-    walk = plain(radio_figures.shown({"wifi+lidar": Outcome(start, start, grid=grid)}))
+    walk = plain(radio_figures.content_of({"wifi+lidar": Outcome(start, start, grid=grid)}))
     figures = []
     new_figure = radio_figures.new_figure
     monkeypatch.setattr(radio_figures, "new_figure", lambda *a, **k: figures.append(new_figure(*a, **k)) or figures[-1])

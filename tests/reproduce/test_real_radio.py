@@ -51,21 +51,25 @@ def _hall(turned_rad=0.0):
     return [_walk((0.0, y), (4.0, 0.0), turned_rad if y == 20 else 0.0) for y in range(0, 41, 5) for _ in range(2)]
 
 
-@pytest.mark.parametrize("is_shape_told", [True, False])
-def test_a_walk_is_found_where_another_heard_the_same(is_shape_told):
-    assert real_radio_oracle.sought(_hall(), is_shape_told).max() < 2.5  # nearer to its own line than to the next
+@pytest.mark.parametrize("is_shape_known", [True, False])
+def test_a_walk_is_found_where_another_heard_the_same(is_shape_known):
+    assert (
+        real_radio_oracle.localisation_errors_m(_hall(), is_shape_known).max() < 2.5
+    )  # nearer to its own line than to the next
 
 
 def test_a_walk_is_not_found_by_its_own_scans():
     loud = Fingerprint(np.array([100], np.int64), np.array([-40.0]))
     alone = dataclasses.replace(_walk((40.0, 40.0), (1.0, 0.0)), fingerprints=(loud,) * 10)
     walks = [*_hall(), alone]
-    assert real_radio_oracle.sought(walks, is_shape_told=True)[-10:].min() > 20.0
+    assert real_radio_oracle.localisation_errors_m(walks, is_shape_known=True)[-10:].min() > 20.0
     heard = [print_ for walk in walks for print_ in walk.fingerprints]
     told = real_radio_oracle._Others(np.concatenate([walk.surveyed_m for walk in walks]), heard)
-    assert not told._alikeness(np.arange(len(heard) - 10, len(heard))).any()
+    assert not told._similarities(np.arange(len(heard) - 10, len(heard))).any()
 
 
 def test_a_shape_that_is_told_is_not_taken_from_a_turned_compass():
-    told, reckoned = (real_radio_oracle.sought(_hall(1.5), is_told)[80:100].max() for is_told in (True, False))
-    assert told < 2.5 < reckoned
+    known, reckoned = (
+        real_radio_oracle.localisation_errors_m(_hall(1.5), is_known)[80:100].max() for is_known in (True, False)
+    )
+    assert known < 2.5 < reckoned

@@ -88,11 +88,11 @@ def merge_in(name: str, robots: int, seed: int, changes: dict[str, object] | Non
     longest = max(path_length_m(way) for way in ways)
     settings = {**(changes or {}), "map": name, "robots": robots, "max_cycles": int(longest * STEPS_PER_M) + 50}
     env = ExplorationEnv(config=override(EnvConfig(), settings))
-    walkers = begin(env, ways, seed)
+    walkers = begin_episode(env, ways, seed)
     first = everyone = None
     sent: dict[str, int] = {}
     while env.agents and not all(walker.is_done for walker in walkers):
-        walk_on(env, walkers)
+        step_walkers(env, walkers)
         sharing = [len(view.robots) for view in env.engine.views()]
         if max(sharing) > 1 and first is None:
             first, sent = env.frames[0].time_s, dict(env.engine.bytes_sent)
@@ -191,7 +191,7 @@ class Walker:
         return np.clip([command[0] / dynamics.speed_max_m_s, command[1] / dynamics.turn_rate_max_rad_s], -1.0, 1.0)
 
 
-def begin(env: ExplorationEnv, ways: Sequence[Array], seed: int) -> list[Walker]:
+def begin_episode(env: ExplorationEnv, ways: Sequence[Array], seed: int) -> list[Walker]:
     """Begin an episode in which each robot starts at its path, heading along it; returns the walkers."""
     headings = [math.atan2(*(way[min(5, len(way) - 1)] - way[0])[::-1]) for way in ways]
     starts = np.array([[*way[0], heading] for way, heading in zip(ways, headings, strict=True)])
@@ -199,7 +199,7 @@ def begin(env: ExplorationEnv, ways: Sequence[Array], seed: int) -> list[Walker]
     return [Walker(way) for way in ways]
 
 
-def walk_on(env: ExplorationEnv, walkers: Sequence[Walker]) -> None:
+def step_walkers(env: ExplorationEnv, walkers: Sequence[Walker]) -> None:
     """One step of all walkers."""
     poses = env.state().reshape(len(walkers), 6)[:, :3]
     env.step({a: w.act(p, env) for a, w, p in zip(env.agents, walkers, poses, strict=True)})

@@ -26,7 +26,7 @@ LOG_ODDS_SCALE, LOG_ODDS_MAX = 10.0, 6.0
 DIGITS = 2
 
 
-def shown(outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
+def content_of(outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
     """The content of the pictures of a walk: paths, models and maps of its methods, if any."""
     paths, models, maps = {}, {}, {}
     for method, outcome in outcomes.items():
@@ -55,7 +55,7 @@ def _picture(grid: GridMap, start: Array) -> dict[str, Any]:
 
 
 def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> list[Path]:
-    """Write `NAME-models.png`, `NAME-trajectories.png` and `NAME-map.png`, if the walk (`shown`) has the content.
+    """Write `NAME-models.png`, `NAME-trajectories.png` and `NAME-map.png`, if the walk (`content_of`) has the content.
 
     `twin` names the map. Returns the paths. Raises DataError without matplotlib.
     """

@@ -26,7 +26,7 @@ from twc_env.json_values import plain
 from twc_env.reproduce.radio_likeness import MALLS, ROBOT_FLOOR
 from twc_env.reproduce.radio_offices import OFFICES
 from twc_env.reproduce.radio_papers import FINGERPRINT_SLAM, K_VISIBILITY
-from twc_env.reproduce.radio_remarks import told
+from twc_env.reproduce.radio_remarks import notes
 from twc_env.reproduce.radio_study import Figures, Spread, Study
 from twc_env.reproduce.radio_surveys import FLATS, LIBRARIES
 from twc_env.reproduce.runner import Runner, data_folder
@@ -87,7 +87,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
                     "real_near": near,
                 }
             )
-    runner.notes += told(plain(table), chosen, evidence)
+    runner.notes += notes(plain(table), chosen, evidence)
     return table
 
 

@@ -10,7 +10,7 @@ _SURE = 0.95
 """A real figure is certain if this share of real places is near it."""
 
 
-def told(table: Sequence[dict], studies: Sequence[Study], evidence: Mapping[str, Figures]) -> Iterator[str]:
+def notes(table: Sequence[dict], studies: Sequence[Study], evidence: Mapping[str, Figures]) -> Iterator[str]:
     """Sentences about the rows; `evidence` are figures of each set for the reasons of its study."""
     judged = [row for row in table if row["real"]]
     for role in ("calibrated", "reported"):

@@ -93,7 +93,7 @@ def _measured(name: str, seed: int, share: float, methods: list[str]) -> dict[st
     """The errors of one walk by method, and the content of its pictures."""
     found = outcomes(PLACES[name].shortened(share), seed, methods)
     errors = {method: outcome.errors() for method, outcome in found.items()}
-    return {"errors": errors, "drawn": radio_figures.shown(found)}
+    return {"errors": errors, "drawn": radio_figures.content_of(found)}
 
 
 def _row(name: str, method: str, walks: list[dict]) -> dict:

@@ -114,8 +114,16 @@ def _mall(floor: str, walks: list[WalkerTrace], recorded: int) -> list[dict]:
     own = [_apart_m([walk.reckoned[:, :2]], [walk.surveyed_m]) for walk in walks]
     table = [_row(floor, "odometry, each walk aligned", 0, recorded, np.concatenate(own))]
     traces = [trace_joining.Trace(walk.reckoned, walk.fingerprints) for walk in walks]
-    for known, is_shape_told in (("others' poses", False), ("others' poses, own shape and heading", True)):
-        table.append(_row(floor, f"oracle: {known} known", 0, recorded, real_radio_oracle.sought(walks, is_shape_told)))
+    for known, is_shape_known in (("others' poses", False), ("others' poses, own shape and heading", True)):
+        table.append(
+            _row(
+                floor,
+                f"oracle: {known} known",
+                0,
+                recorded,
+                real_radio_oracle.localisation_errors_m(walks, is_shape_known),
+            )
+        )
     for weighting in WEIGHTINGS:
         joined = trace_joining.join(traces, RadioSlamConfig(weighting=weighting))
         chosen = np.flatnonzero(joined.is_joined)

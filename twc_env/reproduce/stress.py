@@ -30,7 +30,7 @@ from twc_env.maps import load_map
 from twc_env.metrics import path_length_m
 from twc_env.metrics.consistency import errors_since_closure
 from twc_env.random_streams import random_stream
-from twc_env.reproduce.merging import STEPS_PER_M, begin, first_buildings, overlapping_ways, walk_on
+from twc_env.reproduce.merging import STEPS_PER_M, begin_episode, first_buildings, overlapping_ways, step_walkers
 from twc_env.reproduce.runner import Runner
 from twc_env.world.floorplan import Floorplan
 
@@ -77,14 +77,14 @@ def episode(building: str, condition: str, robots: int, seed: int) -> dict:
         plan = with_repeated_names(plan)
     base = {"map": building, "robots": robots, "max_cycles": int(longest_m * STEPS_PER_M) + 50}
     env = ExplorationEnv(config={**base, **changes}, floorplan=plan)
-    walkers = begin(env, ways, seed)
+    walkers = begin_episode(env, ways, seed)
     lost = changes.get("failure.robots", 0)
-    told = []
+    samples = []
     while env.agents and not all(walker.is_done for walker in walkers[: robots - lost]):
-        walk_on(env, walkers)
+        step_walkers(env, walkers)
         if env.episode.steps % SAMPLE_STEPS == 0:
-            told.append(_told(env))
-    errors, stds = errors_since_closure(*(np.array(values) for values in zip(*told, strict=True)))
+            samples.append(_sample(env))
+    errors, stds = errors_since_closure(*(np.array(values) for values in zip(*samples, strict=True)))
     env.engine.finish()
     figures = env.result().figures
     return {
@@ -99,7 +99,7 @@ def episode(building: str, condition: str, robots: int, seed: int) -> dict:
     }
 
 
-def _told(env: ExplorationEnv) -> tuple[Array, Array, Array, list[float], list[int]]:
+def _sample(env: ExplorationEnv) -> tuple[Array, Array, Array, list[float], list[int]]:
     """Of all robots now: believed poses, true ones, standard deviations, path since a closure, version of the map."""
     beliefs = [env.belief(agent) for agent in env.possible_agents]
     return (
@@ -144,7 +144,7 @@ def _row(condition: str, runs: list[dict], normal: list[dict]) -> dict:
     for key in ("merged_share", "ate_m", "coverage_correct"):
         row[key] = round(float(np.mean([run[key] for run in runs])), 4)
     row["wrong_merges"] = sum(run["wrong_merges"] for run in runs)
-    row |= _surety(runs)
+    row |= _uncertainty(runs)
     row["ate_worst_m"] = round(max(run["ate_m"] for run in runs), 4)
     for name, key in FIGURES.items():
         difference = np.array([run[key] - other[key] for run, other in zip(runs, normal, strict=True)])
@@ -157,7 +157,7 @@ def _row(condition: str, runs: list[dict], normal: list[dict]) -> dict:
     return row
 
 
-def _surety(runs: list[dict]) -> dict:
+def _uncertainty(runs: list[dict]) -> dict:
     """Root mean squares over all ways since a closure: what robots got wrong, and how unsure they were of it."""
     ways = max(sum(run["ways"] for run in runs), 1)
     out = {}
