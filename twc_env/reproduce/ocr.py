@@ -33,7 +33,7 @@ SUMMARY = "misread signs: the fast model against a real OCR on held-out signs"
 DISTANCES_M = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 TURN_RATE_STD_RAD_S = 0.4
 DRAWS = 10
-"""Readings of the fast model for each of the real OCR."""
+"""Number of readings of the fast model per reading of the real OCR."""
 MAPS = ("twin-01", "twin-02", *(f"test/{k:04d}" for k in range(12)))
 
 
@@ -56,19 +56,19 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 
 def remarks(rows: list[dict]) -> list[str]:
-    """How far apart the two are, signs partly hidden, and what is published on real signboards."""
+    """The largest difference of both, and published rates on real signboards."""
     gaps = [abs(row[f"{key}_real"] - row[f"{key}_fast"]) for row in rows for key in ("exact", "similarity")]
     return [f"largest difference: {max(gaps):.3f}", *_published()]
 
 
 @lru_cache(maxsize=1)
 def held_out_texts() -> list[str]:
-    """All texts of the maps that are reported on, each once; `ocr_measure` uses other words."""
+    """All distinct texts of the held-out maps; `ocr_measure` uses other words."""
     return sorted({sign.text.upper() for name in MAPS for sign in load_map(name).signs})
 
 
 def compare(texts: list[str], distance_m: float, count: int, seed: int, hidden_share: float = 0.0) -> dict:
-    """The real OCR's and the fast model's rates over drawn signs about one distance away."""
+    """Rates of the real OCR and of the fast model for random signs near a distance."""
     random = random_stream(seed, "ocr held out", round(10 * distance_m + 1000 * hidden_share))
     config = SignsConfig()
     chosen = [texts[int(i)] for i in random.integers(0, len(texts), count)]
@@ -111,7 +111,7 @@ def _view(config: SignsConfig, distance_m: float, hidden: Array, random: np.rand
 
 
 def rates(texts: list[str], readings: list[str]) -> tuple[float, float]:
-    """Share of readings that are exact, and their mean similarity to the texts, case aside."""
+    """Share of exact readings, and mean similarity to the texts, ignoring case."""
     normal = [normalise(reading) for reading in readings]
     exact = np.mean([reading == text for reading, text in zip(normal, texts, strict=True)])
     similarity = np.mean([text_similarity(reading, text) for reading, text in zip(normal, texts, strict=True)])

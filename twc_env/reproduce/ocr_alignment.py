@@ -1,4 +1,4 @@
-"""A reading of a sign laid along its truth: what became of each character, and whether it is a fragment."""
+"""Alignment of a reading with its true text: the reading of each character, and whether it is a fragment."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from rapidfuzz.distance import Levenshtein
 from twc_env.slam.text_similarity import normalise
 
 FRAGMENT_SHARE_MIN, FRAGMENT_CHARACTERS_MIN = 0.2, 2
-"""At least this much of a text has to be missing at its ends to call the reading a fragment."""
+"""Minimum share and number of characters missing at the ends of a fragment."""
 
 
 class Aligned:
-    """One reading laid along its truth."""
+    """One reading aligned with its true text."""
 
     def __init__(self, truth: str, reading: str):
         self.truth, self.reading = truth.upper(), normalise(reading)
         n = len(self.truth)
         self.became: list[str | None] = list(self.truth)
-        """What each character was read as, None where it was lost."""
+        """The reading of each character, None if it was lost."""
         self.added: list[str] = [""] * n
         for edit in Levenshtein.editops(self.truth, self.reading):
             if edit.tag == "replace":
@@ -35,7 +35,7 @@ class Aligned:
         if not self.is_fragment:
             begin, end = 0, 0 if self.is_missed else n
         self.span = range(begin, end)
-        """The characters that belong to what was read."""
+        """Indices of the characters of the fragment that was read."""
         self.kept_share = len(self.span) / n
         self.letters = [k for k in self.span if self.truth[k] != " "]
         self.wrong = [k for k in self.letters if self.became[k] != self.truth[k] or self.added[k]]

@@ -1,8 +1,8 @@
-"""Makes the table of OCR errors: signs are drawn as a camera sees them, a real OCR reads them, the errors are counted.
+"""Measures the table of OCR errors: signs are rendered as camera images, read by a real OCR, and errors are counted.
 
-Signs are drawn over a grid of capital height x incidence x blur; fonts, colours, light, reflections, sharpness and
-noise vary from sign to sign. Readings are aligned with the truth by edit distance, case aside. The texts are of other
-words than those of the maps, so that `reproduce ocr` can judge the table on signs it never saw.
+Signs are rendered over a grid of capital height x incidence x blur; fonts, colours, light, reflections, sharpness and
+noise vary between signs. Readings are aligned with the truth by edit distance, ignoring case. The texts use other words
+than the maps, so that `reproduce ocr` evaluates the table on unseen signs.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from twc_env.world.sign_picture import View, draw_plate
 HEIGHT_PX = (4.5, 5.2, 6.0, 7.0, 8.5, 10.5, 14.0, 20.0, 36.0)
 INCIDENCE_DEG = (0.0, 35.0, 50.0, 63.0)
 BLUR_WIDTHS = (0.0, 0.12, 0.24, 0.36, 0.48, 0.65)
-"""In capital heights as the incidence narrows them."""
+"""Motion blur in capital heights, multiplied by the cosine of the incidence."""
 LEVEL_RATE = (0.9, 0.65, 0.45, 0.3, 0.2, 0.12, 0.07, 0.03, 0.0)
-"""Character error rates between which lines are told apart, worst first."""
+"""Character error rates of the error levels of lines, in descending order."""
 SMALL_PX = 12.0
-"""Below this capital height rates change fast: twice as many signs are read."""
+"""Below this capital height rates change fast, so twice as many signs are read."""
 AGAIN_HEIGHT_PX = (6.5, 8.0, 10.0, 14.0)
 _COMMON_SHARE_MIN = 0.004
 _PRIOR_LINES = 2.0
-"""Weight, in lines, of what all angles of a height and blur say together."""
+"""Weight, in lines, of the prior from all angles of a height and blur."""
 WORDS = (
     "RECEPTION", "CONFERENCE", "LOUNGE", "STORAGE", "TOILETS", "STAIRS", "ELEVATOR", "CASHIER", "OFFICE", "MEETING",
     "BOARD", "CAFE", "LAUNDRY", "PARKING", "EMERGENCY", "DIRECTOR", "FINANCE", "PHYSICS", "CHEMISTRY", "BIOLOGY",
@@ -51,7 +51,7 @@ WORDS = (
 
 
 def sign_text(random: np.random.Generator) -> str:
-    """A door plate, a notice, a shop or a bare room number, in words no map uses."""
+    """A random text of a door plate, notice, shop or room number, with words that no map uses."""
     words = [WORDS[int(i)] for i in random.permutation(len(WORDS))[:2]]
     letter, number = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"[int(random.integers(26))], int(random.integers(1, 400))
     invented = "".join(chr(65 + int(i)) for i in random.integers(0, 26, int(random.integers(4, 9))))
@@ -67,11 +67,9 @@ def sign_text(random: np.random.Generator) -> str:
 
 
 def measure(path: Path, seed: int, signs_per_bin: int, cache: Path, processes: int = 1) -> dict:
-    """Measure and write the table; gives its content. Parts that an earlier run finished are not run again."""
+    """Measure and write the table; returns its content. Parts that an earlier run finished are reused."""
     require()
-    bins = [
-        (h, a, b) for h in range(len(HEIGHT_PX)) for a in range(len(INCIDENCE_DEG)) for b in range(len(BLUR_WIDTHS))
-    ]
+    bins = list(np.ndindex(len(HEIGHT_PX), len(INCIDENCE_DEG), len(BLUR_WIDTHS)))
     runner = Runner("ocr-measure", cache, {"seed": seed, "signs": signs_per_bin})
     read_bin, read_again = (partial(f, seed=seed, count=signs_per_bin) for f in (_read_bin, _read_again))
     read = runner.each(bins, read_bin, lambda b: "bin {}/{}/{}".format(*b), processes)
@@ -104,7 +102,8 @@ def _read_bin(which: tuple[int, int, int], seed: int, count: int) -> list[tuple[
 
 
 def _read_again(height_px: float, seed: int, count: int) -> list[tuple]:
-    """(truth, height, angle, reading, reading nearby, reading from elsewhere) of 4 `count` signs read thrice."""
+    """(truth, height, angle, reading, reading nearby, reading from elsewhere) of 4 `count` signs, each read three
+    times."""
     random = random_stream(seed, "ocr again", round(10 * height_px))
     count *= 4
     texts, plates = [sign_text(random) for _ in range(count)], [draw_plate(random) for _ in range(count)]
@@ -123,7 +122,7 @@ def _read_again(height_px: float, seed: int, count: int) -> list[tuple]:
 
 
 def fit(read: list[list[tuple[str, str]]]) -> dict:
-    """The table's content (all but correlations) from the (truth, reading) lines of each bin."""
+    """The content of the table, except correlations, from the (truth, reading) lines of each bin."""
     shape = (len(HEIGHT_PX), len(INCIDENCE_DEG), len(BLUR_WIDTHS))
     bins = [[Aligned(*line) for line in lines] for lines in read]
     level, posteriors = _levels(bins, shape)
@@ -150,7 +149,7 @@ def fit(read: list[list[tuple[str, str]]]) -> dict:
 
 
 def _rates(bins: list[list[Aligned]], shape: tuple[int, ...], count, prior_cases: float = 2.0) -> Array:
-    """(H, A, B) shares, drawn a little towards the share of all angles where a bin has few cases."""
+    """(H, A, B) shares, with the share over all angles as prior for bins with few cases."""
     counts = np.array([np.sum([count(a) for a in lines], axis=0) for lines in bins], float).reshape(*shape, 2)
     pooled = counts.sum(axis=1, keepdims=True)
     prior = pooled[..., 0] / np.maximum(pooled[..., 1], 1.0)
@@ -159,10 +158,10 @@ def _rates(bins: list[list[Aligned]], shape: tuple[int, ...], count, prior_cases
 
 
 def _length_exponent(bins: list[list[Aligned]]) -> float:
-    """Long texts are found more easily: by which power of the length the odds of a miss fall, by least squares.
+    """Exponent of the length by which the odds of a miss decrease, because longer texts are detected more easily.
 
-    Compared are lines of bins in which some were missed and some read; their log-odds against the bin's are the slope
-    of a straight line through log length (one step of logistic regression, repeated until it stands).
+    Fitted to bins with missed and read lines: slope of the log-odds over the log length, by repeated steps of logistic
+    regression.
     """
     some = [lines for lines in bins if 0.05 < np.mean([a.is_missed for a in lines]) < 0.95]
     exponent = 0.0
@@ -181,20 +180,20 @@ def _length_exponent(bins: list[list[Aligned]]) -> float:
 
 
 def _log_odds_of(rate: float, log_length: Array, exponent: float) -> float:
-    """Log-odds of a miss at the reference length that give lines of these lengths this rate together."""
+    """Log-odds of a miss at the reference length for which lines of these lengths have this mean rate."""
     rate = float(np.clip(rate, 1e-6, 1.0 - 1e-6))
     return brentq(lambda odds: expit(odds - exponent * log_length).mean() - rate, -40.0, 40.0)
 
 
 def _at_reference_length(rates: Array, bins: list[list[Aligned]], exponent: float) -> list:
-    """(H, A, B) miss rates of a text as long as `MISS_LENGTH` from those of the texts that were read."""
+    """(H, A, B) miss rates of a text of length `MISS_LENGTH`, from those of the measured texts."""
     length = [np.log([len(a.truth) / MISS_LENGTH for a in lines]) for lines in bins]
     odds = [_log_odds_of(rate, x, exponent) for rate, x in zip(rates.ravel(), length, strict=True)]
     return np.round(expit(odds), 4).reshape(rates.shape).tolist()
 
 
 def _space_proneness(bins: list[list[Aligned]], space_loss: Array) -> list[float]:
-    """How much more often than the average spaces get lost: between letters, and beside a digit."""
+    """Ratio of lost spaces to the average: between letters, and beside a digit."""
     lost, expected = np.zeros(2), np.full(2, 1e-9)
     for lines, rate in zip(bins, space_loss.ravel(), strict=True):
         for a in lines:
@@ -208,8 +207,8 @@ def _space_proneness(bins: list[list[Aligned]], space_loss: Array) -> list[float
 def _levels(bins: list[list[Aligned]], shape: tuple[int, ...]) -> tuple[Array, list[Array]]:
     """Shares (bins, levels) of the error levels by expectation maximisation, and each line's posterior (levels,).
 
-    Within a level, the wrong characters of a line are binomial; fitted first over all angles, then per bin with that
-    prior.
+    Within a level the number of wrong characters of a line is binomial. Fitted first over all angles, then per bin with
+    that prior.
     """
     rate = np.clip(LEVEL_RATE, 1e-3, 0.999)
 
@@ -233,7 +232,7 @@ def _levels(bins: list[list[Aligned]], shape: tuple[int, ...]) -> tuple[Array, l
 
 
 def _mixture(chance: Array, prior: Array) -> Array:
-    """(levels,) shares that make lines with chances (lines, levels) likeliest, with a prior in lines."""
+    """(levels,) maximum-likelihood shares for lines with likelihoods (lines, levels), with a prior in lines."""
     share = (prior + 1e-6) / (prior + 1e-6).sum()
     for _ in range(200 if len(chance) else 0):
         weight = chance * share
@@ -244,7 +243,7 @@ def _mixture(chance: Array, prior: Array) -> Array:
 
 
 def _letters(lines: list[Aligned], posteriors: list[Array]) -> dict:
-    """Which characters go wrong and what they become."""
+    """Statistics of wrong characters and of their replacements."""
     read = [a for a in lines if not a.is_missed]
     posterior = np.concatenate(posteriors)  # (lines read, levels)
     rate = posterior @ np.array(LEVEL_RATE)
@@ -280,7 +279,7 @@ def _letters(lines: list[Aligned], posteriors: list[Array]) -> dict:
 
 
 def _proneness(happened: Counter[str], expected: Counter[str]) -> dict[str, float]:
-    """How much more often each character goes wrong than the lines' levels say; rare ones are held near 1."""
+    """Ratio of errors of each character to those expected from the levels of its lines; near 1 for rare ones."""
     total = sum(happened.values()) / max(sum(expected.values()), 1e-9)
     return {c: round((happened[c] + 3.0) / (expected[c] * total + 3.0), 3) for c in sorted(expected)} | {"": 1.0}
 

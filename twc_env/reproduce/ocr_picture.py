@@ -1,4 +1,4 @@
-"""A picture of how signs are drawn and what the table says of them."""
+"""A picture of rendered signs and of the error table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same sign read twice: how much of what goes wrong stays with the sign, fitted to signs that were read thrice."""
+"""Correlation of repeated readings of a sign, fitted to signs that were read three times."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from twc_env.world.misreading import TableReader, codes_of, shares
 from twc_env.world.ocr_table import table_of
 
 _DRAWN_PAIRS = 6
-"""Pairs of readings drawn from the table for each measured one."""
+"""Number of pairs of readings sampled from the table per measured one."""
 
 
 def fit_correlation(table: dict, triples: list, seed: int) -> dict:
-    """How much of what goes wrong stays with the sign: shares for lines and letters, raised until drawn pairs agree.
+    """Correlated shares of errors, for lines and for letters, chosen so that sampled pairs agree like measured ones.
 
-    `triples` are (truth, height, angle, reading, reading nearby, reading from elsewhere). Lines are judged by how far
-    one reading's being exact foretells the other's, letters by how often two wrong readings are the same.
+    `triples` are (truth, height, angle, reading, reading nearby, reading from elsewhere). Lines are judged by the
+    correlation of exact readings, letters by how often two wrong readings are equal.
     """
     near, far = ([(t[0], t[3], t[k]) for t in triples] for k in (4, 5))
     measured = _agreement(near + far)
@@ -33,7 +33,7 @@ def fit_correlation(table: dict, triples: list, seed: int) -> dict:
 
 
 def _raised(table: dict, triples: list, seed: int, key: str, target: float) -> float:
-    """The share at which drawn pairs agree as much as measured, between grid points by straight lines."""
+    """The share at which sampled pairs agree as much as measured ones, by linear interpolation on a grid."""
     figure = "exact_correlation" if key == "line_share" else "same_when_wrong"
     grid = np.linspace(0.0, 0.98, 8)
     found = [
@@ -44,7 +44,8 @@ def _raised(table: dict, triples: list, seed: int, key: str, target: float) -> f
 
 
 def _agreement(pairs: list[tuple[str, str, str]]) -> dict[str, float]:
-    """Of (truth, first, second), spaces aside: correlation of being exact, and how often two wrong are the same."""
+    """Statistics of (truth, first, second), ignoring spaces: correlation of exact readings, share of equal wrong
+    ones."""
     solid = [tuple(normalise(text).replace(" ", "") for text in pair) for pair in pairs]
     exact = np.array([(a == truth, b == truth) for truth, a, b in solid], float)
     wrong = [a == b for truth, a, b in solid if a and b and truth not in (a, b)]
@@ -57,7 +58,7 @@ def _agreement(pairs: list[tuple[str, str, str]]) -> dict[str, float]:
 
 
 def _drawn_pairs(table: dict, triples: list, seed: int) -> list[tuple[str, str, str]]:
-    """Pairs of readings from the table, of the same signs at the same height and angle."""
+    """Pairs of readings sampled from the table, of the same signs at the same height and angle."""
     ready, random = table_of(table), random_stream(seed, "ocr correlation")
     reader, drawn = TableReader(ready), []
     for text, height_px, angle, *_ in triples:

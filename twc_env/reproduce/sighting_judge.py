@@ -1,6 +1,6 @@
-"""What each method of TWC-SLAM's Table I says of all pairs of sightings of some walks, and how right it is.
+"""Evaluation of the methods of TWC-SLAM's Table I on all pairs of sightings of some walks.
 
-The same pairs and the same truth for all methods: see `twc_table1`.
+Pairs and ground truth are the same for all methods: see `twc_table1`.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ TEXT, WIFI = (0.5, 0.8, 1.0), (0.5, 0.8, 1.0)
 COMBINED = ((0.5, 0.8), (0.8, 0.8), (0.5, 1.0))
 SAME_PLACE_M = 3.0
 PLACE_STEP_M = 6.0
-"""Where WiFi alone is sampled along the way (papers.md T10)."""
+"""Spacing of places for WiFi alone (papers.md T10)."""
 METHODS = ("text", "wifi", "twc", "lidar", "fused")
 GUESS_OF = {"text": "sign", "twc": "sign", "fused": "memory", "wifi": "none", "lidar": "none"}
-"""Where each method's guess of the pose between the robots comes from: the sign as seen, as remembered, nowhere."""
+"""Source of the initial guess of each method: the sign as seen, its remembered position, or none."""
 LOOSEST = {"text": 0.5 - 1e-9, "wifi": 0.5 - 1e-9, "twc": 0.5 - 1e-9, "lidar": 0.5, "fused": 0.0}
-"""Scan matching is asked about pairs from this score on (of `twc` that of the texts); it confirms no others."""
+"""Minimum score of pairs for scan matching (for `twc` that of the texts); others are not confirmed."""
 RECALL_LEVELS = np.linspace(0.025, 1.0, 40)
-"""Curves give the best precision of any threshold with at least this recall."""
+"""Curves hold the best precision of any threshold with at least this recall."""
 
 
 def judge(config: EnvConfig, walks: list[Walk]) -> dict:
-    """All methods on all pairs of sightings of these walks: figures per thresholds, curves per method."""
+    """Evaluate all methods on all pairs of sightings of these walks: figures per threshold, curves per method."""
     sightings = [(robot, sighting) for robot, w in enumerate(walks) for sighting in w.sightings]
     pairs = _sighting_pairs(sightings)
     views = [sighting.keyframe for _, sighting in sightings]
@@ -81,7 +81,8 @@ def judge(config: EnvConfig, walks: list[Walk]) -> dict:
 
 
 def _threshold_scores(config: EnvConfig, pairs: Pairs, views: list[Keyframe]) -> tuple[Array, dict[str, Array]]:
-    """(3, pairs) text, transmitters, strengths; and the scores of the methods that put thresholds on them."""
+    """(3, pairs) similarity of text, transmitters and strengths; and the scores of the methods with thresholds on
+    them."""
     rule = config.slam.place_recognition
     each = [similarities(views[i], views[j], rule) for i, j in zip(pairs.first, pairs.second, strict=True)]
     cues = np.array([(c.text, c.macs, c.rssi) for c in each]).reshape(-1, 3).T
@@ -90,7 +91,7 @@ def _threshold_scores(config: EnvConfig, pairs: Pairs, views: list[Keyframe]) ->
 
 
 def _figure(method: str, accepted: Array, alpha: float, scores: dict[str, Array], pairs: Pairs) -> dict:
-    """What is counted of the pairs that a method accepts."""
+    """Precision and recall of the pairs that a method accepts."""
     conditional = pairs.is_same & (scores["text"] >= alpha - 1e-9) if method == "twc" else pairs.is_same
     counts, best = all_pairs(accepted, pairs), best_match(accepted, scores[method], pairs)
     return {
@@ -105,14 +106,14 @@ def _figure(method: str, accepted: Array, alpha: float, scores: dict[str, Array]
 
 
 def _curve(score: Array, is_same: Array) -> list[float]:
-    """The best precision of any threshold at each of RECALL_LEVELS; 0 where none reaches it."""
+    """The best precision of any threshold at each of RECALL_LEVELS; 0 if none reaches it."""
     precision, recall = precision_recall_curve(score[np.isfinite(score)], is_same[np.isfinite(score)])
     recall = recall * is_same[np.isfinite(score)].sum() / max(int(is_same.sum()), 1)
     return [float(precision[recall >= level - 1e-9].max(initial=0.0)) for level in RECALL_LEVELS]
 
 
 def judge_some(config: EnvConfig, walks: list[Walk], name: str, methods: Sequence[str] = ("wifi", "twc")) -> list[dict]:
-    """Figures of some methods before scan matching; `name` stands behind that of each."""
+    """Figures of some methods before scan matching; `name` is appended to the name of each."""
     sightings = [(robot, sighting) for robot, w in enumerate(walks) for sighting in w.sightings]
     pairs, views = _sighting_pairs(sightings), [sighting.keyframe for _, sighting in sightings]
     cues, scores = _threshold_scores(config, pairs, views)
@@ -134,7 +135,7 @@ def _fused_scores(fused: FusedRecogniser, pairs: Pairs, views: list[Keyframe]) -
 
 
 def fused_with_memory(config: EnvConfig, walks: list[Walk]) -> FusedRecogniser:
-    """The fused recogniser after it has seen all keyframes in the order of time."""
+    """The fused recogniser after observing all keyframes in order of time."""
     recogniser = FusedRecogniser(config.slam.place_recognition, config.lidar.range_max_m)
     for keyframe in sorted((k for w in walks for k in w.keyframes), key=lambda k: (k.time_s, k.robot)):
         recogniser.memory.observe(keyframe)
@@ -142,7 +143,7 @@ def fused_with_memory(config: EnvConfig, walks: list[Walk]) -> FusedRecogniser:
 
 
 def settings() -> list[tuple[str, float, float, float]]:
-    """(method, alpha, beta, gamma) of every row; NaN where a method has no such threshold."""
+    """(method, alpha, beta, gamma) of every row; NaN if a method has no such threshold."""
     nothing = math.nan
     return [
         *(("text", alpha, nothing, nothing) for alpha in TEXT),
@@ -154,7 +155,7 @@ def settings() -> list[tuple[str, float, float, float]]:
 
 
 def _accept(method, alpha, beta, gamma, scores, cues, config: EnvConfig) -> Array:
-    """(pairs,) bool: what a method takes for one place at these thresholds."""
+    """(pairs,) bool: pairs that a method accepts at these thresholds."""
     rule = config.slam.place_recognition
     if method in ("lidar", "fused"):
         return scores[method] >= (rule.scan_similarity_min if method == "lidar" else rule.log_odds_min)
@@ -168,7 +169,7 @@ def _accept(method, alpha, beta, gamma, scores, cues, config: EnvConfig) -> Arra
 
 
 def _sighting_pairs(sightings: list[tuple[int, Sighting]]) -> Pairs:
-    """Pairs of different robots without those of one sign from further apart than a place reaches."""
+    """Pairs of sightings of different robots, except those of the same sign from more than SAME_PLACE_M apart."""
     entries = []
     for (i, (a, first)), (j, (b, second)) in itertools.combinations(enumerate(sightings), 2):
         if a == b:
@@ -182,7 +183,7 @@ def _sighting_pairs(sightings: list[tuple[int, Sighting]]) -> Pairs:
 
 
 def _wifi_at_places(config: EnvConfig, walks: list[Walk], beta: float, gamma: float) -> Counts:
-    """WiFi alone between places every few metres of each walk; right when at most 3 m apart."""
+    """Counts of WiFi alone between places every PLACE_STEP_M of each walk; correct within SAME_PLACE_M."""
     places = [(robot, view, pose) for robot, w in enumerate(walks) for view, pose in _every(w)]
     accepted, same = [], []
     for (a, first, here), (b, second, there) in itertools.combinations(places, 2):
@@ -204,7 +205,7 @@ def _every(w: Walk) -> list[tuple[Keyframe, Array]]:
 
 
 class _Verified:
-    """Which pairs scan matching confirms, from the pose that the shared sign implies or from none."""
+    """Scan matching of pairs, with the initial guess from the shared sign or with none."""
 
     def __init__(self, config: EnvConfig, walks: list[Walk], views: list[Keyframe], fused: FusedRecogniser):
         slam = config.slam
@@ -214,7 +215,7 @@ class _Verified:
         self._known: dict[str, dict[int, bool]] = {}
 
     def accept(self, pairs: Pairs, guess: str, asked: Array) -> Array:
-        """(pairs,) bool: those asked for that are confirmed from a kind of guess; each is matched once per kind."""
+        """(pairs,) bool: the requested pairs that are confirmed with a kind of guess; results are cached per kind."""
         known = self._known.setdefault(guess, {})
         for k in np.flatnonzero(asked).tolist():
             if k not in known:
@@ -237,6 +238,6 @@ class _Verified:
 
 
 def _of(counts: Counts | None, what: str) -> dict:
-    """Precision and recall under a name, nothing where it was not measured."""
+    """Precision and recall under a name; NaN without counts."""
     values = (counts.precision, counts.recall) if counts is not None else (math.nan, math.nan)
     return dict(zip((f"precision_{what}", f"recall_{what}"), values, strict=True))

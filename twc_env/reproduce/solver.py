@@ -34,13 +34,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
-    """Two rows a set: ours and gtsam's."""
+    """Two rows per set: ours and gtsam's."""
     names = chosen(options.datasets, DATASETS)
     return [row for pair in runner.each(names, lambda name: compare(name, options.repeats)) for row in pair]
 
 
 def compare(dataset: str, repeats: int) -> list[dict]:
-    """Both solvers on one set."""
+    """Run both solvers on one set."""
     graph = read_graph(data_folder() / "posegraph" / f"{DATASETS[dataset]}.g2o.gz")
     start = dead_reckoning(graph)
     solvers = {"ours": solve_ours, "gtsam": solve_gtsam}
@@ -67,7 +67,7 @@ def compare(dataset: str, repeats: int) -> list[dict]:
 
 
 def solve_ours(start: Array, graph: Graph) -> tuple[Array, float, float]:
-    """Poses, and CPU seconds twice."""
+    """Poses, and CPU seconds (twice, as `solve_gtsam`)."""
     config = PoseGraphConfig(robust="plain", iterations_max=100)
     began = time.process_time()
     poses = pose_graph.optimise(start, *graph.parts, config)
@@ -76,7 +76,7 @@ def solve_ours(start: Array, graph: Graph) -> tuple[Array, float, float]:
 
 
 def solve_gtsam(start: Array, graph: Graph) -> tuple[Array, float, float]:
-    """Poses, CPU seconds with and without putting the factors together. Raises ConfigError without gtsam."""
+    """Poses, and CPU seconds with and without building the graph. Raises ConfigError without gtsam."""
     try:
         import gtsam
     except ImportError:

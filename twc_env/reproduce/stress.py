@@ -41,10 +41,10 @@ CONDITIONS = (
     "rough laser", "cheap laser", "no laser",
 )  # fmt: skip
 CRUISE_STEPS_PER_M = 14.0
-"""About how many steps a walker needs for a metre; failures come at shares of the longest way."""
+"""Approximate steps of a walker per metre, for the times of failures."""
 LACKS_SHOWN = 3
 SAMPLE_STEPS = 10
-"""Every so many steps robots are asked how sure they are."""
+"""Steps between two samples of pose errors and standard deviations."""
 FIGURES = {"merged": "merged_share", "ate": "ate_m", "coverage": "coverage_correct"}
 
 
@@ -100,7 +100,7 @@ def episode(building: str, condition: str, robots: int, seed: int) -> dict:
 
 
 def _sample(env: ExplorationEnv) -> tuple[Array, Array, Array, list[float], list[int]]:
-    """Of all robots now: believed poses, true ones, standard deviations, path since a closure, version of the map."""
+    """Of all robots: estimated and true poses, standard deviations, path since the last closure, version of the map."""
     beliefs = [env.belief(agent) for agent in env.possible_agents]
     return (
         np.array([belief.pose_map_robot for belief in beliefs]),
@@ -112,7 +112,7 @@ def _sample(env: ExplorationEnv) -> tuple[Array, Array, Array, list[float], list
 
 
 def settings(condition: str, steps: int) -> dict:
-    """What a condition changes in an episode of about so many steps."""
+    """Settings of a condition in an episode of about this many steps."""
     changes: dict[str, dict] = {
         "no signs": {"signs.range_max_m": 0.1},
         "no WiFi": {"radio.wifi": False},
@@ -128,7 +128,7 @@ def settings(condition: str, steps: int) -> dict:
 
 
 def with_repeated_names(plan: Floorplan) -> Floorplan:
-    """The plan with half as many names, each at two places or more that were drawn at random."""
+    """The plan with half as many sign texts, each at two or more random signs."""
     names = sorted({sign.text for sign in plan.signs})
     kept = names[: max(len(names) // 2, 1)]
     order = random_stream(0, "repeated names " + plan.name).permutation(len(plan.signs))
@@ -158,7 +158,7 @@ def _row(condition: str, runs: list[dict], normal: list[dict]) -> dict:
 
 
 def _uncertainty(runs: list[dict]) -> dict:
-    """Root mean squares over all ways since a closure: what robots got wrong, and how unsure they were of it."""
+    """Root mean squares of errors and reported standard deviations over all motions since a closure."""
     ways = max(sum(run["ways"] for run in runs), 1)
     out = {}
     for name in ("error", "std"):
@@ -169,6 +169,6 @@ def _uncertainty(runs: list[dict]) -> dict:
 
 
 def _kind(line: str) -> str:
-    """A line of the engine's report without its figures, so that episodes can be counted together."""
+    """A line of the engine's report without its numbers, for counting over episodes."""
     line = line.partition(": ")[0] if line.startswith("candidates refused") else line
     return re.sub(r"[+-]?\d+(\.\d+)?", "#", line)

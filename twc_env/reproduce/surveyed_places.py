@@ -1,4 +1,4 @@
-"""Places along surveyed phone traces of a real floor: where a WiFi scan ended, and which names could be read there."""
+"""Places along surveyed phone traces of a real floor: positions of WiFi scans, and names that are legible there."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from twc_env.world.signs import SignCamera
 PLACE_STEP_M = 4.0
 TRACE_SHARE = 0.8
 CAMERA = SignsConfig(reader="simple", range_max_m=8.0, character_height_m=0.15)
-"""Names over shops can be read from further away than door plates."""
+"""Names of shops are legible from farther away than door plates."""
 READ_PERIOD_S, READ_AROUND_S = 0.5, 2.0
-"""How often names are read, and for how long before and after a scan."""
+"""Period of reading names, and time before and after a scan in which they are read."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Floor:
-    """All that can be sensed along the traces of a floor."""
+    """Measurements along the traces of a floor."""
 
     plan: Floorplan
     position_m: Array
@@ -42,15 +42,15 @@ class Floor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """The places of one draw, and what was sensed at each."""
+    """The places of one random draw, and the measurements at each."""
 
     position_m: Array
     trace: Array
     rssi_dbm: Array
     readings: tuple[tuple[str, ...], ...]
-    """Of each sign the reading nearest in time to the scan."""
+    """The reading of each sign that is nearest in time to the scan."""
     agreed: tuple[tuple[tuple[str, int], ...], ...]
-    """Of each sign the reading that most readings agree with, and how many these are."""
+    """The reading of each sign that agrees best with all its readings, and its count."""
 
 
 def read_floor(folder: Path) -> Floor:
@@ -91,7 +91,7 @@ def draw_places(floor: Floor, seed: int) -> Places:
 
 
 def _read_around(floor: Floor, scans: Array, scan: int, camera: SignCamera) -> dict[int, list[tuple[float, str]]]:
-    """Sign -> (time to the scan, text) of every reading while the walker came and went."""
+    """Sign -> (time to the scan, text) of every reading around the time of a scan."""
     times, places = floor.time_s[scans], floor.position_m[scans]
     seen: dict[int, list[tuple[float, str]]] = {}
     for offset in np.arange(-READ_AROUND_S, READ_AROUND_S + 1e-9, READ_PERIOD_S):
@@ -108,7 +108,7 @@ def _read_around(floor: Floor, scans: Array, scan: int, camera: SignCamera) -> d
 
 
 def _agreed(texts: list[str]) -> tuple[str, int]:
-    """The reading nearest to all readings, the longest of several, and how often it was read."""
+    """The reading with the smallest total edit distance to all readings (the longest of several), and its count."""
     distances = cdist(texts, texts, scorer=Levenshtein.distance).sum(axis=1)
     best = max((texts[k] for k in np.flatnonzero(distances == distances.min())), key=lambda text: (len(text), text))
     return best, texts.count(best)

@@ -1,4 +1,4 @@
-"""Pictures of maps of TWC-SLAM's scenes: trajectories, merged maps, believed and refused closures (papers.md T21)."""
+"""Pictures of maps of TWC-SLAM's scenes: trajectories, merged maps, accepted and rejected closures (papers.md T21)."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ METHODS = ("lidar", "text", "wifi", "twc", "fused")
 BACKENDS = ("plain", "ours")
 COLOURS = ("tab:blue", "tab:orange", "tab:purple", "tab:olive")
 MARGIN_M, PANEL_INCHES = 3.0, 4.2
-"""Maps are shown this far around the building; a folded one may reach further."""
+"""Margin around the building, and size of a panel; a folded map may exceed it."""
 POINT_STRIDE = 3
-"""Of the point clouds every so manyth point is drawn."""
+"""Point clouds are drawn with every third point."""
 
 Entry = tuple[str, str, list[Matched], OfflineMap]
 
 
 def draw_scene(scene: str, walks: Sequence[Walk], maps: Sequence[Entry], folder: Path) -> list[Path]:
-    """Three pictures of one walk, a column per method, a row per back end; their paths."""
+    """Draw three pictures of one walk, with a column per method and a row per back end; returns their paths."""
     drawings: dict[str, Callable] = {"trajectories": _paths, "maps": _map, "closures": _closures}
     return [_sheet(scene, walks, maps, folder, what, draw) for what, draw in drawings.items()]
 
@@ -57,7 +57,7 @@ def _sheet(scene: str, walks: Sequence[Walk], maps: Sequence[Entry], folder: Pat
 
 
 def _paths(axes, scene: str, walks: Sequence[Walk], matched: Sequence[Matched], built: OfflineMap) -> str:
-    """Each robot's path in its colour, where it truly starts and where it is said to start and end."""
+    """Draw the path of each robot, its true start, and its estimated start and end."""
     for group in built.groups:
         true = np.concatenate([np.array(walks[robot].poses) for robot in group])
         pose = metrics.align_team(np.concatenate([built.poses[robot] for robot in group]), true)
@@ -72,14 +72,14 @@ def _paths(axes, scene: str, walks: Sequence[Walk], matched: Sequence[Matched], 
 
 
 def _map(axes, scene: str, walks: Sequence[Walk], matched: Sequence[Matched], built: OfflineMap) -> str:
-    """The largest group's point cloud: sharp where the map is right, ghost walls where it is not."""
+    """Draw the point cloud of the largest group; errors of the map appear as ghost walls."""
     points_m = point_cloud(walks, built, EnvConfig().lidar.range_max_m)
     axes.plot(points_m[::POINT_STRIDE, 0], points_m[::POINT_STRIDE, 1], ",", color="black", alpha=0.3, zorder=2)
     return f"walls {wall_thickness_m(points_m, load_map(SCENES[scene][0]).walls_m):.2f} m thick"
 
 
 def _closures(axes, scene: str, walks: Sequence[Walk], matched: Sequence[Matched], built: OfflineMap) -> str:
-    """Closures between the true places: believed: green, or red if false; refused: grey, or blue if right."""
+    """Draw closures between the true poses: accepted green, or red if false; rejected grey, or blue if correct."""
     counts = {}
     for is_believed, is_right, colour, name in (
         (False, False, "0.8", "false refused"),
@@ -100,7 +100,7 @@ def _closures(axes, scene: str, walks: Sequence[Walk], matched: Sequence[Matched
 
 
 def draw_curves(recall: Array, curves: dict[str, dict[str, dict[str, list[float]]]], folder: Path) -> Path:
-    """Precision over recall of every method, a panel per scene, before (left) and after (right) verification."""
+    """Draw precision over recall of every method, a row per scene, before (left) and after (right) verification."""
     figure = new_figure(10.0, 4.0 * len(curves), dpi=90)
     panels = figure.subplots(len(curves), 2, squeeze=False, sharex=True, sharey=True)
     for row, (scene, methods) in zip(panels, curves.items(), strict=True):

@@ -1,19 +1,19 @@
-"""The two scenes of TWC-SLAM's tables: a floor plan, what is written on its walls, and who walks where.
+"""The two scenes of TWC-SLAM's tables: floor plans, signs, and routes of the robots.
 
-The paper does not print what hangs on the walls of its scenes, but its text columns say what that must be like. Of
-pairs of equal texts on #01 four in five are right: few texts repeat. Of pairs alike by 0.8 half are right: a text
-resembles another one or two, not those of all rooms. Of pairs alike by 0.5 a third are right, and radio cannot tell
-many of the others apart: they hang a few metres from each other.
+The paper does not state the signs of its scenes, but its text columns constrain them. On #01 four of five pairs of
+equal texts are correct: few texts repeat. Half of the pairs with similarity 0.8 are correct: a text resembles one or
+two others, not those of all rooms. A third of the pairs with similarity 0.5 are correct, and radio cannot separate many
+of the others: they are a few metres apart.
 
-Signs of `departments` are like that: two neighbouring rooms belong to one department, a door bears its room's number
-and the department ("A301 OPTICS LAB", "A302 OPTICS LAB"), the evacuation plan behind it the same and "PLAN", and what
-repeats (exits, fire cabinets or hydrants) hangs in the first and the last room only, and in the corridor. With them
-goes radio that loses less in walls than drawn: identical sets of transmitters (beta = 1) in two of three pairs of one
-place ask for transmitters that are heard well everywhere. Both were chosen by the print's columns of #01 alone, and of
-what fits alike within the spread of walks this is the simplest; #02 follows them.
+Signs `departments` meet this: two neighbouring rooms belong to one department; a door has the number of its room and
+the department ("A301 OPTICS LAB", "A302 OPTICS LAB"), the evacuation plan behind it the same text and "PLAN"; repeated
+signs (exits, fire cabinets or hydrants) are only in the first and the last room and in the corridor. With these signs
+the wall loss is reduced, because equal sets of transmitters (beta = 1) in two of three pairs of the same place require
+transmitters that are received well everywhere. Both were chosen from the published columns of #01 only, as the simplest
+of equally good choices within the spread of walks; #02 uses the same.
 
-Signs `as-drawn` are the maps' own: every room repeats the same one or two texts, and all other texts are unlike, which
-is harder for text alone and easier for text and radio together.
+Signs `as-drawn` are those of the maps: every room repeats the same one or two texts, and all other texts are
+dissimilar, which is harder for text alone and easier for text and radio together.
 """
 
 from __future__ import annotations
@@ -36,29 +36,29 @@ SCENES: dict[str, tuple[str, tuple[tuple[int, ...], ...]]] = {
 }
 """Map, and the rooms that each robot visits in order."""
 AS_DRAWN, DEPARTMENTS = SIGNS = ("as-drawn", "departments")
-"""What is written on the walls."""
+"""Sets of signs."""
 DEPARTMENT_ROOMS = 2
 WALL_LOSS_SCALE = 0.7
-"""Of the walls' losses as drawn, where signs are those of departments."""
+"""Factor on the wall losses with signs of departments."""
 STOP_SPREAD_M = 0.25
-"""How far a robot's stops differ from one seed to the next."""
+"""Standard deviation of the stops of a robot between seeds."""
 BEFORE_WALL_M = 0.2
 
 
 def scene_config(scene: str) -> EnvConfig:
-    """The default settings, on a scene's map with its robots."""
+    """The default settings with the map and number of robots of a scene."""
     map_name, orders = SCENES[scene]
     return EnvConfig(map=map_name, robots=len(orders))
 
 
 def scene_plan(scene: str, signs: str) -> Floorplan:
-    """The floor plan of a scene with one of SIGNS on its walls."""
+    """The floor plan of a scene with one of SIGNS."""
     plan = load_map(SCENES[scene][0])
     return plan if signs == AS_DRAWN else with_departments(plan)
 
 
 def with_departments(plan: Floorplan) -> Floorplan:
-    """The plan with the signs of departments; the last room is the corridor, which keeps its own."""
+    """The plan with the signs of departments; the last room is the corridor, whose signs are kept."""
     rooms = plan.rooms[:-1]
     texts = [sign.text for sign in plan.signs]
     kept = []
@@ -76,13 +76,13 @@ def with_departments(plan: Floorplan) -> Floorplan:
 
 
 def room_text(rooms: Sequence[Room], k: int) -> str:
-    """A room's own number and the name of its department's first room."""
+    """The number of a room and the name of the first room of its department."""
     number, first = rooms[k].name.split(" ", 1)[0], rooms[k - k % DEPARTMENT_ROOMS]
     return f"{number} {first.name.split(' ', 1)[1]}"
 
 
 def _room_of(sign: Sign, rooms: Sequence[Room]) -> int | None:
-    """The room that a sign hangs in, or that a door sign outside belongs to; None for the corridor's own."""
+    """The room of a sign, inside or at its door outside; None for signs of the corridor."""
     ahead_m = BEFORE_WALL_M * np.array([math.cos(sign.facing_rad), math.sin(sign.facing_rad)])
     for point_m in (sign.position_m + ahead_m, sign.position_m - ahead_m):
         for k, room in enumerate(rooms):
@@ -93,7 +93,7 @@ def _room_of(sign: Sign, rooms: Sequence[Room]) -> int | None:
 
 
 def walk_scene(config: EnvConfig, scene: str, signs: str, seed: int) -> list[Walk]:
-    """All robots' walks: through their rooms and back to the start, the corridor being the plan's last room."""
+    """The walks of all robots: through their rooms and back to the start; the last room of the plan is the corridor."""
     plan = scene_plan(scene, signs)
     if signs == DEPARTMENTS:
         config = override(config, {"radio.wall_loss_scale": WALL_LOSS_SCALE})

@@ -44,9 +44,9 @@ PRINT = {
     "#02": {"text": ((41, 75), (61, 76), (88, 45)), "wifi": ((51, 81), (70, 76), (87, 40)),
             "twc": ((54, 89), (82, 93), (84, 68))},
 }  # fmt: skip
-"""Precision and recall as printed [%]."""
+"""Published precision and recall [%]."""
 EQ7_AS_PRINTED, AS_PRINTED = "eq7", "as printed"
-"""Eq. 7 without its division, alone and with Eq. 10 as a distance."""
+"""Eq. 7 as printed (without division), alone and with Eq. 10 as a distance."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -88,7 +88,7 @@ def judge_scene(scene: str, seed: int, has_alternatives: bool = False) -> dict:
 
 
 def _alternatives(scene: str, config: EnvConfig, walks: list[Walk], seed: int) -> list[dict]:
-    """Figures of WiFi and twc for every other reading of Eq. 10, and for Eq. 7 as printed."""
+    """Figures of WiFi and twc for every other interpretation of Eq. 10, and for Eq. 7 as printed."""
     literal = override(config, {"slam.keyframe.std_mode": "paper"})
     literal_walks = walk_scene(literal, scene, AS_DRAWN, seed)
     figures = []
@@ -108,7 +108,7 @@ def _alternatives(scene: str, config: EnvConfig, walks: list[Walk], seed: int) -
 
 
 def _summary(scene: str, figures: Sequence[dict]) -> dict:
-    """Means over the seeds [%] beside the print."""
+    """Means over the seeds [%], and the published values."""
     first = figures[0]
     shares = [key for key in first if key not in ("method", "alpha", "beta", "gamma")]
     values = {key: 100 * np.array([figure[key] for figure in figures], float) for key in shares}
@@ -121,7 +121,7 @@ def _summary(scene: str, figures: Sequence[dict]) -> dict:
 
 
 def over_known(values: Array, statistic: Callable[[Array], float], digits: int) -> float:
-    """A statistic of those values that are there, rounded; NaN where none is."""
+    """A statistic of the finite values, rounded; NaN if there are none."""
     known = values[np.isfinite(values)]
     return round(float(statistic(known)), digits) if len(known) else math.nan
 
@@ -144,11 +144,11 @@ READINGS = {
     "after scan matching": ("precision_verified", "recall_verified"),
     "WiFi at places along the way": ("precision_places", "recall_places"),
 }
-"""Ways to count, each as the columns of precision and recall: the print does not say which (papers.md T10-T11)."""
+"""Ways of counting, as columns of precision and recall; the paper does not state which it uses (papers.md T10-T11)."""
 
 
 def remarks(table: list[dict]) -> list[str]:
-    """How far the table is from the print by each way of counting, and why it cannot be nearer."""
+    """Deviation from the published table with each way of counting, and reasons."""
     lines = []
     likened = ("text", "wifi", "twc")
     for method in (*likened, *(f"{name} {DEPARTMENTS}" for name in likened)):
@@ -165,7 +165,7 @@ def remarks(table: list[dict]) -> list[str]:
 
 
 def _why() -> list[str]:
-    """Why not every column of the print can be met at once, and why these walls as drawn meet few."""
+    """Reasons why not all published columns can be met, and why the original signs meet few."""
     beyond = contradiction()
     return [
         "Why twc cannot match the paper if text and WiFi do: pairs accepted by both are a subset of those accepted by "
@@ -181,7 +181,7 @@ def _why() -> list[str]:
 
 
 def contradiction() -> float:
-    """By how many points the printed recalls of twc exceed what text and WiFi, as printed, leave it; mean of cells."""
+    """Mean excess [points] of the published recalls of twc over the bound given by those of text and WiFi."""
     beyond = []
     for cells in PRINT.values():
         for (alpha, both), (_, recall) in zip(COMBINED, cells["twc"], strict=True):
@@ -191,7 +191,7 @@ def contradiction() -> float:
 
 
 def _gap(table: list[dict], method: str, reading: str, scene: str | None = None) -> tuple[float, float] | None:
-    """Mean distance from the print in precision and recall, by a way of counting; None where a cell is missing."""
+    """Mean deviation from the published precision and recall with a way of counting; None if a cell is missing."""
     columns = READINGS[reading]
     mine = [row for row in table if row["method"] == method and scene in (None, row["scene"])]
     if not mine or any(row[column] is None for row in mine for column in columns):
@@ -204,7 +204,7 @@ def _gap(table: list[dict], method: str, reading: str, scene: str | None = None)
 
 
 def _best_reading(table: list[dict]) -> list[str]:
-    """With the alternatives: the reading that is nearest to the print on #01, and what it gives on #02."""
+    """With --alternatives: the interpretation closest to the paper on #01, and its deviation on #02."""
     found = {row["method"] for row in table if row["method"].split(" ")[0] == "twc"}
     methods = sorted(found - {f"twc {DEPARTMENTS}"})
     gaps = {
@@ -223,9 +223,9 @@ def _best_reading(table: list[dict]) -> list[str]:
 
 
 def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
-    """Precision-recall curves of all methods, means over the walks, before and after verification: JSON and picture.
+    """Write the precision-recall curves of all methods before and after verification, as JSON and picture.
 
-    And the paper's figures 4 to 6 for the first walk of each scene, with the settings of Table II.
+    Also the paper's figures 4 to 6 for the first walk of each scene, with the settings of Table II.
     """
     from twc_env.reproduce.twc_pictures import draw_curves
     from twc_env.reproduce.twc_table2 import draw_figures

@@ -63,13 +63,13 @@ METHODS: dict[str, dict[str, object]] = {
 """Settings of place recognition; the name is that of the recogniser."""
 LIVE, LITERAL = "live", "literal"
 SHARES_RIGHT = (1.0, 0.99, 0.98, 0.95, 0.9, 0.78)
-"""How many of the closures of text are right; the last is the print's precision of Table I on #01."""
+"""Shares of correct closures of text; the last is the published precision of Table I on #01."""
 LIDAR = EnvConfig().lidar
 PRINT = {
     "#01": {"lidar": 1.69, "text": 0.35, "wifi": 3.16, "twc": 0.21},
     "#02": {"lidar": 1.41, "text": 1.67, "wifi": 1.56, "twc": 0.16},
 }
-"""End point errors as printed [m]; `lidar` stands for DCL-SLAM."""
+"""Published end point errors [m]; `lidar` is DCL-SLAM."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -102,7 +102,7 @@ def map_scene(scene: str, signs: str, seed: int) -> list[dict]:
 
 
 def maps_of(scene: str, walks: Sequence[Walk]) -> list[tuple[str, str, list[Matched], OfflineMap]]:
-    """(method, back end, what was matched, map) for all methods and back ends."""
+    """(method, back end, matched candidates, map) for all methods and back ends."""
     maps = []
     for method, settings in METHODS.items():
         recognition = {"recogniser": method, **settings} if method != "odometry" else {}
@@ -121,7 +121,7 @@ def maps_of(scene: str, walks: Sequence[Walk]) -> list[tuple[str, str, list[Matc
 
 
 def with_few_false(matched: list[Matched], seed: int) -> list[tuple[float, list[Matched]]]:
-    """(share, closures): all that are right, and of the others as few as make SHARES_RIGHT of them right."""
+    """(share, closures): all correct closures, and as many false ones as give each of SHARES_RIGHT."""
     false = [k for k, m in enumerate(matched) if not m.is_right]
     order = random_stream(seed, "false closures").permutation(false).tolist()
     chosen = []
@@ -132,7 +132,7 @@ def with_few_false(matched: list[Matched], seed: int) -> list[tuple[float, list[
 
 
 def map_live(scene: str, walks: Sequence[Walk]) -> OfflineMap:
-    """The map of the engine's own mapper, which gets the keyframes one by one."""
+    """The map of the engine's mapper, which receives the keyframes one by one."""
     config = override(
         scene_config(scene), {"slam.place_recognition.recogniser": "fused", "slam.pose_graph.robust": "ours"}
     )
@@ -187,7 +187,7 @@ def _summary(scene: str, runs: Sequence[dict]) -> dict:
 
 
 def remarks(table: list[dict]) -> list[str]:
-    """The order of the methods beside the printed one, and the paper's claim recomputed (papers.md T20)."""
+    """The order of the methods and the published one, and the paper's claim recomputed (papers.md T20)."""
     lines = []
     for scene in dict.fromkeys(row["scene"] for row in table):
         printed = sorted(PRINT[scene], key=PRINT[scene].__getitem__)
@@ -208,7 +208,7 @@ def remarks(table: list[dict]) -> list[str]:
 
 
 def _why(table: Sequence[dict]) -> list[str]:
-    """Why the order of the methods is not that of the print: what their closures are worth, and folded maps."""
+    """Reasons why the order of the methods differs from the published one: precision of closures, and folded maps."""
     lines = []
     for row in table:
         if row["backend"] == LITERAL and row["closure_precision"] is not None:
@@ -246,7 +246,7 @@ def _errors(table: Sequence[dict], method: str, backend: str) -> list[float]:
 
 
 def reductions(baseline: Sequence[float], improved: Sequence[float]) -> tuple[float, float]:
-    """1 - mean / mean of errors over the scenes, which the paper prints as "precision", and the mean of 1 - ratio."""
+    """1 - mean / mean of errors over the scenes, which the paper calls "precision", and the mean of 1 - ratio."""
     of_means = 1.0 - float(np.mean(improved)) / float(np.mean(baseline))
     return of_means, float(np.mean(1.0 - np.asarray(improved) / np.asarray(baseline)))
 
