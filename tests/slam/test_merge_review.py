@@ -14,6 +14,7 @@ from twc_env.slam import robust_backend
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import Merge, MergeReview
+from twc_env.slam.robot_sightings import RobotSightings, Sightings
 from twc_env.slam.team import TeamMapper
 
 PLANTED_STEP = 60
@@ -128,11 +129,39 @@ def test_steps_without_news_in_which_nothing_is_due_are_left_out_and_no_others(r
         team = run(recorded, steps=PLANTED_STEP + 1)[0].team
         for step in range(PLANTED_STEP + 1, PLANTED_STEP + 200):
             if is_always_asked:
-                team._settled = -1
+                team._idle_changes = -1
             team.update(step, [])
         found.append(looked.copy())
     assert found[0] == found[1]
     assert {what for what, _ in found[0]} == {"merges", "pending"}
+
+
+@pytest.fixture
+def say_seen_through(monkeypatch):
+    """Have all robots see through each other from now on, whatever a merge says."""
+    return lambda: monkeypatch.setattr(RobotSightings, "count", lambda *_: Sightings(0, 5))
+
+
+def test_robots_that_saw_through_each_other_are_not_merged(recorded, say_seen_through):
+    config, frames, _ = recorded
+    merged = []
+    for is_told in (False, True):
+        if is_told:
+            say_seen_through()
+        engine = CooperativeSlam(config, 3)
+        for now in frames:
+            engine.update(now)
+        engine.finish()
+        merged.append(len(engine.team.groups) < 3)
+    assert merged == [True, False]
+
+
+def test_a_merge_is_undone_when_robots_see_through_each_other(recorded, say_seen_through):
+    team = run(recorded, shift=(0.0, 0.0, 0.0), steps=PLANTED_STEP + 1)[0].team
+    step = team._review.merges[-1].due_step
+    assert team._review.wrong(step - 1, False) is None
+    say_seen_through()
+    assert team._review.wrong(step, False)[1] == "robots saw through the places where it puts others"
 
 
 def test_a_merge_that_only_loose_closures_hold_is_undone(recorded):
@@ -144,7 +173,7 @@ def test_a_merge_that_only_loose_closures_hold_is_undone(recorded):
     assert team._review.wrong(PLANTED_STEP + 1, False)[1] == "no closure is left that speaks for it"
 
 
-def test_without_second_thoughts_the_wrong_merge_stays(recorded):
+def test_without_undo_the_wrong_merge_stays(recorded):
     engine, groups, _ = run(recorded, **{"slam.merging.undo": False})
     assert any(0 in robots and 1 in robots for robots in groups[-1])
     assert wrong_pairs(engine.team, recorded[2]) != []
@@ -292,7 +321,7 @@ def test_the_more_closures_wait_the_more_must_come_for_another_try(recorded, mon
 
 
 @pytest.mark.parametrize(("home", "steps"), [(None, [0, 1, 2, 3, 4, 5]), (0, [0, 3]), (2, [2, 5])])
-def test_of_mappers_on_robots_one_at_a_time_has_second_thoughts(monkeypatch, home, steps):
+def test_of_mappers_on_robots_one_at_a_time_reviews_merges(monkeypatch, home, steps):
     looked, mapper = [], TeamMapper(EnvConfig(), 3, home)
     monkeypatch.setattr(MergeReview, "due_step", 0)
     monkeypatch.setattr(MergeReview, "wrong", lambda review, step, one_by_one: looked.append(step))

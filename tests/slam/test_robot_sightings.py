@@ -1,5 +1,6 @@
 """Merge hypotheses are tested by whether robots see each other's bodies where and when they should."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,8 +9,16 @@ import pytest
 from twc_env import parallel_env
 from twc_env.config import EnvConfig, override
 from twc_env.geometry import beam_directions, between, compose, inverse
+from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.merge_judge import MergeJudge
-from twc_env.slam.robot_sightings import CONFIRMATION_MIN, RobotSightings, Sightings
+from twc_env.slam.robot_sightings import (
+    CONFIRMATION_MIN,
+    GAP_MAX_M,
+    RobotSightings,
+    Sightings,
+    _count,
+    _predict,
+)
 
 BEAMS, WALL_M, COUNT = 180, 7.5, 20
 RADIUS_M = EnvConfig().dynamics.robot_radius_m
@@ -75,9 +84,10 @@ def test_robots_that_were_there_at_other_times_say_nothing():
     assert sightings(later).count([0], [1], START_B) == Sightings(0, 0)
 
 
-@pytest.mark.parametrize("steps", [np.full(COUNT, 10 * COUNT - 10), np.full(COUNT, -1)])
-def test_frames_of_one_robot_after_those_of_another_say_nothing(steps):
-    """A log given robot by robot: all of the second come in after the last step of the first; or steps are unknown."""
+@pytest.mark.parametrize("step", [10 * COUNT - 10, 0, -1])
+def test_frames_of_one_robot_that_all_came_in_at_one_step_say_nothing(step):
+    """As in a log given robot by robot; -1: the step is unknown."""
+    steps = np.full(COUNT, step)
     wrong = compose(np.array([0.0, -3.0, 0.0]), START_B)
     assert sightings(steps).count([0], [1], wrong) == Sightings(0, 0)
 
@@ -95,6 +105,46 @@ def test_it_can_be_switched_off_and_needs_marked_scans(setting):
     assert off.count([0], [1], START_B) == Sightings(0, 0)
 
 
+def test_a_robot_is_not_interpolated_over_a_gap():
+    here, steps = np.array([[0.0, 0.0, 0.0]]), np.array([5])
+    other_steps = np.array([0, 10])
+    for gap_m, count in ((GAP_MAX_M - 0.1, 1), (GAP_MAX_M + 0.1, 0)):
+        others = np.array([[2.0, 0.0, 0.0], [2.0, gap_m, 0.0]])
+        chosen, places = _predict(here, steps, others, other_steps, 6.0)
+        assert len(chosen) == count
+        assert not count or places[0] == pytest.approx((2.0, gap_m / 2))
+
+
+@pytest.mark.parametrize(("distance_m", "seen_through"), [(1.0, 1), (3.0, 0)])
+def test_few_beams_may_miss_a_robot_far_away(distance_m, seen_through):
+    """Of 36 beams none need meet a robot 3 m away, so that they pass by says nothing."""
+    assert _count(np.full((1, 36), WALL_M), np.array([[distance_m, 0.0]]), RADIUS_M) == (0, seen_through)
+
+
+@pytest.mark.parametrize(("seen", "is_confirmed"), [(CONFIRMATION_MIN, True), (CONFIRMATION_MIN - 1, False)])
+def test_scans_of_few_places_are_enough_where_robots_saw_each_other(seen, is_confirmed):
+    rule = override(EnvConfig(), {"slam.merging.wifi_check": False}).slam.merging
+    told = SimpleNamespace(count=lambda *_: Sightings(seen, 0))
+    compared = SimpleNamespace(sign_m=None, text_similarity=np.nan)
+    proposal = SimpleNamespace(pose_a_b=START_B, agreeing=[SimpleNamespace(candidate=compared)] * 3, weight=(3, 3, 3))
+    assert MergeJudge(rule, SimpleNamespace(), sightings=told).cues_confirm((0,), (1,), proposal) is is_confirmed
+
+
+def test_keyframes_have_the_step_of_the_engine_whatever_a_robot_calls_its_own():
+    env = parallel_env(map="twin-02", robots=2, max_cycles=60)
+    env.reset(seed=0)
+    engine = CooperativeSlam(env.unwrapped.config, 2)
+    steps = set()
+    for step in range(60):
+        frames = [replace(frame, step=frame.step + 1000 * frame.robot) for frame in env.unwrapped.frames]
+        taken = engine.track(frames)
+        engine.absorb(step)
+        steps |= {(k.robot, k.step - k.team_step) for k in taken}
+        env.step(dict.fromkeys(env.agents, np.array([1.0, 0.2])))
+    assert {robot for robot, _ in steps} == {0, 1}
+    assert len({own - 1000 * robot for robot, own in steps}) <= 2, "the first frame may count as the second"
+
+
 def test_one_robot_of_another_team_behind_a_wall_is_not_expected():
     """A wall in between hides it: neither seen nor seen through."""
     hidden = sightings()
@@ -108,7 +158,7 @@ def test_counts_decide():
     assert Sightings(1, 2).contradict and not Sightings(2, 2).contradict and not Sightings(0, 1).contradict
 
 
-def test_a_merge_is_refused_and_undone_by_what_robots_did_not_see():
+def test_what_robots_did_not_see_contradicts_a_merge():
     judge = MergeJudge(EnvConfig().slam.merging, SimpleNamespace(), sightings=sightings())
     assert judge.sightings_contradict([0], [1], compose(np.array([0.0, -3.0, 0.0]), START_B))
     assert not judge.sightings_contradict([0], [1], START_B)

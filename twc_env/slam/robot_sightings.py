@@ -59,6 +59,12 @@ class Sightings(NamedTuple):
 
 
 @kernel
+def _is_repeated(steps, k):
+    """Whether a neighbour of the k-th of these ascending steps equals it."""
+    return (k > 0 and steps[k - 1] == steps[k]) or (k + 1 < steps.shape[0] and steps[k + 1] == steps[k])
+
+
+@kernel
 def _predict(poses, steps, other_poses, other_steps, reach_m):
     """The keyframes of a robot (n,) at whose step another one stood within reach, and where (k, 2) in their frames.
 
@@ -69,14 +75,14 @@ def _predict(poses, steps, other_poses, other_steps, reach_m):
     chosen, places = np.empty(poses.shape[0], np.int64), np.empty((poses.shape[0], 2))
     count = after = 0
     for k in range(poses.shape[0]):
-        if steps[k] < 0 or (k > 0 and steps[k] == steps[k - 1]):
+        if steps[k] < 0 or _is_repeated(steps, k):
             continue
         while after < other_steps.shape[0] and other_steps[after] < steps[k]:
             after += 1
         if after == other_steps.shape[0]:
             break
         before = after if other_steps[after] == steps[k] else after - 1
-        if before < 0 or (after + 1 < other_steps.shape[0] and other_steps[after + 1] == other_steps[after]):
+        if before < 0 or _is_repeated(other_steps, after):
             continue
         dx, dy = other_poses[after, 0] - other_poses[before, 0], other_poses[after, 1] - other_poses[before, 1]
         if math.hypot(dx, dy) > GAP_MAX_M:
