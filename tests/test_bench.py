@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from twc_env import bench_peers, bench_probes, bench_scaling
+from twc_env import bench_peers, bench_probes, bench_scaling, bench_vector
 from twc_env.__main__ import main
 from twc_env.bench import OurRuns, Run
 from twc_env.config import EnvConfig
@@ -127,6 +127,17 @@ def test_two_workers_run_at_once_and_are_compared_with_one():
         bench_probes._ROUNDS = kept
     assert set(figures) == {"workers2_speedup", "two_cores_ceiling"}
     assert lines and all(figure is None or 0.05 < figure < 20.0 for figure in figures.values())
+
+
+def test_worker_processes_of_vector_teams_are_compared_with_none(tmp_path):
+    lines: list[str] = []
+    config = EnvConfig(robots=2, max_cycles=4)
+    figures = bench_vector.bench_vector(config, (2,), lines.append)
+    keys = ("env_steps_per_s", "lockstep_speedup", "lockstep_limit", "async_speedup")
+    assert set(figures) == {"two_cores_ceiling", *(f"vector2_{key}" for key in keys)}
+    assert lines and all(figure is None or figure > 0.01 for figure in figures.values())
+    limit = figures["vector2_lockstep_limit"]
+    assert limit is None or 1.0 <= limit <= 2.0
 
 
 def test_a_core_that_is_slow_for_a_while_counts_as_much_with_one_worker_as_with_two(monkeypatch):

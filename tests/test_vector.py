@@ -1,17 +1,19 @@
 import contextlib
 import multiprocessing
-import time
+import os
+import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import twc_env
-from twc_env import environment_group
 from twc_env.errors import ActionError, ConfigError, MapError, TwcError, WorkerError
 from twc_env.vector import VectorTeams
 
 SMALL = {"lidar.beam_count": 60, "robots": 2, "max_cycles": 25, "observation.map_cells": 36}
 CHOICES = {**SMALL, "action.kind": "frontier", "max_cycles": 60}
+FLAT = {**SMALL, "observation.kind": "flat"}
 
 
 def play(teams: VectorTeams, steps: int, seed: int = 5) -> list:
@@ -84,7 +86,7 @@ def test_episodes_change_buildings():
     names = ("gen:office:100:1", "gen:ring:100:2")
     teams = VectorTeams(2, SMALL, buildings=names)
     teams.reset(0)
-    maps = [env.floorplan.name for env in teams._groups[0]._envs]
+    maps = [env.floorplan.name for env in teams._runner._envs.values()]
     assert maps == list(names)
     assert VectorTeams(1, SMALL, buildings="train").reset(3)["lidar"].any()
 
@@ -100,14 +102,14 @@ def test_what_a_caller_holds_is_not_changed_by_the_next_step():
 def test_errors_reach_the_caller_and_name_what_was_expected():
     with pytest.raises(ConfigError, match="workers"):
         VectorTeams(2, SMALL, workers=3)
-    for workers in (0, 1):
-        teams = VectorTeams(1, SMALL, workers=workers)
+    for workers in (0, 2):
+        teams = VectorTeams(2, SMALL, workers=workers)
         teams.reset(0)
         with pytest.raises(ActionError, match="shape"):
-            teams.step(np.zeros((1, 3, 2)))
+            teams.step(np.zeros((2, 3, 2)))
         with pytest.raises(ActionError, match="finite"):
-            teams.step(np.full((1, 2, 2), np.nan))
-        teams.step(np.zeros((1, 2, 2)))  # nothing is broken by it
+            teams.step(np.full((2, 2, 2), np.nan))
+        teams.step(np.zeros((2, 2, 2)))  # nothing is broken by it
         teams.close()
         with pytest.raises(TwcError, match="closed"):
             teams.reset(0)
@@ -115,51 +117,164 @@ def test_errors_reach_the_caller_and_name_what_was_expected():
         VectorTeams(1, SMALL, workers=1, buildings=["nowhere"]).reset(0)
 
 
-def test_a_dead_worker_is_reported():
+@pytest.mark.parametrize(
+    "run",
+    [
+        lambda teams: teams.step(np.zeros((2, 2, 2))),
+        lambda teams: (teams.send(np.zeros((2, 2, 2)), [0, 1]), teams.recv(2)),
+        lambda teams: teams.states(),
+        lambda teams: teams.reset(1),
+    ],
+    ids=["step", "recv", "states", "reset"],
+)
+def test_a_dead_worker_is_reported(run):
     teams = VectorTeams(2, SMALL, workers=2)
     teams.reset(0)
-    teams._groups[1]._process.kill()
-    teams._groups[1]._process.join()
+    teams._runner._workers[0]._process.kill()
+    teams._runner._workers[0]._process.join()
     with pytest.raises(WorkerError, match="died"):
-        teams.step(np.zeros((2, 2, 2)))
-    teams.close()
+        run(teams)
+    with pytest.raises(TwcError, match="closed"):
+        teams.recv()
 
 
-@pytest.mark.parametrize(("workers", "others"), [(0, 0), (1, 0), (2, 1)])
-def test_this_process_counts_as_a_worker(workers, others):
+@pytest.mark.parametrize("workers", [0, 1, 2])
+def test_this_process_is_the_first_worker(workers):
     before = len(multiprocessing.active_children())
     teams = VectorTeams(2, SMALL, workers=workers)
-    assert len(multiprocessing.active_children()) - before == others
+    assert len(multiprocessing.active_children()) - before == max(workers - 1, 0)
     teams.close()
+    assert len(multiprocessing.active_children()) == before
 
 
-def test_worker_processes_step_while_this_process_steps_its_own_group(monkeypatch):
-    teams, commanded = VectorTeams(2, SMALL, workers=2), []
-    for name, group in zip(("this", "other"), teams._groups, strict=True):
-        send = group.send
-        monkeypatch.setattr(group, "send", lambda *order, name=name, send=send: (commanded.append(name), send(*order)))
-    teams.reset(0)
-    teams.close()
-    assert commanded == ["other", "this"]
+def act(config: dict, k: int, place: int, observations: dict) -> np.ndarray:
+    """Of environment k in its step number `place`, from nothing but what it has returned."""
+    if "action_mask" in observations:
+        return observations["action_mask"].argmax(axis=-1)
+    return np.random.default_rng((k, place)).uniform(-1, 1, (2, 2)).astype(np.float32)
 
 
-def test_a_waiting_process_polls_until_its_pipe_is_readable_or_for_a_moment():
-    ours, theirs = multiprocessing.Pipe()
-    spin = environment_group._spinner(ours)
-    begin = time.monotonic()
-    spin()
-    assert time.monotonic() - begin >= environment_group._SPIN_S
-    for event in (lambda: theirs.send("go"), theirs.close):
-        event()
-        environment_group._SPIN_S, kept = 60.0, environment_group._SPIN_S
+@pytest.mark.parametrize(
+    "config", [SMALL, CHOICES, {**SMALL, "observation.kind": "flat"}], ids=["dict", "masks", "flat"]
+)
+@pytest.mark.parametrize(("workers", "batch"), [(0, 1), (0, 2), (1, 2), (2, 1), (2, 2), (2, 3)])
+def test_environments_sent_to_at_any_time_return_what_they_return_in_lockstep(config, workers, batch):
+    count, steps = 3, 30
+    wanted: dict[tuple[int, int], tuple] = {}
+    with contextlib.closing(VectorTeams(count, config)) as teams:
+        blocks = teams.reset(5)
+        for place in range(steps):
+            each = [{name: block[k] for name, block in blocks.items()} for k in range(count)]
+            blocks, *rest = teams.step(np.stack([act(config, k, place, each[k]) for k in range(count)]))
+            for k in range(count):
+                wanted[k, place] = {name: block[k] for name, block in blocks.items()}, *(part[k] for part in rest)
+    assert any(ended for _, _, ended, _ in wanted.values())
+    places = [0] * count
+    with contextlib.closing(VectorTeams(count, config, workers)) as teams:
+        blocks, ids, pending = teams.reset(5), list(range(count)), 0
+        while wanted:
+            going = [(row, k) for row, k in enumerate(ids) if places[k] < steps]
+            actions = [act(config, k, places[k], {name: b[row] for name, b in blocks.items()}) for row, k in going]
+            if going:
+                teams.send(np.stack(actions), [k for _, k in going])
+            pending += len(going)
+            ids, blocks, *rest = teams.recv(min(batch, pending))
+            pending -= len(ids)
+            for row, k in enumerate(ids.tolist()):
+                got = {name: block[row] for name, block in blocks.items()}, *(part[row] for part in rest)
+                assert same(got, wanted.pop((k, places[k]))), (k, places[k])
+                assert {type(value) for info in got[3] for value in info["reward_terms"].values()} == {float}
+                places[k] += 1
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs a process that can be stopped for a while")
+def test_nobody_waits_for_the_slowest_environment():
+    with contextlib.closing(VectorTeams(3, SMALL, workers=2)) as teams:
+        teams.reset(0)
+        slow = teams._runner._workers[0]._process.pid
+        os.kill(slow, signal.SIGSTOP)
+        os.waitid(os.P_PID, slow, os.WSTOPPED | os.WNOWAIT)
         try:
-            spin()
+            teams.send(teams.sample(), range(3))
+            for _ in range(4):
+                ids = teams.recv(2)[0]
+                assert sorted(ids) == [0, 2]
+                teams.send(teams.sample()[ids], ids)
         finally:
-            environment_group._SPIN_S = kept
-        assert ours.poll(0)
-        if not theirs.closed:
-            assert ours.recv() == "go"
-    ours.close()
+            os.kill(slow, signal.SIGCONT)
+        assert sorted(teams.recv()[0]) == [0, 1, 2]
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_states_and_masks_of_some_are_there_while_others_have_not_answered(workers):
+    with contextlib.closing(VectorTeams(3, CHOICES, workers)) as teams:
+        teams.reset(0)
+        states, masks = teams.states(), teams.action_masks()
+        teams.send(masks[[0, 2]].argmax(axis=-1), [0, 2])
+        assert np.array_equal(teams.states([1]), states[1:2]) and np.array_equal(teams.action_masks([1]), masks[1:2])
+        for ask in (teams.states, teams.action_masks, lambda: teams.action_masks([2]), teams.sample):
+            with pytest.raises(ActionError, match=r"environment [02] has a step that was not yet received"):
+                ask()
+        assert sorted(teams.recv(2)[0]) == [0, 2]
+        assert not np.array_equal(teams.states()[0], states[0])
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_what_cannot_be_sent_or_received_is_refused_and_nothing_is_started(workers):
+    still = np.zeros((3, 2, 2))
+    with contextlib.closing(VectorTeams(3, SMALL, workers)) as teams:
+        teams.reset(0)
+        with pytest.raises(TwcError, match="0 environments have actions"):
+            teams.recv()
+        teams.send(still[:1], [1])
+        for ids, message in (
+            ([0, 1], "environment 1 has a step that was not yet received"),
+            ([3], "there is no environment 3; ids are 0 to 2"),
+            ([-1], "there is no environment -1"),
+            ([0, 0], "one action at a time"),
+            ([0.0], "ids must be whole numbers from 0 to 2"),
+            (0, "ids must be whole numbers from 0 to 2"),
+        ):
+            with pytest.raises(ActionError, match=message):
+                teams.send(still[: len(np.atleast_1d(ids))], ids)
+        with pytest.raises(ActionError, match=r"shape \(1, 2, 2\)"):
+            teams.send(still, [2])
+        with pytest.raises(ActionError, match="robot 0 in environment 2 must be finite"):
+            teams.send(np.full((1, 2, 2), np.nan), [2])
+        with pytest.raises(ActionError, match="environment 1 has a step"):
+            teams.step(still)
+        for count in (2, 5):
+            with pytest.raises(TwcError, match=rf"1 environments have actions; recv\({count}\)"):
+                teams.recv(count)
+        with pytest.raises(ConfigError, match="count must be a whole number"):
+            teams.recv(0)
+        assert teams.recv()[0].tolist() == [1]
+        teams.step(still)
+    for use in (lambda: teams.send(still, range(3)), lambda: teams.step(still), teams.reset, teams.states):
+        with pytest.raises(TwcError, match="closed"):
+            use()
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_reset_drops_what_was_not_received(workers):
+    with contextlib.closing(VectorTeams(3, SMALL, workers)) as teams:
+        first = teams.reset(4)
+        teams.send(teams.sample(), range(3))
+        teams.recv(1)
+        assert same(teams.reset(4), first)
+        assert sorted((teams.send(np.zeros((2, 2, 2)), [0, 2]), teams.recv())[1][0]) == [0, 2]
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_an_error_of_an_environment_reaches_who_receives_it(workers, tmp_path):
+    plan = tmp_path / "mine.json"
+    plan.write_text((Path(__file__).parents[1] / "maps" / "twin-01.json").read_text())
+    with contextlib.closing(VectorTeams(2, SMALL, workers, buildings=[str(plan)])) as teams:
+        teams.reset(0)
+        plan.unlink()
+        with pytest.raises(MapError, match=r"mine\.json"):
+            for _ in range(25):
+                teams.step(np.zeros((2, 2, 2)))
 
 
 @pytest.mark.parametrize(("what", "least"), [("count", 1), ("workers", 0)])
@@ -203,10 +318,10 @@ def test_after_an_interruption_no_stale_answer_is_taken(monkeypatch):
     teams = VectorTeams(2, SMALL)
     teams.reset(0)
 
-    def interrupt():
+    def interrupt(_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(teams._groups[0], "receive", interrupt)
+    monkeypatch.setattr(teams._runner, "results", interrupt)
     with pytest.raises(KeyboardInterrupt):
         teams.step(teams.sample())
     with pytest.raises(TwcError, match="closed"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from twc_env.command_line import add_set, aligned, assignments, count
 from twc_env.json_values import write_json
@@ -24,6 +24,7 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
         epilog="examples:\n  python -m twc_env bench --json runs/bench.json\n"
         "  python -m twc_env bench --map gen:office:800:7 --robots 5 --set link.range_max_m=10\n"
         "  python -m twc_env bench --parts\n"
+        "  python -m twc_env bench --vector --map twin-02 --steps 1000\n"
         "  python -m twc_env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer",
     )
     speed.add_argument("--map", default="twin-01", help="bundled name, generated name or file")
@@ -44,6 +45,11 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
         action="store_true",
         help="cost of the simulated world by number of walls, beams, robots and area; resets of large buildings",
     )
+    speed.add_argument(
+        "--vector",
+        action="store_true",
+        help="VectorTeams with 8, 16 and 32 environments: two workers against none, in lockstep and asynchronously",
+    )
     speed.add_argument("--long", action="store_true", help="step times along one long episode, in tenths")
     speed.add_argument("--json", type=Path, metavar="FILE", help="write the results as one object")
     speed.set_defaults(run=_bench)
@@ -61,7 +67,12 @@ def _bench(options: argparse.Namespace) -> None:
     if options.long:
         _bench_long(config, options)
         return
-    if options.peers or options.scaling:
+    figures: dict[str, Any] = {}
+    if options.vector:
+        from twc_env.bench_vector import bench_vector
+
+        figures.update(bench_vector(config, report=_report))
+    elif options.peers or options.scaling:
         figures = _bench_peers(options)
     else:
         figures = bench(config, options.episodes, report=_report)

@@ -23,7 +23,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 _WARM_STARTS = 3
 _MEMORY_MAP, _MEMORY_ENVS = "gen:office:1000:{}", 4
 _ROUNDS = 21
-_COUNTING, _TURNS = "counting", 1_000_000
+COUNTING, _TURNS = "counting", 1_000_000
 """A task without memory access, and its length: its speed-up on two cores is the upper limit of this machine."""
 
 
@@ -56,25 +56,42 @@ def two_workers(map_name: str, steps: int, report: Report) -> dict[str, float | 
     Medians over many short rounds: the first worker alone, then both, then the second alone.
     """
     figures: dict[str, float | None] = {"workers2_speedup": None, "two_cores_ceiling": None}
-    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
-    if len(cores) < 2:
+    available = cores()
+    if len(available) < 2:
         report("one core only: two workers cannot be measured")
         return figures
-    workers = [_start(["worker", map_name, str(steps), str(core)]) for core in cores[:2]]
     ratios: dict[str, list[float]] = {name: [] for name in figures}
-    try:
+    with two_processes(map_name, steps, available) as workers:
         _rates(workers, "0")  # kernels are compiled or read from disk
         for seed in range(_ROUNDS):
-            for name, task in zip(figures, (str(seed), _COUNTING), strict=True):
-                first, both, second = (_rates(some, task) for some in (workers[:1], workers, workers[1:]))
-                ratios[name].append(sum(both) / statistics.mean(first + second))
-    finally:
-        for worker in workers:
-            _end(worker)
+            for name, task in zip(figures, (str(seed), COUNTING), strict=True):
+                ratios[name].append(speedup(workers, task))
     for (name, rounds), what in zip(ratios.items(), ("two workers against one", "two that only count"), strict=True):
         figures[name] = statistics.median(rounds)
         report(f"{what}: {figures[name]:.2f} x (rounds: {min(rounds):.2f} to {max(rounds):.2f})")
     return figures
+
+
+def cores() -> list[int]:
+    """The cores that this process may use."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+
+
+@contextlib.contextmanager
+def two_processes(map_name: str, steps: int, available: list[int]) -> Iterator[list[subprocess.Popen]]:
+    """Two processes that execute tasks, on the first two of these cores."""
+    workers = [_start(["worker", map_name, str(steps), str(core)]) for core in available[:2]]
+    try:
+        yield workers
+    finally:
+        for worker in workers:
+            _end(worker)
+
+
+def speedup(workers: list[subprocess.Popen], task: str) -> float:
+    """Rate at which two processes do a task over that of one: the first alone, then both, then the second alone."""
+    first, both, second = (_rates(some, task) for some in (workers[:1], workers, workers[1:]))
+    return sum(both) / statistics.mean(first + second)
 
 
 def _rates(workers: list[subprocess.Popen], task: str) -> list[float]:
@@ -182,7 +199,7 @@ def _worker(map_name: str, steps: int, core: int, hear: Iterator[str], say: Call
     config = override(EnvConfig(), {"map": map_name, "max_cycles": steps})
     env, scout = ExplorationEnv(config=config), ExplorationEnv(config=override(config, {"slam.mode": "off"}))
     for task in map(str.strip, hear):
-        actions = [] if task == _COUNTING else record_actions(scout, int(task))
+        actions = [] if task == COUNTING else record_actions(scout, int(task))
         if actions:
             env.reset(seed=int(task))
         say('"ready"\n')

@@ -1,20 +1,30 @@
-"""Many environments at once, in several processes that exchange observations and actions through shared memory.
+"""Many environments at once, in worker processes that exchange observations and actions through shared memory.
 
     from twc_env.vector import VectorTeams
     teams = VectorTeams(8, {"map": "twin-01"}, workers=2)
     observations = teams.reset(seed=0)                     # block -> (8, robots, ...)
     observations, rewards, ended, infos = teams.step(teams.sample())
 
+`step` waits for the slowest environment. `send` and `recv` do not: environments continue as soon as they have actions.
+
+    teams.send(actions, range(8))
+    while True:
+        ids, observations, rewards, ended, infos = teams.recv(4)   # the first four that are ready
+        teams.send(policy(observations), ids)
+
 An environment whose episode ended starts the next one in the same step: `observations` are the first of the new
-episode, and the last of the old one is in `infos[k][robot]["final_observation"]`, its state in `"final_state"`. Results
-depend on arguments and seeds, not on the number of workers. With `observation.kind = "flat"` the only block is "".
+episode, and the last of the old one is in `infos[i][robot]["final_observation"]`, its state in `"final_state"`. What an
+environment returns depends on its seed and its actions only, not on the number of workers or on other environments.
+With `observation.kind = "flat"` the only block is "".
 """
 
 from __future__ import annotations
 
+import contextlib
 import difflib
-import multiprocessing
-from collections.abc import Mapping, Sequence
+import operator
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from os import PathLike
 from typing import Any
 
@@ -22,19 +32,19 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray as Array
 
-from twc_env import errors
 from twc_env.config import EnvConfig, to_dict
 from twc_env.config.checks import whole_number
-from twc_env.environment_group import EnvironmentGroup, WorkerProcess
-from twc_env.errors import ConfigError, TwcError
+from twc_env.environment_group import RESET, STATE, STEP, EnvironmentGroup, Infos
+from twc_env.errors import ActionError, ConfigError, TwcError
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
 from twc_env.shared_arrays import FLAT, SharedArrays
+from twc_env.worker_pool import WorkerPool
 from twc_env.world.splits import SPLITS, is_of_split, split_names
 
 
 class VectorTeams:
-    """`count` environments of one configuration, stepped together."""
+    """`count` environments of one configuration, stepped together (`step`) or each on its own (`send`, `recv`)."""
 
     def __init__(
         self,
@@ -59,100 +69,193 @@ class VectorTeams:
         self.observation_space, self.action_space = model.observation_space("robot_0"), model.action_space("robot_0")
         self.state_space = model.state_space
         names = _building_names(buildings)
-        self._arrays = SharedArrays(count, self.robots, self.observation_space, self.action_space)
-        self._context = multiprocessing.get_context("spawn")
-        parts = [list(range(count))[k :: max(workers, 1)] for k in range(max(workers, 1))]
-        task = (to_dict(self.config), names)
-        others = [WorkerProcess(self._context, part, self._arrays, task) for part in parts[1:]]
-        self._groups: list[EnvironmentGroup | WorkerProcess] = [
-            EnvironmentGroup(parts[0], self._arrays, *task),
-            *others,
-        ]
-        self._parts = parts
+        spaces_of_robot = self.observation_space, self.action_space
+        self._arrays = SharedArrays(count, self.robots, *spaces_of_robot, self.state_space)
+        task = self._arrays, to_dict(self.config), names
+        self._all = range(count)
+        self._runner: EnvironmentGroup | WorkerPool | None = (
+            WorkerPool(count, workers, *task) if workers > 1 else EnvironmentGroup(self._all, *task)
+        )
+        self._pending: set[int] = set()
+        """Environments with a step that was not yet received."""
+        self._early: deque[tuple[int, Infos | TwcError]] = deque()
+        """Results of theirs that came while another command was waited for."""
 
     def reset(self, seed: int = 0) -> dict[str, Array]:
-        """Begin new episodes; environment k plays seeds seed + k, seed + k + count, and so on."""
-        self._order("reset", whole_number("seed", seed, 0))
-        return self._arrays.observations()
+        """Begin new episodes; environment k plays seeds seed + k, seed + k + count, and so on.
 
-    def step(self, actions: Array) -> tuple[dict[str, Array], Array, Array, list[list[dict[str, Any]]]]:
+        Results of steps that were sent and not yet received are dropped.
+        """
+        seed = whole_number("seed", seed, 0)
+        if self._pending:
+            with self._running() as runner:
+                for _ in runner.results(len(self._pending) - len(self._early)):
+                    pass
+            self._pending.clear()
+            self._early.clear()
+        self._execute(RESET, self._all, seed)
+        return {name: block.copy() for name, block in self._arrays.observations.items()}
+
+    def step(self, actions: Array) -> tuple[dict[str, Array], Array, Array, list[Infos]]:
         """One step of all environments.
 
         actions: (count, robots, ...). Returns observations as from `reset`, rewards (count, robots) float32, whether
         the episode has ended (count,) bool (always by its time limit), and infos[k][robot].
         """
-        wanted = (self.count, self.robots, *(self.action_space.shape or ()))
-        actions = np.asarray(actions)
-        if actions.shape != wanted:
-            raise errors.ActionError(
-                f"actions must have shape {wanted}, one per environment and robot; got {actions.shape}"
-            )
-        self._check(actions)
-        self._arrays.actions[:] = actions
-        infos: list[list[dict[str, Any]]] = [[] for _ in range(self.count)]
-        for part, answers in zip(self._parts, self._order("step"), strict=True):
-            for k, info in zip(part, answers, strict=True):
-                infos[k] = info
-        return self._arrays.observations(), self._arrays.rewards.copy(), self._arrays.ended.copy(), infos
+        self.send(actions, self._all)
+        return self._receive(self.count, range(self.count))[1:]
 
-    def _check(self, actions: Array) -> None:
-        """Reject invalid actions before any environment has moved."""
-        space = self.action_space
+    def send(self, actions: Array, ids: Iterable[int]) -> None:
+        """Start one step of each of the environments `ids` and return at once.
+
+        actions: (len(ids), robots, ...), in the order of `ids`. Raises ActionError for invalid actions and for ids that
+        are unknown, repeated, or of environments whose last step was not yet received; no step is started then.
+        """
+        wanted = self._idle(ids)
+        self._arrays.actions[wanted] = self._checked(actions, wanted)
+        with self._running() as runner:
+            runner.submit(STEP, wanted)
+        self._pending.update(wanted)
+
+    def recv(self, count: int | None = None) -> tuple[Array, dict[str, Array], Array, Array, list[Infos]]:
+        """Wait for the first `count` environments whose step is done; by default for all that were sent actions.
+
+        Returns their ids (count,), in the order in which they were done, and what `step` returns with one row per id.
+        Raises TwcError if fewer environments were sent actions. Without workers, the steps are executed here, in the
+        order in which they were sent.
+        """
+        self._open()
+        count = len(self._pending) if count is None else whole_number("count", count, 1)
+        if not 0 < count <= len(self._pending):
+            raise TwcError(f"{len(self._pending)} environments have actions; recv({count}) needs a send() to more")
+        return self._receive(count)
+
+    def _receive(
+        self, count: int, rows: Sequence[int] | None = None
+    ) -> tuple[Array, dict[str, Array], Array, Array, list[Infos]]:
+        """The next `count` results; that of environment k is in row rows[k], by default in the order of arrival."""
+        arrays, ids = self._arrays, np.empty(count, np.int64)
+        observations = {name: np.empty((count, *b.shape[1:]), b.dtype) for name, b in arrays.observations.items()}
+        infos: list[Infos] = [[]] * count
+        failures = []
+        with self._running() as runner:
+            for place, (k, result) in enumerate(self._results(runner, count)):
+                row = place if rows is None else rows[k]
+                ids[row] = k
+                for name, block in arrays.observations.items():
+                    observations[name][row] = block[k]
+                if isinstance(result, TwcError):
+                    failures.append(result)
+                else:
+                    infos[row] = result
+        self._pending.difference_update(ids.tolist())
+        if failures:
+            raise failures[0]
+        return ids, observations, arrays.rewards[ids], arrays.ended[ids], infos
+
+    def _results(self, runner: EnvironmentGroup | WorkerPool, count: int) -> Iterator[tuple[int, Infos | TwcError]]:
+        early = [self._early.popleft() for _ in range(min(count, len(self._early)))]
+        yield from early
+        yield from runner.results(count - len(early))
+
+    def _execute(self, command: int, ids: Sequence[int], seed: int = 0) -> None:
+        """Execute a command other than STEP in each of these environments."""
+        missing, failures = set(ids), []
+        with self._running() as runner:
+            runner.submit(command, ids, seed)
+            while missing:
+                for k, result in runner.results(1):
+                    if k not in missing:  # a step, which somebody else is to receive
+                        self._early.append((k, result))
+                    elif isinstance(result, TwcError):
+                        failures.append(result)
+                    missing.discard(k)
+        if failures:
+            raise failures[0]
+
+    @contextlib.contextmanager
+    def _running(self) -> Iterator[EnvironmentGroup | WorkerPool]:
+        """The runner; it is closed if the block is interrupted, because the next call must not read old results."""
+        runner = self._open()
+        try:
+            yield runner
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self) -> EnvironmentGroup | WorkerPool:
+        if self._runner is None:
+            raise TwcError("these environments are closed: create new ones")
+        return self._runner
+
+    def _idle(self, ids: Iterable[int]) -> list[int]:
+        """The ids, if they are valid and none has a step that was not yet received."""
+        self._open()
+        try:
+            wanted = [operator.index(k) for k in ids]
+        except TypeError:
+            raise ActionError(f"ids must be whole numbers from 0 to {self.count - 1}; got {ids!r}") from None
+        for k in wanted:
+            if not 0 <= k < self.count:
+                raise ActionError(f"there is no environment {k}; ids are 0 to {self.count - 1}")
+            if k in self._pending:
+                raise ActionError(f"environment {k} has a step that was not yet received: call recv() first")
+        if len(set(wanted)) < len(wanted):
+            raise ActionError(f"each environment takes one action at a time; got ids {wanted}")
+        return wanted
+
+    def _checked(self, actions: Array, ids: list[int]) -> Array:
+        """Actions as an array. Raises ActionError for invalid ones, before any environment has moved."""
+        space, actions = self.action_space, np.asarray(actions)
+        wanted = (len(ids), self.robots, *(space.shape or ()))
+        if actions.shape != wanted:
+            raise ActionError(f"actions must have shape {wanted}, one per environment and robot; got {actions.shape}")
         low, high = (0, space.n - 1) if isinstance(space, spaces.Discrete) else (-1.0, 1.0)
         if isinstance(space, spaces.Discrete) and actions.dtype.kind not in "iu":
-            raise errors.ActionError(f"actions must be whole numbers from {low} to {high}; got {actions.dtype}")
-        if not np.all((actions >= low - 1e-6) & (actions <= high + 1e-6)):  # also true for NaN
-            k, robot = np.argwhere(~((actions >= low - 1e-6) & (actions <= high + 1e-6)))[0][:2]
-            raise errors.ActionError(
-                f"the action of robot {robot} in environment {k} must be finite and in [{low}, {high}]; "
-                f"got {actions[k, robot].tolist()}"
+            raise ActionError(f"actions must be whole numbers from {low} to {high}; got {actions.dtype}")
+        is_valid = (actions >= low - 1e-6) & (actions <= high + 1e-6)  # False for NaN
+        if not is_valid.all():
+            row, robot = np.argwhere(~is_valid)[0][:2]
+            raise ActionError(
+                f"the action of robot {robot} in environment {ids[row]} must be finite and in [{low}, {high}]; "
+                f"got {actions[row, robot].tolist()}"
             )
+        return actions
 
     def sample(self) -> Array:
         """Random actions for all robots, within the mask if there is one."""
         space = self.action_space
         if not isinstance(space, spaces.Discrete):
-            return np.array([[space.sample() for _ in self.agents] for _ in range(self.count)])
+            return np.array([[space.sample() for _ in self.agents] for _ in self._all])
         return np.array([[space.sample(mask.astype(np.int8)) for mask in row] for row in self.action_masks()])
 
-    def action_masks(self) -> Array:
-        """(count, robots, choices) bool: each robot's valid choices. Raises ConfigError unless
-        `action.kind = "frontier"`."""
+    def action_masks(self, ids: Iterable[int] | None = None) -> Array:
+        """(environments, robots, choices) bool: each robot's valid choices, by default in all environments.
+
+        Raises ConfigError unless `action.kind = "frontier"`, ActionError for ids as `send` does.
+        """
         if not isinstance(self.action_space, spaces.Discrete):
             raise ConfigError(
                 f"only choices have masks: action.kind must be 'frontier'; it is {self.config.action.kind!r}"
             )
-        blocks = self._arrays.blocks
+        blocks, wanted = self._arrays.observations, self._idle(self._all if ids is None else ids)
         seen = blocks["action_mask"] if "action_mask" in blocks else blocks[FLAT]  # which ends with the mask
-        return seen[..., -int(self.action_space.n) :] > 0
+        return seen[wanted][..., -int(self.action_space.n) :] > 0
 
-    def states(self) -> Array:
-        """(count, 6 robots) float32: the `state()` of each environment now, for centralised critics; it holds truth."""
-        states = np.empty((self.count, *(self.state_space.shape or ())), np.float32)
-        for part, own in zip(self._parts, self._order("state"), strict=True):
-            states[part] = own
-        return states
+    def states(self, ids: Iterable[int] | None = None) -> Array:
+        """(environments, 6 robots) float32: the `state()` of each environment now, by default of all.
+
+        For centralised critics; it holds ground truth. Raises ActionError for ids as `send` does.
+        """
+        wanted = self._idle(self._all if ids is None else ids)
+        self._execute(STATE, wanted)
+        return self._arrays.states[wanted]
 
     def close(self) -> None:
-        """Stop the workers."""
-        for group in self._groups:
-            group.close()
-        self._groups = []
-
-    def _order(self, what: str, seed: int = 0) -> list[Any]:
-        if not self._groups:
-            raise TwcError("these environments are closed: create new ones")
-        try:
-            for group in reversed(self._groups):  # this process's own group last, as it runs at once
-                group.send(what, seed)
-            answers = [group.receive() for group in self._groups]
-        except BaseException:  # interrupted: the next step must not read the results of this one
-            self.close()
-            raise
-        for answer in answers:
-            if isinstance(answer, Exception):
-                raise answer
-        return answers
+        """Close the environments and end the worker processes."""
+        runner, self._runner = self._runner, None
+        if runner is not None:
+            runner.close()
 
 
 def _building_names(buildings: str | Sequence[str]) -> tuple[str, ...]:

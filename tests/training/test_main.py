@@ -57,7 +57,7 @@ def test_a_training_whose_worker_died_says_how_to_go_on(tmp_path, monkeypatch, c
     step = TeamVecEnv.step_wait
 
     def killing(self):
-        self.teams._groups[1]._process.kill()
+        self.teams._runner._workers[0]._process.kill()
         return step(self)
 
     monkeypatch.setattr(TeamVecEnv, "step_wait", killing)
