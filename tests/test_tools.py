@@ -145,6 +145,22 @@ def test_rllib_plays_a_team():
     env.close()
 
 
+@pytest.mark.parametrize("name", ["map", "overview"])
+def test_the_default_cnn_of_stable_baselines3_takes_images_of_36_cells_and_no_smaller_ones(name):
+    needs("stable_baselines3", extra="train")
+    from stable_baselines3.common.torch_layers import CombinedExtractor
+
+    def channels(cells):
+        sizes = {"observation.overview": True, "observation.overview_cells": 36, f"observation.{name}_cells": cells}
+        space = twc_env.parallel_env(config=SMALL | sizes).observation_space("robot_0")
+        assert space[name].shape[1:] == (cells, cells)
+        return CombinedExtractor(space).extractors[name]
+
+    assert channels(36).features_dim == 256
+    with pytest.raises(RuntimeError, match="Kernel size"):
+        channels(35)
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_gymnasium_records_a_video_of_the_single_view(tmp_path):
     needs("moviepy", extra="moviepy of gymnasium[other]")

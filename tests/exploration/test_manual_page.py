@@ -57,3 +57,14 @@ def test_the_table_of_rewards_names_every_term_and_every_weight():
     assert tuple(table) == rewards.TERMS
     assert {field.name for field in fields(RewardConfig)} == {*table, "period_steps", "sharing"}
     assert {name for name, cells in table.items() if cells[-1] == "potential"} == set(rewards.POTENTIALS)
+
+
+def test_the_age_of_a_mate_that_stands_still_grows_even_in_full_contact():
+    env = twc_env.parallel_env(robots=2, max_cycles=100)
+    env.reset(seed=1)
+    ages_s = []
+    while env.agents:
+        observations, *_ = env.step({agent: np.zeros(2, np.float32) for agent in env.agents})
+        share = float(observations["robot_0"]["team"][0, 4])
+        ages_s.append(10 * share / (1 - share))
+    assert ages_s == pytest.approx(0.1 * np.arange(1, 101), abs=1e-3)

@@ -35,6 +35,7 @@ class ObservationConfig(Checked):
     frontiers: bool = False
     """Always on with `action.kind = "frontier"`."""
     map_cells: int = number(64, 8, 512)
+    """Rows and columns of `map` (and `radio`); the default CNN of stable-baselines3 needs at least 36."""
     map_cell_m: float = number(0.25, 0.05, 5.0)
     overview_cells: int = number(32, 8, 512)
     """Rows and columns of the merged map, downscaled to fit; the default CNN of stable-baselines3 needs at least 36."""

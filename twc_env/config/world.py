@@ -13,7 +13,10 @@ ROBOTS_MAX = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildingConfig(Checked):
-    """How many of the map's signs and access points are kept: controls the difficulty of place recognition."""
+    """How many of the map's signs and access points are kept: controls the difficulty of place recognition.
+
+    A building with other signs or access points is another one to the radio model: its shadowing and the power of its
+    access points are drawn anew."""
 
     sign_share: float = number(1.0, 0.0, 1.0)
     sign_duplication: float = number(0.0, 0.0, 1.0)

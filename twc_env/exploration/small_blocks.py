@@ -140,7 +140,7 @@ def _fill_signs(readings, now_s, memory_s, pose, rows):
 
 @borrowing_kernel
 def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, places, rows):
-    """The block `team`: the step in which each mate was last heard of, and where those of the same map are.
+    """The block `team`: the step of each mate's newest keyframe received, and where those of the same map are.
 
     Also these places in the robot's frame: (3, m), where they end NaN.
     """
