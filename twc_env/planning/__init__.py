@@ -1,4 +1,4 @@
-"""Plan and drive on an estimated map: terrain, cheapest paths, path following. Beliefs in, commands out; no truth."""
+"""Planning on estimated maps: traversal costs, frontiers, path search, path following, coverage walks."""
 
 from twc_env.planning.candidates import Candidates, find_candidates
 from twc_env.planning.covering_walk import WalkGraph, covering_walk, walk_graph

@@ -1,4 +1,4 @@
-"""Where a robot could go next: the frontiers of its map by path length, a sign to go back to, a mate to meet."""
+"""Goal candidates of one robot: reachable frontiers by path length, the nearest known sign and the nearest mate."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
 
 CELLS_MIN = 3
-"""Smaller frontiers are noise."""
+"""Minimum frontier size [cells]; smaller ones are noise."""
 SIGN_AWAY_M = 2.0
-"""A sign nearer than this is no place to go back to: the robot is there."""
+"""Minimum distance of a sign that is a goal."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """What one robot may choose from. Places are in its map frame; estimates only."""
+    """Goals that one robot may choose from, in its map frame."""
 
     frontiers_m: Array
-    """(k, 2) the nearest place of each frontier, the shortest path first."""
+    """(k, 2) nearest cell of each frontier, sorted by path length."""
     lengths_m: Array
-    """(k,) path length to it (stretches near walls count more)."""
+    """(k,) path length to it, weighted by the traversal cost."""
     sizes_m: Array
-    """(k,) length of the frontier."""
+    """(k,) number of cells of the frontier times the cell size."""
     is_mate_nearer: Array
-    """(k,) bool: some mate stands nearer to it, as the crow flies, than this robot must go."""
+    """(k,) bool: the Euclidean distance of some mate is less than this robot's path length."""
     sign_m: Array | None
-    """(2,) the nearest known sign that lies some way off."""
+    """(2,) nearest known sign at least `SIGN_AWAY_M` away."""
     mate_m: Array | None
-    """(2,) where the nearest robot of the same map stands."""
+    """(2,) nearest robot in the same map."""
 
 
 NOTHING = Candidates(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, bool), None, None)
 
 
 def find_candidates(belief: Belief, terrain: Terrain, finder: PathFinder, count_max: int) -> Candidates:
-    """At most `count_max` frontiers that the robot can reach, and the two other places."""
+    """At most `count_max` reachable frontiers, the nearest sign and the nearest mate."""
     here = belief.pose_map_robot
     if not finder.spread(terrain, here[:2]):
         return NOTHING
@@ -68,10 +68,10 @@ def _nearest(places_m: list[Array], here: Array, away_m: float) -> Array | None:
 
 
 def features_of(candidates: Candidates, pose_map_robot: Array, count_max: int) -> Array:
-    """(count_max, 6) float32 in [-1, 1], one row per candidate, zeros where there is none.
+    """(count_max, 6) float32 in [-1, 1], one row per frontier, then zero rows.
 
-    Columns: present; bearing of the place / pi; distance d / (d + 10 m); path length l / (l + 10 m);
-    size s / (s + 5 m); a mate is nearer.
+    Columns: 1; bearing / pi; distance d / (d + 10 m); path length l / (l + 10 m); size s / (s + 5 m);
+    whether a mate is nearer.
     """
     rows = np.zeros((count_max, 6), np.float32)
     for row, place, length, size, nearer in zip(

@@ -1,4 +1,4 @@
-"""Drive one robot to a goal on its estimated map: plan, follow, plan anew, and say when it is over."""
+"""Drive one robot to a goal on its estimated map: path planning, path following, replanning, arrival and failure."""
 
 from __future__ import annotations
 
@@ -15,24 +15,27 @@ from twc_env.planning.path_finder import Disc, PathFinder
 from twc_env.planning.terrain import Terrain, is_frontier, path_is_blocked
 
 CHECK_S = 0.5
-"""The path is checked against the newest map this often."""
+"""Period of checking the path, or a frontier goal, against the newest map."""
 REPLAN_S = 4.0
+"""Period of replanning."""
 ARRIVAL_M = 0.35
 MATE_ARRIVAL_M = 1.2
-CORNER_SHARE = 0.65
-"""Paths end in a square around the goal whose corners count as arrived."""
+GOAL_SQUARE_SHARE = 0.65
+"""Half side of the square in which paths end, as a share of the arrival distance; its corners lie inside the latter."""
 STUCK_S, STUCK_M = 3.0, 0.3
-"""A robot that got no further than this in this time is stuck."""
-ESCAPE_S = 1.2
-"""A stuck robot backs out to its most open side for so long before it gives up the goal."""
-MATE_DISC_M, MATE_DISC_EXTRA, MATE_NEAR_M = 0.6, 12, 6.0
-AHEAD_M = 3.0
-SQUEEZE = 0.6
-"""A robot that its map shuts in plans as if it were this many times as wide."""
+"""A robot is stuck if it moved no further than `STUCK_M` in `STUCK_S`."""
+BACK_OUT_S = 1.2
+"""A stuck robot backs out toward the longest ranges for this long, then the goal has failed."""
+MATE_RADIUS_M, MATE_COST, MATE_RANGE_M = 0.6, 12, 6.0
+"""Mates up to `MATE_RANGE_M` away raise the traversal cost within `MATE_RADIUS_M`."""
+CHECK_LENGTH_M = 3.0
+"""Length of the path that is checked for walls."""
+NARROW_FACTOR = 0.6
+"""Factor on the robot's radius if there is no path for the full radius."""
 
 
 class Driver:
-    """Drives one robot; `start` gives it a goal, `command` the next speed, `status` how it stands."""
+    """Drives one robot to the goal given to `start`; `command` returns the speeds of the next tick."""
 
     def __init__(self, dynamics: DynamicsConfig, finder: PathFinder):
         self._dynamics, self._finder = dynamics, finder
@@ -41,12 +44,15 @@ class Driver:
         """"idle", "driving", "arrived" or "failed"."""
 
     def start(self, goal_m: Array, belief: Belief, kind: str = "place", arrival_m: float = ARRIVAL_M) -> None:
-        """Head for goal_m (2,) in the map frame; kind is "place", "frontier" (over once mapped) or "mate"."""
+        """Head for goal_m (2,) in the map frame.
+
+    kind: "place", "frontier" (has arrived once the frontier is mapped) or "mate" (arrives at `MATE_ARRIVAL_M`).
+    """
         self._goal_m = np.asarray(goal_m, float).copy()
         self._is_frontier = kind == "frontier"
         self._arrival_m = MATE_ARRIVAL_M if kind == "mate" else arrival_m
         self._map_id, self._pose = _map_id(belief), belief.pose_map_robot
-        self._ticks, self._escape_ticks = 0, 0
+        self._ticks, self._back_out_ticks = 0, 0
         self._anchor = (float(self._pose[0]), float(self._pose[1]), 0)
         self._follower.stop()
         self.status = "driving"
@@ -57,34 +63,34 @@ class Driver:
         self.status = "idle"
 
     def command(self, belief: Belief, terrain_of) -> tuple[float, float]:
-        """Speed [m/s] and turn rate [rad/s] for the next tick; (0, 0) when there is nothing to do.
+        """Speed [m/s] and turn rate [rad/s] for the next tick; (0, 0) unless driving.
 
-        `terrain_of(belief, squeeze)` reads the belief's grid for robots `squeeze` times as wide; it is asked only when
-        a path is planned.
+        `terrain_of(belief, factor)` returns the `Terrain` of the belief's grid for robots of `factor` times the radius;
+        called only for planning.
         """
         if self.status != "driving":
             return 0.0, 0.0
-        self._carry_over(belief)
+        self._follow_map_jump(belief)
         self._ticks += 1
         tick_s = self._dynamics.time_step_s
-        if self._escape_ticks > 0:
-            self._escape_ticks -= 1
-            if self._escape_ticks == 0:
+        if self._back_out_ticks > 0:
+            self._back_out_ticks -= 1
+            if self._back_out_ticks == 0:
                 self.status = "failed"
             return self._back_out(belief)
-        if self._is_there(belief):
+        if self._has_arrived(belief):
             self.status = "arrived"
             return 0.0, 0.0
         if self._is_stuck(tick_s):
-            self._escape_ticks = max(1, round(ESCAPE_S / tick_s))
+            self._back_out_ticks = max(1, round(BACK_OUT_S / tick_s))
             return self._back_out(belief)
         if self._needs_plan(belief, tick_s) and not self._plan(belief, terrain_of):
             self.status = "failed"
             return 0.0, 0.0
         return self._follower.command(self._pose, belief.ranges_m)
 
-    def _carry_over(self, belief: Belief) -> None:
-        """When the map jumped, goal and path jump with it."""
+    def _follow_map_jump(self, belief: Belief) -> None:
+        """Transform the goal if the map frame jumped, and drop the path."""
         if _map_id(belief) != self._map_id:
             jump = compose(belief.pose_map_robot, inverse(self._pose))
             self._goal_m = transform_points(jump, self._goal_m[None])[0]
@@ -94,7 +100,7 @@ class Driver:
             self._map_id = _map_id(belief)
         self._pose = belief.pose_map_robot
 
-    def _is_there(self, belief: Belief) -> bool:
+    def _has_arrived(self, belief: Belief) -> bool:
         away = math.hypot(self._goal_m[0] - self._pose[0], self._goal_m[1] - self._pose[1])
         if self._is_frontier and self._ticks % max(1, round(CHECK_S / self._dynamics.time_step_s)) == 0:
             return not is_frontier(belief.grid, self._goal_m, ARRIVAL_M)
@@ -111,19 +117,19 @@ class Driver:
             return True
         if self._ticks % max(1, round(CHECK_S / tick_s)) != 0:
             return False
-        ahead = self._follower.ahead(self._pose, AHEAD_M)
+        ahead = self._follower.ahead(self._pose, CHECK_LENGTH_M)
         return path_is_blocked(belief.grid, ahead, self._dynamics.robot_radius_m)
 
     def _plan(self, belief: Belief, terrain_of) -> bool:
         discs = [
-            Disc(float(pose[0]), float(pose[1]), MATE_DISC_M, MATE_DISC_EXTRA)
+            Disc(float(pose[0]), float(pose[1]), MATE_RADIUS_M, MATE_COST)
             for pose in belief.mates.values()
-            if math.dist(pose[:2], self._pose[:2]) < MATE_NEAR_M and math.dist(pose[:2], self._goal_m) > MATE_DISC_M
+            if math.dist(pose[:2], self._pose[:2]) < MATE_RANGE_M and math.dist(pose[:2], self._goal_m) > MATE_RADIUS_M
         ]
-        for squeeze in (1.0, SQUEEZE):
+        for squeeze in (1.0, NARROW_FACTOR):
             terrain: Terrain = terrain_of(belief, squeeze)
             labels = np.zeros_like(terrain.labels)
-            labels[terrain.patch(self._goal_m, CORNER_SHARE * self._arrival_m)] = 1
+            labels[terrain.patch(self._goal_m, GOAL_SQUARE_SHARE * self._arrival_m)] = 1
             plan = self._finder.cheapest(terrain, self._pose[:2], labels, np.zeros(2), discs)
             if plan is not None:
                 self._follower.start(plan.path_m)
@@ -131,7 +137,7 @@ class Driver:
         return False
 
     def _back_out(self, belief: Belief) -> tuple[float, float]:
-        """Toward the most open side that the scan shows."""
+        """Speed [m/s] and turn rate [rad/s] toward the longest ranges of the scan."""
         ranges = belief.ranges_m
         if ranges is None or len(ranges) == 0:
             return 0.0, 0.5 * self._dynamics.turn_rate_max_rad_s
@@ -140,5 +146,5 @@ class Driver:
 
 
 def _map_id(belief: Belief) -> tuple[int, int]:
-    """Changes whenever the map frame jumps."""
+    """Differs whenever the map frame has jumped."""
     return belief.map_version, len(belief.mates)
