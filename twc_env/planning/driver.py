@@ -46,8 +46,8 @@ class Driver:
     def start(self, goal_m: Array, belief: Belief, kind: str = "place", arrival_m: float = ARRIVAL_M) -> None:
         """Head for goal_m (2,) in the map frame.
 
-    kind: "place", "frontier" (has arrived once the frontier is mapped) or "mate" (arrives at `MATE_ARRIVAL_M`).
-    """
+        kind: "place", "frontier" (has arrived once the frontier is mapped) or "mate" (arrives at `MATE_ARRIVAL_M`).
+        """
         self._goal_m = np.asarray(goal_m, float).copy()
         self._is_frontier = kind == "frontier"
         self._arrival_m = MATE_ARRIVAL_M if kind == "mate" else arrival_m

@@ -1,4 +1,4 @@
-"""Drive along a path on differential wheels: steer to a point ahead, and never into what the scanner sees now."""
+"""Path following of a differential-drive robot: a look-ahead point, and obstacle avoidance on the latest scan."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from twc_env.config import DynamicsConfig
 from twc_env.geometry import points_along, travelled_m
 from twc_env.kernels import kernel
 
-SIGHT_M = 1.6
-"""Scan points further away than this do not matter to the next command."""
+OBSTACLE_RANGE_M = 1.6
+"""Scan points further away than this are ignored."""
 MARGIN_M = 0.04
-"""A command must keep the robot's rim this far from every scan point."""
+"""Required clearance between the robot's rim and the scan points."""
 SLACK_M = 0.01
-"""A robot that is nearer to something than the margin may still come nearer by this much, but no nearer than this."""
-SQUEEZE_M = 0.015
-"""In a gap that leaves no more, it goes on, slowly, as long as so much is left on each side."""
-CAUTION_M = 0.22
-"""With less than this between rim and scan points ahead, the robot slows down."""
+"""A robot within `MARGIN_M` may still lose this much clearance, down to this much."""
+GAP_MARGIN_M = 0.015
+"""Required clearance on each side in narrow gaps, which are passed slowly."""
+SLOWDOWN_M = 0.22
+"""Clearance below which the robot slows down."""
 HORIZON_STEPS = 6
-"""A command is checked this many steps ahead."""
+"""Steps ahead for which a command is checked."""
 BRAKING_M_S2 = 1.2
 DETOUR_LENGTH_M = 0.5
 DETOUR_STEP_RAD = 0.2
-"""When the straight way is blocked, bearings this far apart are tried on both sides."""
+"""If the straight line is blocked, bearings this far apart are tried on both sides."""
 
 
 @kernel
-def _near_points(ranges, sight, points):
-    """Scan points (k, 2) in the robot frame nearer than `sight`; returns how many."""
+def _points_in_range(ranges, range_max, points):
+    """Fill points (beams, 2) with the scan points nearer than `range_max`, in the robot frame; returns their count."""
     beams = ranges.shape[0]
     step = 2.0 * math.pi / beams
     count = 0
     for i in range(beams):
-        if ranges[i] < sight:
+        if ranges[i] < range_max:
             points[count, 0] = ranges[i] * math.cos(i * step)
             points[count, 1] = ranges[i] * math.sin(i * step)
             count += 1
@@ -46,7 +46,7 @@ def _near_points(ranges, sight, points):
 
 @kernel
 def _arc_clearance(points, count, speed, turn_rate, time_step, steps):
-    """Least distance from the robot's centre to any point while it drives an arc."""
+    """Least distance [m] of any point to the robot's centre along an arc, integrated at the midpoint heading."""
     x = y = heading = 0.0
     least = 1e9
     for _ in range(steps):
@@ -63,7 +63,7 @@ def _arc_clearance(points, count, speed, turn_rate, time_step, steps):
 
 @kernel
 def _ray_clearance(points, count, bearing, length):
-    """Least distance of any point to the straight way of `length` toward `bearing`."""
+    """Least distance [m] of any point to the segment of `length` from the robot toward `bearing`."""
     c, s = math.cos(bearing), math.sin(bearing)
     least = 1e9
     for k in range(count):
@@ -73,8 +73,8 @@ def _ray_clearance(points, count, bearing, length):
 
 
 @kernel
-def _way_around(points, count, bearing, needed, length):
-    """The bearing nearest to the wanted one whose straight way is clear; the wanted one when none is."""
+def _detour_bearing(points, count, bearing, needed, length):
+    """The bearing nearest to the given one whose segment has clearance `needed`; the given one if none has."""
     for k in range(1, 13):
         left, right = bearing + k * DETOUR_STEP_RAD, bearing - k * DETOUR_STEP_RAD
         is_left_clear = _ray_clearance(points, count, left, length) >= needed
@@ -87,24 +87,24 @@ def _way_around(points, count, bearing, needed, length):
 
 
 @kernel
-def _fastest(points, count, bearing, speed_max, turn_max, time_step, radius, needed, caution, steps):
-    """Turn toward `bearing` and drive as fast as the points allow: (speed, turn rate), speed 0 when nothing goes."""
+def _fastest_command(points, count, bearing, speed_max, turn_max, time_step, radius, needed, slowdown, steps):
+    """The fastest command toward `bearing` whose arc has clearance `needed`: (speed, turn rate), speed 0 if none has."""
     bearing -= 2.0 * math.pi * math.floor((bearing + math.pi) / (2.0 * math.pi))
     turn_rate = min(max(2.5 * bearing, -turn_max), turn_max)
     speed = speed_max * math.cos(bearing) ** 3 if abs(bearing) < 1.2 else 0.0
     for scale in (1.0, 0.7, 0.45, 0.25, 0.12):
         clear = _arc_clearance(points, count, scale * speed, turn_rate, time_step, steps)
         if clear >= needed:
-            room = max(0.35, min(1.0, (clear - radius) / caution))
+            room = max(0.35, min(1.0, (clear - radius) / slowdown))
             return min(scale * speed, speed_max * room), turn_rate
     return 0.0, turn_rate
 
 
 @kernel
-def _drive(points, count, target_x, target_y, speed_max, turn_max, time_step, radius, margin, caution, steps, patience):
-    """Speed and turn rate toward a target in the robot frame that keep clear of the points.
+def _steer(points, count, target_x, target_y, speed_max, turn_max, time_step, radius, margin, slowdown, steps, patience):
+    """Speed and turn rate toward a target in the robot frame.
 
-    `patience` True: only slow down for what is in the way; False: also look for a way around it.
+    patience: slow down before obstacles, but make no detour around them.
     """
     bearing, distance = math.atan2(target_y, target_x), math.hypot(target_x, target_y)
     nearest = _ray_clearance(points, count, 0.0, 0.0)
@@ -113,20 +113,20 @@ def _drive(points, count, target_x, target_y, speed_max, turn_max, time_step, ra
     length = min(distance, DETOUR_LENGTH_M)
     clear = _ray_clearance(points, count, bearing, length)
     if not patience and clear < needed:
-        if clear >= radius + SQUEEZE_M:  # a gap just wide enough: straight through it, slowly
-            needed = radius + SQUEEZE_M
+        if clear >= radius + GAP_MARGIN_M:
+            needed = radius + GAP_MARGIN_M
             speed_max *= 0.3
         else:
-            bearing = _way_around(points, count, bearing, needed, DETOUR_LENGTH_M)
+            bearing = _detour_bearing(points, count, bearing, needed, DETOUR_LENGTH_M)
             speed_max *= 0.5
-    return _fastest(points, count, bearing, speed_max, turn_max, time_step, radius, needed, caution, steps)
+    return _fastest_command(points, count, bearing, speed_max, turn_max, time_step, radius, needed, slowdown, steps)
 
 
 @kernel
-def _point_ahead(path, index, x, y, look_ahead):
-    """The point `look_ahead` further along path (k, 2) than the nearest one to (x, y); searches on from `index`.
+def _look_ahead_point(path, index, x, y, look_ahead):
+    """The point `look_ahead` along path (k, 2) after the point nearest to (x, y); searches from segment `index` on.
 
-    Returns (segment index, x, y, distance from the path).
+    Returns (segment of the nearest point, x, y, distance to the path).
     """
     count = path.shape[0]
     best, best_k, best_t = 1e18, index, 0.0
@@ -155,7 +155,7 @@ def _point_ahead(path, index, x, y, look_ahead):
 
 @dataclass(slots=True, eq=False)
 class Follower:
-    """Follows one path; set `path_m` to give it another."""
+    """Follows one path by steering toward the point `look_ahead_m` further along it."""
 
     dynamics: DynamicsConfig
     look_ahead_m: float = 0.5
@@ -173,11 +173,11 @@ class Follower:
 
     @property
     def has_path(self) -> bool:
-        """Whether there is a path to follow."""
+        """Whether a path is set."""
         return len(self.path_m) > 0
 
     def ahead(self, pose: Array, length_m: float) -> Array:
-        """(k, 2) points along the next stretch of the path, from the robot on, a decimetre apart."""
+        """(k, 2) points every 0.1 m from the robot along the next `length_m` of the path."""
         corners = np.vstack([pose[:2], self.path_m[self._index + 1 :]])
         return points_along(corners, np.arange(0.0, min(length_m, travelled_m(corners)[-1]) + 1e-9, 0.1))
 
@@ -185,7 +185,7 @@ class Follower:
         """Speed [m/s] and turn rate [rad/s] for the next step; (0, 0) without a path."""
         if not self.has_path:
             return 0.0, 0.0
-        self._index, x, y, _ = _point_ahead(self.path_m, self._index, pose[0], pose[1], self.look_ahead_m)
+        self._index, x, y, _ = _look_ahead_point(self.path_m, self._index, pose[0], pose[1], self.look_ahead_m)
         c, s = math.cos(pose[2]), math.sin(pose[2])
         dx, dy = x - pose[0], y - pose[1]
         return drive_to(c * dx + s * dy, -s * dx + c * dy, ranges_m, self.dynamics, patience)
@@ -197,24 +197,27 @@ _NO_RANGES = np.empty(0)
 def drive_to(
     x_m: float, y_m: float, ranges_m: Array | None, dynamics: DynamicsConfig, patience: bool = False
 ) -> tuple[float, float]:
-    """Speed and turn rate toward a point in the robot frame, slowing for and steering around what ranges_m shows."""
+    """Speed [m/s] and turn rate [rad/s] toward a point in the robot frame, avoiding the obstacles in ranges_m (beams,).
+
+    patience: slow down before obstacles, but make no detour around them.
+    """
     ranges = _NO_RANGES if ranges_m is None else np.asarray(ranges_m, dtype=np.float64)
     points = np.empty((len(ranges), 2))
-    count = _near_points(ranges, SIGHT_M, points)
-    return _drive(
+    count = _points_in_range(ranges, OBSTACLE_RANGE_M, points)
+    return _steer(
         points, count, x_m, y_m, dynamics.speed_max_m_s, dynamics.turn_rate_max_rad_s, dynamics.time_step_s,
-        dynamics.robot_radius_m, MARGIN_M, CAUTION_M, HORIZON_STEPS, patience,
+        dynamics.robot_radius_m, MARGIN_M, SLOWDOWN_M, HORIZON_STEPS, patience,
     )  # fmt: skip
 
 
 def room_around_m(ranges_m: Array) -> Array:
-    """(beams,) how far the way is open toward each beam of a scan: the least of the ranges around it, 3 m at most."""
+    """(beams,) free distance in the direction of each beam: the least of its neighbours' ranges, at most 3 m."""
     half = max(1, round(0.04 * len(ranges_m)))
     ring = np.minimum(np.concatenate([ranges_m[-half:], ranges_m, ranges_m[:half]]), 3.0)
     return np.lib.stride_tricks.sliding_window_view(ring, 2 * half + 1).min(axis=1)
 
 
 def as_action(speed_m_s: float, turn_rate_rad_s: float, dynamics: DynamicsConfig) -> Array:
-    """(2,) float32 in [-1, 1]: shares of the maxima."""
+    """(2,) float32 speed and turn rate as shares of their maxima, clipped to [-1, 1]."""
     shares = (speed_m_s / dynamics.speed_max_m_s, turn_rate_rad_s / dynamics.turn_rate_max_rad_s)
     return np.array([min(max(v, -1.0), 1.0) for v in shares], np.float32)

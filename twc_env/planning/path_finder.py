@@ -1,4 +1,4 @@
-"""Cheapest goals and the paths to them on a `Terrain` (compiled Dijkstra with a bucket queue)."""
+"""Shortest paths on a `Terrain` to the cheapest of several goals: Dijkstra's algorithm with a bucket queue (Dial)."""
 
 from __future__ import annotations
 
@@ -13,21 +13,24 @@ from twc_env.kernels import kernel
 from twc_env.planning.terrain import OPEN_COST, Terrain
 
 UNITS_PER_CELL = 10
-"""Path costs are integers: one step to a side in the open costs this much."""
+"""Path costs are integers; a straight step over cells of `OPEN_COST` has this cost."""
 STRAIGHT, DIAGONAL = 5, 7
+"""Step costs per cost factor of the cell entered."""
 COST_MAX = 140
-COMFORT_COST = 3
-"""A shortcut may always cross cells up to this cost factor."""
-LOOK_CELLS, GIVE_UP_CELLS = 120, 12
-"""How far ahead shortcuts are tried, and after how many failures in a row no further."""
+"""Greatest cost factor of a cell."""
+SHORTCUT_COST = 3
+"""Shortcuts may cross cells up to this cost factor in any case."""
+SHORTCUT_CELLS_MAX, SHORTCUT_FAILURES_MAX = 120, 12
+"""Cells of the path ahead to which shortcuts are tried; consecutive failures after which the search stops."""
 BUCKETS = 1024
-"""More than the dearest edge, `DIAGONAL * COST_MAX`."""
+"""More than the greatest edge cost, `DIAGONAL * COST_MAX`."""
 FAR = np.int32(2**30)
+"""Path cost of cells not reached."""
 
 
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """A round place that costs extra to cross: a mate, or something the map does not show."""
+    """A disc in the map frame with an additional traversal cost: a mate, or an obstacle that is not in the map."""
 
     x_m: float
     y_m: float
@@ -38,7 +41,10 @@ class Disc:
 
 @kernel
 def _add_discs(cost, discs, undo_cell, undo_cost):
-    """Raise the cost of open cells inside discs (k, 4: row, column, radius, extra); returns how many to undo."""
+    """Raise the cost of enterable cells inside discs (k, 4: row, column, radius, extra); returns the count changed.
+
+    undo_cell, undo_cost (n,) receive the cells' flat indices and costs; if they are full, the other cells keep theirs.
+    """
     height, width = cost.shape
     changed = 0
     for k in range(discs.shape[0]):
@@ -58,16 +64,16 @@ def _add_discs(cost, discs, undo_cell, undo_cost):
 
 
 @kernel
-def _undo(cost, undo_cell, undo_cost, changed):
-    """Give back the costs `_add_discs` changed, in reverse order."""
+def _restore_costs(cost, undo_cell, undo_cost, changed):
+    """Restore the costs changed by `_add_discs`, last first."""
     width = cost.shape[1]
     for k in range(changed - 1, -1, -1):
         cost[undo_cell[k] // width, undo_cell[k] % width] = undo_cost[k]
 
 
 @kernel
-def _nearest_open(cost, row, column, reach):
-    """The enterable cell nearest to (row, column) within `reach` cells, as flat index; -1 if there is none."""
+def _nearest_enterable(cost, row, column, reach):
+    """Flat index of the enterable cell nearest to (row, column) within `reach` cells; -1 if there is none."""
     height, width = cost.shape
     best, nearest = -1, reach * reach + 1
     for r in range(max(1, row - reach), min(height - 1, row + reach + 1)):
@@ -82,9 +88,9 @@ def _nearest_open(cost, row, column, reach):
 def _cheapest_goal(cost, labels, penalty, least_edge, start, spent, parent, following, preceding, opened, opened_count):
     """Dijkstra with a bucket queue from flat cell `start` to the labelled cell of least path cost + penalty[label].
 
-    cost, labels (h, w) with a closed border; no edge costs less than `least_edge`. The others are flat scratch arrays
-    that persist between calls: `spent` must be FAR except at opened[:opened_count]. Returns (goal or -1, its path
-    cost, cells opened).
+    cost, labels (h, w) have a closed border; `least_edge` is the least edge cost. The other arrays are flat scratch
+    that persists between calls: `spent` must be FAR except at opened[:opened_count]. Returns (goal or -1, its path
+    cost, count of cells opened).
     """
     width = cost.shape[1]
     flat, label_of = cost.reshape(-1), labels.reshape(-1)
@@ -119,7 +125,7 @@ def _cheapest_goal(cost, labels, penalty, least_edge, start, spent, parent, foll
             factor = flat[neighbour]
             if factor == 0:
                 continue
-            if k >= 4:  # no cutting of corners
+            if k >= 4:  # a diagonal step needs both adjacent cells enterable
                 down = cell + (width if k < 6 else -width)
                 side = neighbour - (down - cell)
                 if flat[down] == 0 or flat[side] == 0:
@@ -149,8 +155,8 @@ def _cheapest_goal(cost, labels, penalty, least_edge, start, spent, parent, foll
 
 
 @kernel
-def _trace(parent, goal, width):
-    """The cells (k, 2) from the start to `goal`."""
+def _backtrack(parent, goal, width):
+    """Cells (k, 2) of the path from the start to `goal`."""
     length, cell = 0, goal
     while cell >= 0:
         length, cell = length + 1, parent[cell]
@@ -164,7 +170,7 @@ def _trace(parent, goal, width):
 
 @kernel
 def _line_cost(cost, row_a, column_a, row_b, column_b):
-    """Highest cost factor on the straight line between two points (in cells); COST_MAX + 1 if one is closed."""
+    """Greatest cost factor on the line between two points [cells]; COST_MAX + 1 if a cell is closed."""
     height, width = cost.shape
     samples = max(1, int(2.0 * math.hypot(row_b - row_a, column_b - column_a)))
     highest = 0
@@ -179,22 +185,19 @@ def _line_cost(cost, row_a, column_a, row_b, column_b):
 
 @kernel
 def _shortcut(path, cost):
-    """Straighten path (k, 2): keep a corner only where the straight line would cross dearer cells (nearer to a wall).
-
-    Returns (j, 2) float cell centres.
-    """
+    """Remove corners from path (k, 2) where the straight line crosses no cell of greater cost; (j, 2) cell centres."""
     count = path.shape[0]
     kept = np.empty((count, 2), np.float64)
     kept[0] = path[0] + 0.5
     size, anchor = 1, 0
     while anchor < count - 1:
-        far, highest = anchor + 1, COMFORT_COST
-        for k in range(anchor + 1, min(count, anchor + LOOK_CELLS)):
+        far, highest = anchor + 1, SHORTCUT_COST
+        for k in range(anchor + 1, min(count, anchor + SHORTCUT_CELLS_MAX)):
             highest = max(highest, cost[path[k, 0], path[k, 1]])
             line = _line_cost(cost, path[anchor, 0] + 0.5, path[anchor, 1] + 0.5, path[k, 0] + 0.5, path[k, 1] + 0.5)
             if line <= highest:
                 far = k
-            elif k > far + GIVE_UP_CELLS:
+            elif k > far + SHORTCUT_FAILURES_MAX:
                 break
         kept[size] = path[far] + 0.5
         size, anchor = size + 1, far
@@ -203,7 +206,7 @@ def _shortcut(path, cost):
 
 @kernel
 def _least_per_label(labels, spent, opened, opened_count, least, cell_of):
-    """Path cost to, and flat index of, the nearest opened cell of each label (count + 1,); cell -1: none."""
+    """Fill `least` and `cell_of` (count + 1,): path cost to and flat index of the nearest opened cell of each label."""
     label_of = labels.reshape(-1)
     for k in range(opened_count):
         label = label_of[opened[k]]
@@ -213,7 +216,7 @@ def _least_per_label(labels, spent, opened, opened_count, least, cell_of):
 
 @kernel
 def _nearest_opened(row, column, width, opened, opened_count):
-    """Flat index of the opened cell nearest to (row, column) as the crow flies."""
+    """Flat index of the opened cell with the least Euclidean distance to (row, column); -1 if there is none."""
     best, nearest = -1, 1e18
     for k in range(opened_count):
         away = (opened[k] // width + 0.5 - row) ** 2 + (opened[k] % width + 0.5 - column) ** 2
@@ -224,21 +227,21 @@ def _nearest_opened(row, column, width, opened, opened_count):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """A way to a goal."""
+    """A path to a goal."""
 
     path_m: Array
     """(k, 2) corners in the map frame, start first."""
     length_m: float
-    """Length it feels like: stretches near walls and discs count more."""
+    """Path cost in metres of open floor: longer than the path where it passes walls or discs."""
     label: int
     """Label of the goal."""
 
 
 class PathFinder:
-    """Cheapest-goal search with scratch memory that lives on between searches."""
+    """Path search; its scratch memory is reused between searches."""
 
     START_REACH_M = 0.6
-    """A robot whose own cell is closed starts from an open one within this distance."""
+    """If the robot's cell is closed, the search starts at the nearest enterable one within this distance."""
 
     def __init__(self) -> None:
         self._capacity = 0
@@ -248,14 +251,15 @@ class PathFinder:
     def cheapest(
         self, terrain: Terrain, start_m: Array, labels: Array, penalty_m: Array, discs: Iterable[Disc] = ()
     ) -> Plan | None:
-        """The best labelled cell: least path length plus penalty_m[label]; None when no labelled cell can be reached.
+        """The path to the labelled cell of least path cost + penalty_m[label]; None if none can be reached.
 
-        labels (h, w) int32 over the terrain's cells, 0 for no goal. A penalty of infinity bans a label.
+        start_m (2,) in the map frame; labels (h, w) int32 over the terrain's cells, 0 for no goal; penalty_m (labels,),
+        infinite to exclude a label. The costs of `discs` apply to this search only.
         """
         self._reserve(terrain.cost.size)
         cell = terrain.resolution_m
         row, column = np.floor(terrain.to_cells(start_m)).astype(int)
-        start = _nearest_open(terrain.cost, row, column, round(self.START_REACH_M / cell))
+        start = _nearest_enterable(terrain.cost, row, column, round(self.START_REACH_M / cell))
         if start < 0:
             self._spent[self._opened[: self._opened_count]] = FAR
             self._opened_count = 0
@@ -263,31 +267,31 @@ class PathFinder:
         units = UNITS_PER_CELL / cell
         penalty = np.minimum(np.asarray(penalty_m, float) * units, float(FAR)).astype(np.int32)
         discs = tuple(discs)
-        changed = self._raise(terrain, discs) if discs else 0
+        changed = self._raise_costs(terrain, discs) if discs else 0
         goal, spent, self._opened_count = _cheapest_goal(
             terrain.cost, labels, penalty, STRAIGHT * OPEN_COST, start, self._spent, self._parent, self._following,
             self._preceding, self._opened, self._opened_count,
         )  # fmt: skip
         corners = np.empty((0, 2))
         if goal >= 0:
-            corners = _shortcut(_trace(self._parent, goal, terrain.cost.shape[1]), terrain.cost)
+            corners = _shortcut(_backtrack(self._parent, goal, terrain.cost.shape[1]), terrain.cost)
         if changed:
-            _undo(terrain.cost, self._undo_cell, self._undo_cost, changed)
+            _restore_costs(terrain.cost, self._undo_cell, self._undo_cost, changed)
         if goal < 0:
             return None
         return Plan(terrain.to_metres(corners), spent / units, int(labels.reshape(-1)[goal]))
 
     def spread(self, terrain: Terrain, start_m: Array) -> bool:
-        """Find the way to every place that a robot at start_m can reach; False when it is shut in.
+        """Search all cells reachable from start_m (2,); False if there are none.
 
-        `nearest_of_labels` and `nearest_to` then read what was found, until the next search.
+        `nearest_of_labels` and `nearest_to` read the result of the last search.
         """
         self.cheapest(terrain, start_m, np.zeros_like(terrain.labels), np.zeros(1))
         return self._opened_count > 0
 
     def nearest_of_labels(self, terrain: Terrain, labels: Array, count: int) -> tuple[Array, Array]:
-        """(count + 1,) path length [m] to the nearest cell of each label 1..count, infinite where there is none, and
-        (count + 1, 2) that cell's centre in the map frame."""
+        """(count + 1,) path cost [m] to the nearest cell of each label, infinite if there is none, and (count + 1, 2)
+        its centre in the map frame."""
         least, cell_of = np.full(count + 1, FAR, np.int32), np.full(count + 1, -1, np.int64)
         _least_per_label(labels, self._spent, self._opened, self._opened_count, least, cell_of)
         lengths_m = np.where(cell_of >= 0, least * (terrain.resolution_m / UNITS_PER_CELL), np.inf)
@@ -295,13 +299,13 @@ class PathFinder:
         return lengths_m, terrain.to_metres(np.column_stack([cell_of // width, cell_of % width]) + 0.5)
 
     def nearest_to(self, terrain: Terrain, point_m: Array) -> Array | None:
-        """(2,) the reachable place nearest to a point as the crow flies; None when nothing is reachable."""
+        """(2,) centre of the reachable cell with the least Euclidean distance to a point; None if there is none."""
         row, column = terrain.to_cells(point_m)
         width = terrain.cost.shape[1]
         cell = _nearest_opened(row, column, width, self._opened, self._opened_count)
         return None if cell < 0 else terrain.to_metres(np.array([cell // width + 0.5, cell % width + 0.5]))
 
-    def _raise(self, terrain: Terrain, discs: tuple[Disc, ...]) -> int:
+    def _raise_costs(self, terrain: Terrain, discs: tuple[Disc, ...]) -> int:
         values = np.array([[d.x_m, d.y_m, d.radius_m, d.extra] for d in discs])
         values[:, :2] = terrain.to_cells(values[:, :2])
         values[:, 2] /= terrain.resolution_m
