@@ -1,9 +1,8 @@
-"""Short walks over open floor from which much is told: which places to visit and in which order, planned as a whole.
+"""Coverage walks: short walks over open floor from which many cells are observed.
 
-Every place tells some cells, and a walk tells what any place on it tells. The walk sought is the shortest when every
-cell left untold counts as some more metres: a travelling salesman who may leave out towns, and is paid once for what
-several of them offer. Simulated annealing over the places at which the walk turns; between these it takes the shortest
-way, and tells what lies on it.
+Each place observes some cells, and a walk observes the union over all places on it. The walk minimises its length plus
+a penalty for every unobserved cell: a travelling salesman problem with profits and overlapping coverage. It is a
+sequence of places joined by shortest paths, optimised by simulated annealing.
 """
 
 from __future__ import annotations
@@ -18,33 +17,33 @@ from twc_env.kernels import kernel
 from twc_env.planning.terrain import Terrain
 
 TURNS_MAX = 60
-"""A walk turns at most so often."""
-NEAR_COUNT = 30
-"""A turn is shifted to one of so many nearest places."""
-REACH = 2.2
-"""Places are joined up to so many spacings apart, where the line between them is open."""
-WIDER = 1.25
-"""A terrain with too many places is read with so much wider spacing."""
+"""Maximum places in the sequence that defines a walk."""
+NEIGHBOUR_COUNT = 30
+"""Nearest places of each to which annealing may shift a turn."""
+EDGE_SPACINGS = 2.2
+"""Maximum edge length in multiples of the spacing."""
+SPACING_FACTOR = 1.25
+"""Factor on the spacing as long as there are more than `PLACES_MAX` places."""
 PLACES_MAX = 900
-HOT_M, COLD_M = 1.0, 0.02
-"""Walks longer by this are accepted at first, and at last."""
+TEMPERATURE_START_M, TEMPERATURE_END_M = 1.0, 0.02
+"""Annealing temperatures: cost increases of this size are accepted with probability 1/e."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkGraph:
-    """Places on open floor and the shortest ways between them; place 0 is where the walk starts."""
+    """Places on open floor and the shortest paths between them; place 0 is the start."""
 
     places_m: Array
     """(places, 2) in the map frame."""
     lengths_m: Array
-    """(places, places)."""
+    """(places, places) shortest path lengths."""
     via: Array
-    """(places, places) int32: the place before the second on the way from the first; below 0 on the diagonal."""
+    """(places, places) int32: predecessor of the second place on the shortest path from the first; diagonal < 0."""
     near: Array
-    """(places, k) int32: the nearest places of each by way."""
+    """(places, k) int32: nearest places of each by path length."""
 
     def way(self, turns: Array) -> Array:
-        """(k,) every place on the walk that turns at these places, the first included."""
+        """(k,) all places on the shortest paths between consecutive turns, the first included."""
         found = [int(turns[0])]
         for first, last in pairwise(turns):
             part, at = [], int(last)
@@ -56,7 +55,7 @@ class WalkGraph:
 
 
 def walk_graph(terrain: Terrain, start_m: Array, spacing_m: float) -> WalkGraph:
-    """Places that can be reached from start_m (2,), about `spacing_m` apart, along the rim of the open floor first."""
+    """The graph of places reachable from start_m (2,), at least `spacing_m` apart, those beside closed cells first."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
     from scipy.spatial import cKDTree
@@ -64,30 +63,30 @@ def walk_graph(terrain: Terrain, start_m: Array, spacing_m: float) -> WalkGraph:
     is_open = terrain.cost > 0
     spacing = spacing_m / terrain.resolution_m
     while True:
-        cells = _spread_out(is_open, spacing)
+        cells = _sample_places(is_open, spacing)
         if len(cells) <= PLACES_MAX:
             break
-        spacing *= WIDER
+        spacing *= SPACING_FACTOR
     places = np.vstack([terrain.to_cells(start_m), cells + 0.5])
-    pairs = cKDTree(places).query_pairs(REACH * spacing, output_type="ndarray")
+    pairs = cKDTree(places).query_pairs(EDGE_SPACINGS * spacing, output_type="ndarray")
     pairs = pairs[_are_lines_open(is_open, places[pairs[:, 0]], places[pairs[:, 1]])]
     apart = np.linalg.norm(places - places[0], axis=1)
-    if not (pairs == 0).any() and len(places) > 1:  # the robot stands where its map shows no room
+    if not (pairs == 0).any() and len(places) > 1:  # the start lies in a closed cell
         pairs = np.vstack([pairs, [0, 1 + int(np.argmin(apart[1:]))]])
     lengths = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1) * terrain.resolution_m
-    ends = tuple(pairs.T.astype(np.int32))  # the kind that all versions of csgraph take
+    ends = tuple(pairs.T.astype(np.int32))  # the index type that all versions of csgraph accept
     edges = coo_array((lengths, ends), shape=(len(places), len(places)))
     kept = np.flatnonzero(np.isfinite(dijkstra(edges, directed=False, indices=0)))
     lengths_m, via = dijkstra(edges.tocsr()[kept][:, kept], directed=False, return_predecessors=True)
-    near = np.argsort(lengths_m, axis=1, kind="stable")[:, 1 : NEAR_COUNT + 1]
+    near = np.argsort(lengths_m, axis=1, kind="stable")[:, 1 : NEIGHBOUR_COUNT + 1]
     return WalkGraph(terrain.to_metres(places[kept]), lengths_m, via.astype(np.int32), near.astype(np.int32))
 
 
 def covering_walk(graph: WalkGraph, told: Array, price_m: float, turns: Array, draws: Array) -> tuple[Array, int]:
-    """(k,) places at which the walk turns, place 0 first, and how many cells it tells.
+    """(k,) turns of the best walk, place 0 first, and the count of cells that it observes.
 
-    told (places, cells) says what each place tells, price_m is what each cell is worth, turns (k,) is a walk to begin
-    with, and draws (tries, 4) uniform in [0, 1).
+    told (places, cells) bool: cells observed from each place; price_m: penalty per unobserved cell; turns (k,): initial
+    walk; draws (tries, 4): uniform in [0, 1).
     """
     padded = np.pad(told, ((0, 0), (0, -told.shape[1] % 64)))
     words = np.ascontiguousarray(np.packbits(padded, axis=1)).view(np.uint64)
@@ -96,13 +95,13 @@ def covering_walk(graph: WalkGraph, told: Array, price_m: float, turns: Array, d
     first[:count] = turns[:count]
     if len(graph.places_m) < 2:
         return first[:1], int(told[0].sum())
-    best, count, cells = _annealed(first, count, graph.lengths_m, graph.via, graph.near, words, price_m, draws)
+    best, count, cells = _anneal(first, count, graph.lengths_m, graph.via, graph.near, words, price_m, draws)
     return best[:count], cells
 
 
 @kernel
-def _spread_out(is_open, spacing):
-    """(k, 2) open cells no nearer to each other than `spacing`, those beside closed ones first."""
+def _sample_places(is_open, spacing):
+    """(k, 2) open cells at least `spacing` apart, those beside closed ones first."""
     rows, columns = is_open.shape
     reach, limit = int(spacing) + 1, spacing * spacing
     taken, found = np.zeros(is_open.shape, np.bool_), np.empty((is_open.size, 2), np.int64)
@@ -129,7 +128,7 @@ def _spread_out(is_open, spacing):
 
 @kernel
 def _are_lines_open(is_open, first, last):
-    """(k,) whether all cells on the lines between points (k, 2), in cells, are open; their ends count as open."""
+    """(k,) whether all cells on the lines between points (k, 2) [cells] are open, ends not counted."""
     rows, columns = is_open.shape
     found = np.ones(first.shape[0], np.bool_)
     for k in range(first.shape[0]):
@@ -143,8 +142,8 @@ def _are_lines_open(is_open, first, last):
 
 
 @kernel
-def _ones(word):
-    """Bits that are set in a 64-bit word."""
+def _bit_count(word):
+    """Number of bits set in a 64-bit word."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
     word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -152,8 +151,8 @@ def _ones(word):
 
 
 @kernel
-def _weighed(turns, count, lengths, via, words, union):
-    """Length of a walk and the cells that it tells; union (words,) is scratch."""
+def _evaluate_walk(turns, count, lengths, via, words, union):
+    """Length [m] of a walk and the count of cells that it observes; union (words,) is scratch."""
     union[:] = words[turns[0]]
     length = 0.0
     for k in range(count - 1):
@@ -165,24 +164,27 @@ def _weighed(turns, count, lengths, via, words, union):
             at = via[first, at]
     cells = 0
     for w in range(union.shape[0]):
-        cells += _ones(union[w])
+        cells += _bit_count(union[w])
     return length, cells
 
 
 @kernel
-def _annealed(turns, count, lengths, via, near, words, price, draws):
-    """The best walk met, its turns and its cells. A try adds, drops, shifts or moves a turn, or turns a part round."""
+def _anneal(turns, count, lengths, via, near, words, price, draws):
+    """Simulated annealing; (turns, their count, observed cells) of the best walk.
+
+    A move removes, inserts, shifts or relocates a turn, or reverses a part of the sequence.
+    """
     places, tries = lengths.shape[0], draws.shape[0]
     union = np.empty(words.shape[1], np.uint64)
     trial, best = turns.copy(), turns.copy()
-    length, cells = _weighed(turns, count, lengths, via, words, union)
+    length, cells = _evaluate_walk(turns, count, lengths, via, words, union)
     cost = length - price * cells
     best_cost, best_count, best_cells = cost, count, cells
     for t in range(tries):
-        kind, place, where, luck = draws[t]
+        kind, place, where, acceptance = draws[t]
         trial[:] = turns
         size = count
-        i = 1 + int(place * max(count - 1, 1))  # some turn
+        i = 1 + int(place * max(count - 1, 1))
         j = int(where * near.shape[1])
         if kind < 0.2:
             if count < 2:
@@ -210,9 +212,9 @@ def _annealed(turns, count, lengths, via, near, words, price, draws):
                 trial[last] = turns[first]
         else:
             continue
-        length, cells = _weighed(trial, size, lengths, via, words, union)
-        heat = HOT_M * (1.0 - t / tries) ** 2 + COLD_M
-        if length - price * cells < cost or luck < np.exp((cost - length + price * cells) / heat):
+        length, cells = _evaluate_walk(trial, size, lengths, via, words, union)
+        temperature = TEMPERATURE_START_M * (1.0 - t / tries) ** 2 + TEMPERATURE_END_M
+        if length - price * cells < cost or acceptance < np.exp((cost - length + price * cells) / temperature):
             turns[:] = trial
             count, cost = size, length - price * cells
             if cost < best_cost - 1e-9:

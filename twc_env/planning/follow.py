@@ -101,7 +101,9 @@ def _fastest_command(points, count, bearing, speed_max, turn_max, time_step, rad
 
 
 @kernel
-def _steer(points, count, target_x, target_y, speed_max, turn_max, time_step, radius, margin, slowdown, steps, patience):
+def _steer(
+    points, count, target_x, target_y, speed_max, turn_max, time_step, radius, margin, slowdown, steps, patience
+):
     """Speed and turn rate toward a target in the robot frame.
 
     patience: slow down before obstacles, but make no detour around them.

@@ -1,4 +1,4 @@
-"""One estimated grid read for robots of one radius: where a centre may go, at what cost, and where knowledge ends."""
+"""Traversal costs and frontiers of an estimated occupancy grid, for robots of one radius."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from twc_env.messages import Belief, GridMap
 
 UNKNOWN, FREE, WALL = 0, 1, 2
 OPEN_COST = 2
-"""Cost factor of a cell far from walls; others cost more, 0 is closed."""
+"""Cost factor of cells far from walls; cells near walls have a greater one, closed cells 0."""
 
 
 @kernel
-def _known_box(log_odds):
-    """Rows and columns (first, last + 1) that hold anything known; all zero when nothing is."""
+def _known_bounds(log_odds):
+    """Bounds of the known cells: first and last + 1 row, then column; all zero if no cell is known."""
     height, width = log_odds.shape
     in_column = np.zeros(width, np.int16)
     row_low, row_high = height, 0
@@ -37,7 +37,7 @@ def _known_box(log_odds):
 
 @kernel
 def _classify(log_odds, row_low, column_low, free_below, wall_above, kind):
-    """Fill kind (h, w) from the cells whose [0, 0] lies one cell outside the known box."""
+    """Fill the interior of kind (h, w) with UNKNOWN, FREE or WALL; kind[1, 1] is cell (row_low, column_low)."""
     height, width = kind.shape
     for r in range(1, height - 1):
         for c in range(1, width - 1):
@@ -46,8 +46,8 @@ def _classify(log_odds, row_low, column_low, free_below, wall_above, kind):
 
 
 @kernel
-def _free_discs(kind, discs):
-    """A robot stands on each of discs (k, 3: row, column, radius in cells), so no wall is there."""
+def _clear_discs(kind, discs):
+    """Mark the cells in discs (k, 3: row, column, radius in cells) as free: robots stand there."""
     height, width = kind.shape
     for k in range(discs.shape[0]):
         row, column, radius = discs[k]
@@ -60,7 +60,10 @@ def _free_discs(kind, discs):
 
 @kernel
 def _squared_clearance(kind, reach, across, squared):
-    """Squared distance in cells to the nearest wall, exact up to `reach`; both outputs (h, w) float32."""
+    """Fill squared (h, w) with the squared distance [cells^2] to the nearest wall, exact up to `reach`.
+
+    Separable Euclidean distance transform, along rows into across (h, w), then along columns.
+    """
     height, width = kind.shape
     far = np.float32(2 * reach * reach)
     base = np.empty(width, np.float32)
@@ -90,21 +93,21 @@ def _squared_clearance(kind, reach, across, squared):
 
 
 @kernel
-def _price(kind, squared, price_of_squared, cost):
-    """Cost factor of each cell: 0 where a robot's centre may not be."""
+def _fill_cost(kind, squared, cost_of_squared, cost):
+    """Fill cost (h, w) with the cost factors; 0 for cells that no robot's centre may enter."""
     height, width = kind.shape
-    top = price_of_squared.shape[0] - 1
+    top = cost_of_squared.shape[0] - 1
     for r in range(height):
         for c in range(width):
-            cost[r, c] = price_of_squared[min(int(squared[r, c]), top)] if kind[r, c] == FREE else 0
+            cost[r, c] = cost_of_squared[min(int(squared[r, c]), top)] if kind[r, c] == FREE else 0
 
 
 @kernel
 def _frontiers(kind, cost, labels, cells):
-    """Label clusters (8-neighbours) of free cells beside unknown ones; only cells a robot may enter keep their label.
+    """Label the clusters (8-connected) of free cells beside unknown ones; only enterable cells keep their label.
 
-    labels (h, w) int32 must come zeroed; cells (k, 2) is scratch. Returns per cluster its size, and mean row and mean
-    column of its enterable cells, shape (clusters + 1, 3), index 0 unused. Clusters without any are left out.
+    labels (h, w) int32 must be zero; cells (k, 2) is scratch. Returns (clusters + 1, 3): size, mean row and mean column
+    of the enterable cells; row 0 is unused. Clusters without enterable cells are omitted.
     """
     height, width = kind.shape
     found = 0
@@ -127,7 +130,7 @@ def _frontiers(kind, cost, labels, cells):
         if labels[cells[k, 0], cells[k, 1]] != -1 or cost[cells[k, 0], cells[k, 1]] == 0:
             continue
         count += 1
-        _gather(cost, labels, cells[k, 0], cells[k, 1], count, clusters)
+        _flood_fill(cost, labels, cells[k, 0], cells[k, 1], count, clusters)
     for k in range(found):
         if cost[cells[k, 0], cells[k, 1]] == 0:
             labels[cells[k, 0], cells[k, 1]] = 0
@@ -135,8 +138,8 @@ def _frontiers(kind, cost, labels, cells):
 
 
 @kernel
-def _gather(cost, labels, row, column, label, clusters):
-    """Flood one cluster of cells labelled -1 from (row, column) and sum it up in clusters[label]."""
+def _flood_fill(cost, labels, row, column, label, clusters):
+    """Label the cluster of cells labelled -1 around (row, column) and fill clusters[label]."""
     height, width = labels.shape
     stack = [(row, column)]
     labels[row, column] = label
@@ -158,8 +161,8 @@ def _gather(cost, labels, row, column, label, clusters):
 
 
 @kernel
-def _blocked(log_odds, rows, columns, wall_above, reach):
-    """Whether a wall cell lies within `reach` cells of any of the points (in cells)."""
+def _has_wall_near(log_odds, rows, columns, wall_above, reach):
+    """Whether a wall cell lies within `reach` cells of any of the points (rows, columns) [cells]."""
     height, width = log_odds.shape
     limit = reach * reach
     span = int(reach) + 1
@@ -173,8 +176,8 @@ def _blocked(log_odds, rows, columns, wall_above, reach):
 
 
 @kernel
-def _any_frontier(log_odds, row, column, reach, free_below):
-    """Whether a free cell within `reach` of (row, column) has an unknown neighbour."""
+def _has_frontier_near(log_odds, row, column, reach, free_below):
+    """Whether a free cell within `reach` cells of (row, column) has an unknown neighbour."""
     height, width = log_odds.shape
     for r in range(max(1, row - reach), min(height - 1, row + reach + 1)):
         for c in range(max(1, column - reach), min(width - 1, column + reach + 1)):
@@ -186,42 +189,42 @@ def _any_frontier(log_odds, row, column, reach, free_below):
 
 
 class Terrain:
-    """One estimated grid, read for robots of one radius. Row 0, column 0 is a closed border cell."""
+    """The known part of an estimated grid with a closed border of one cell, for robots of one radius."""
 
     FREE_BELOW = 0
     WALL_ABOVE = 0
     MARGIN_M = 0.03
-    """Added to the radius: nearer to a wall than this no path is planned."""
+    """Added to the radius for the least clearance."""
     COMFORT_M = 0.6
-    """Beyond this clearance open floor costs no more."""
+    """Clearance from which the cost factor is `OPEN_COST` ..."""
     EASE_M = 0.2
-    """Nor does it so far beyond the radius of a large robot."""
+    """... or this plus the radius, if that is more."""
     WALL_PRICE = 20
-    """Cost factor right at the nearest allowed clearance."""
+    """Cost factor at the least clearance."""
 
     def __init__(self, grid: GridMap, robot_radius_m: float, robots_m: Array | None = None):
-        """Read `grid`; robots_m (k, 2) are places where robots stand, so walls there are ghosts."""
+        """robots_m (k, 2): positions of robots in the map frame, where walls of `grid` are ignored."""
         self.resolution_m = cell = float(grid.resolution_m)
-        row_low, row_high, column_low, column_high = _known_box(grid.log_odds)
+        row_low, row_high, column_low, column_high = _known_bounds(grid.log_odds)
         self.origin_m = np.asarray(grid.origin_m, float) + (np.array([column_low, row_low]) - 1) * cell
         shape = (row_high - row_low + 2, column_high - column_low + 2)
         self.kind = np.zeros(shape, np.int8)
         _classify(grid.log_odds, row_low, column_low, self.FREE_BELOW, self.WALL_ABOVE, self.kind)
         if robots_m is not None and len(robots_m):
             discs = np.column_stack([self.to_cells(robots_m), np.full(len(robots_m), 1.2 * robot_radius_m / cell)])
-            _free_discs(self.kind, discs)
+            _clear_discs(self.kind, discs)
         reach = math.ceil(max(self.COMFORT_M, robot_radius_m + self.EASE_M) / cell)
         squared = np.empty(shape, np.float32)
         _squared_clearance(self.kind, reach, np.empty(shape, np.float32), squared)
         self.cost = np.empty(shape, np.int16)
         limit = (robot_radius_m + self.MARGIN_M) / cell
-        _price(self.kind, squared, _prices(limit, reach), self.cost)
+        _fill_cost(self.kind, squared, _cost_factors(limit, reach), self.cost)
         self.labels = np.zeros(shape, np.int32)
         self.clusters = _frontiers(self.kind, self.cost, self.labels, np.empty((self.kind.size // 2 + 1, 2), np.int32))
 
     @classmethod
     def of(cls, belief: Belief, robot_radius_m: float) -> Terrain:
-        """The map of a robot, in which it and its mates stand."""
+        """The terrain of a robot's map, with its own and its mates' positions."""
         poses = np.array([belief.pose_map_robot, *belief.mates.values()])
         return cls(belief.grid, robot_radius_m, poses[:, :2])
 
@@ -244,20 +247,20 @@ class Terrain:
         return self.origin_m + np.asarray(cells, float)[..., ::-1] * self.resolution_m
 
     def patch(self, point_m: Array, reach_m: float) -> tuple[slice, slice]:
-        """The rows and columns within `reach_m` (a square) of a point."""
+        """Rows and columns of the square of half side `reach_m` around a point."""
         reach = round(reach_m / self.resolution_m)
         row, column = (math.floor(v) for v in self.to_cells(point_m))
         rows = slice(max(row - reach, 0), max(row + reach + 1, 0))
         return rows, slice(max(column - reach, 0), max(column + reach + 1, 0))
 
     def label_near(self, point_m: Array, reach_m: float) -> int:
-        """The frontier that has a cell within `reach_m` (a square) of a point; 0 if none."""
+        """Label of the frontier with most cells in the square of half side `reach_m` around a point; 0 if none."""
         patch = self.labels[self.patch(point_m, reach_m)]
         found = patch[patch > 0]
         return int(np.bincount(found).argmax()) if len(found) else 0
 
     def is_open(self, points_m: Array) -> Array:
-        """(k,) whether a robot's centre may be at each of points_m (k, 2)."""
+        """(k,) whether each of points_m (k, 2) lies in an enterable cell."""
         cells = np.floor(self.to_cells(points_m)).astype(int)
         inside = np.all((cells >= 0) & (cells < self.cost.shape), axis=1)
         r, c = np.where(inside[:, None], cells, 0).T
@@ -265,20 +268,20 @@ class Terrain:
 
 
 def path_is_blocked(grid: GridMap, points_m: Array, robot_radius_m: float) -> bool:
-    """Whether the newest grid shows a wall nearer than the robot's radius to any of points_m (k, 2)."""
+    """Whether any of points_m (k, 2) is nearer to a wall of the grid than the robot's radius."""
     columns, rows = ((np.asarray(points_m) - grid.origin_m) / grid.resolution_m).T
     reach = robot_radius_m / grid.resolution_m
-    return bool(_blocked(grid.log_odds, rows.copy(), columns.copy(), Terrain.WALL_ABOVE, reach))
+    return bool(_has_wall_near(grid.log_odds, rows.copy(), columns.copy(), Terrain.WALL_ABOVE, reach))
 
 
 def is_frontier(grid: GridMap, point_m: Array, reach_m: float) -> bool:
-    """Whether the newest grid still has a frontier within `reach_m` (a square) of a point."""
+    """Whether the grid has a frontier in the square of half side `reach_m` around a point."""
     column, row = (math.floor(v) for v in (np.asarray(point_m) - grid.origin_m) / grid.resolution_m)
-    return bool(_any_frontier(grid.log_odds, row, column, round(reach_m / grid.resolution_m), Terrain.FREE_BELOW))
+    return bool(_has_frontier_near(grid.log_odds, row, column, round(reach_m / grid.resolution_m), Terrain.FREE_BELOW))
 
 
-def _prices(limit_cells: float, reach_cells: int) -> Array:
-    """Cost factor by squared clearance in cells: 0 below the limit, falling to OPEN_COST at the reach."""
+def _cost_factors(limit_cells: float, reach_cells: int) -> Array:
+    """Cost factors by squared clearance [cells^2]: 0 below the limit, then falling to OPEN_COST at the reach."""
     distance = np.sqrt(np.arange(reach_cells * reach_cells + 1))
     near = np.clip((reach_cells - distance) / max(reach_cells - limit_cells, 1e-9), 0.0, 1.0)
     price = OPEN_COST + (Terrain.WALL_PRICE - OPEN_COST) * near**3
