@@ -1,4 +1,4 @@
-"""The follower reaches its goal in a simple world and never drives into what it sees."""
+"""Path following and obstacle avoidance, in closed loop with an ideal robot and scanner."""
 
 import math
 
@@ -56,7 +56,7 @@ def distance_to(path, pose):
     return np.hypot(*(pose[:2] - a - t * (b - a)).T).min()
 
 
-def test_without_a_path_it_stands():
+def test_without_a_path_the_robot_stops():
     follower = Follower(DYNAMICS)
     assert follower.command(np.zeros(3), None) == (0.0, 0.0)
     follower.start(np.array([[0, 0], [1, 0]]))
@@ -65,7 +65,7 @@ def test_without_a_path_it_stands():
 
 
 @pytest.mark.parametrize("start", [(0.0, 0.0, 0.0), (1.0, 0.4, 2.0), (-1.2, -0.5, -1.0)])
-def test_a_goal_behind_a_wall_is_never_bought_with_a_bump(start):
+def test_a_robot_never_hits_the_wall_in_front_of_its_goal(start):
     pose = np.array(start)
     for _ in range(150):
         speed, turn_rate = drive_to(
@@ -96,7 +96,7 @@ def test_a_patient_robot_waits_behind_an_obstacle():
     assert speed == 0.0
 
 
-def test_it_slows_down_in_a_narrow_passage():
+def test_a_robot_slows_down_in_a_narrow_passage():
     wide, _ = drive_to(1.0, 0.0, scan_of_box(np.zeros(3), 9.0, 2.0), DYNAMICS)
     narrow, _ = drive_to(1.0, 0.0, scan_of_box(np.zeros(3), 9.0, 0.3), DYNAMICS)
     assert 0.0 < narrow < wide == pytest.approx(1.0)
@@ -107,7 +107,7 @@ def test_actions_are_shares_of_the_maxima_and_clipped():
     assert np.allclose(as_action(9.0, -9.0, DYNAMICS), [1.0, -1.0])
 
 
-def test_the_stretch_ahead_starts_at_the_robot_and_has_the_asked_length():
+def test_the_path_ahead_starts_at_the_robot_and_has_the_given_length():
     follower = Follower(DYNAMICS)
     follower.start(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 5.0]]))
     points = follower.ahead(np.array([0.2, 0.1, 0.0]), 2.0)

@@ -1,4 +1,4 @@
-"""Frontiers, clearance and paths on small maps whose answers are known."""
+"""Frontiers, clearance and paths on small maps with known results."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ CELL_M = 0.1
 
 
 def grid_of(kind):
-    """Grid from 0 unknown, 1 free, 2 wall; origin at (3, -2)."""
+    """Grid with origin (3, -2) m from cell kinds: 0 unknown, 1 free, 2 wall."""
     return GridMap(np.array([0, -8, 10], np.int16)[kind], np.array([3.0, -2.0]), CELL_M)
 
 
@@ -24,7 +24,7 @@ def room(rows=60, columns=80):
 
 
 def two_rooms(door_cells):
-    """A wall in the middle with a door of so many cells in the middle of it."""
+    """Two rooms, joined by a door `door_cells` wide in the middle of their wall."""
     kind = room()
     kind[:, 40] = 2
     first = 30 - door_cells // 2
@@ -60,7 +60,7 @@ def test_open_cells_are_those_with_enough_exact_clearance(radius_m, clear_cells,
     assert np.all(terrain.cost[expected & (distance >= easy_cells)] == OPEN_COST)
 
 
-def test_a_straight_way_in_the_open_is_straight_and_as_long_as_it_is():
+def test_a_path_over_open_floor_is_straight_and_has_the_length_of_the_line():
     _, plan = plan_between(room(), point(30, 20), point(30, 60))
     assert plan.length_m == pytest.approx(4.0, abs=0.01)
     assert len(plan.path_m) == 2
@@ -114,7 +114,7 @@ def test_a_known_room_has_no_frontier_and_an_empty_grid_none_either():
     assert PathFinder().cheapest(empty, np.zeros(2), empty.labels, np.zeros(1)) is None
 
 
-def test_the_nearest_goal_by_path_wins_over_the_nearest_by_air():
+def test_the_goal_of_least_path_length_wins_over_that_of_least_euclidean_distance():
     kind = two_rooms(0)
     kind[52:57, 40] = 1
     terrain = Terrain(grid_of(kind), 0.2)
@@ -124,7 +124,7 @@ def test_the_nearest_goal_by_path_wins_over_the_nearest_by_air():
     assert plan.label == 2
 
 
-def test_penalties_count_as_path_length_and_infinite_ones_ban():
+def test_penalties_count_as_path_length_and_infinite_ones_exclude_a_label():
     terrain = Terrain(grid_of(room()), 0.2)
     labels = goal_labels(terrain, point(30, 30)) + 2 * goal_labels(terrain, point(30, 60))
     finder, start = PathFinder(), point(30, 20)
@@ -135,7 +135,7 @@ def test_penalties_count_as_path_length_and_infinite_ones_ban():
     assert finder.cheapest(terrain, start, labels, np.array([0, np.inf, np.inf])) is None
 
 
-def test_a_finder_used_before_gives_the_same_plan_as_a_fresh_one():
+def test_a_reused_finder_returns_the_same_plans_as_a_new_one():
     rng = np.random.default_rng(1)
     finder = PathFinder()
     for _ in range(20):
@@ -186,19 +186,19 @@ def test_a_disc_is_driven_around_and_leaves_the_terrain_as_it_was():
     assert np.array_equal(terrain.cost, before)
 
 
-def test_ghost_walls_under_a_robot_are_taken_away():
+def test_walls_at_a_robots_position_are_ignored():
     kind = room()
     kind[29:32, 29:32] = 2
     assert Terrain(grid_of(kind), 0.2).is_open(point(30, 30)[None])[0] == np.False_
     assert Terrain(grid_of(kind), 0.2, point(30, 30)[None]).is_open(point(30, 30)[None])[0] == np.True_
 
 
-def test_a_robot_beside_a_wall_still_finds_a_way():
+def test_a_robot_closer_to_a_wall_than_its_margin_finds_a_path():
     _, plan = plan_between(room(), point(1, 20), point(30, 60))
     assert plan is not None
 
 
-def test_points_far_outside_the_map_are_harmless():
+def test_points_far_outside_the_map_are_accepted():
     terrain = Terrain(grid_of(room()), 0.2)
     far = np.array([1e4, -1e4])
     assert not terrain.is_open(far[None])[0]
