@@ -88,7 +88,7 @@ def _detour_bearing(points, count, bearing, needed, length):
 
 @kernel
 def _fastest_command(points, count, bearing, speed_max, turn_max, time_step, radius, needed, slowdown, steps):
-    """Fastest command toward `bearing` whose arc has the clearance `needed`: (speed, turn rate); speed 0 if none has."""
+    """Fastest (speed, turn rate) toward `bearing` whose arc has the clearance `needed`; speed 0 if none has."""
     bearing -= 2.0 * math.pi * math.floor((bearing + math.pi) / (2.0 * math.pi))
     turn_rate = min(max(2.5 * bearing, -turn_max), turn_max)
     speed = speed_max * math.cos(bearing) ** 3 if abs(bearing) < 1.2 else 0.0
