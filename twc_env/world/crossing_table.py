@@ -1,8 +1,8 @@
-"""Walls between any place and fixed points of a building (its access points): exact, and computed once per place.
+"""Exact wall crossings between any position and fixed points of a building (its access points), with a cache.
 
-A square of the floor sees most walls alike: from all of it, the line to a point crosses a wall, or from all of it
-misses it. Only the few others are tested again for each place inside. A square is worked out when it is first asked
-for, and kept for as long as the building is.
+The floor is divided into squares. For each square and point, every wall is either crossed from all positions in the
+square, or from none, or is uncertain; only the uncertain walls are tested for each position. A square is computed when
+it is first needed.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from twc_env.world.wall_index import WallIndex, cross, is_crossed
 
 _SQUARE_M = 1.0
 _TESTS_MAX = 500_000
-"""Walls times points, of a building whose squares are worth working out: beyond it, looking up the walls near each line
-is cheaper than testing all of them for a square that may be seen once."""
+"""Limit of walls times points for the cache; beyond it, testing the walls near each line is faster."""
 _ENTRIES_MAX = 1_000_000
-"""Squares times points that are kept (some 40 MB at most); beyond it all are forgotten and worked out anew."""
+"""Limit of cached squares times points (about 40 MB), at which the cache is cleared."""
 _SQUARES_MAX = 1_000_000
-"""Of a building's floor, for all of which a number is kept."""
+"""Limit of squares in the bounds of a building for the cache."""
 MISSING, _OUTSIDE = -1, -2
+"""Numbers of squares not computed yet and of positions outside of the bounds."""
 
 
 class CrossingTable:
-    """Counts walls, and sums their losses per band, between places and `points_m` (k, 2)."""
+    """Counts of walls crossed, and sums of their losses per band, between positions and points_m (k, 2)."""
 
     def __init__(self, index: WallIndex, points_m: Array, loss_db: Array):
-        """`loss_db` (bands, walls): what one crossing costs."""
+        """loss_db (bands, walls): loss of one crossing."""
         self._walls = index.buckets()
         points_m, loss_db = np.ascontiguousarray(points_m, float), np.ascontiguousarray(loss_db)
         squares = np.floor(index.walls_m.reshape(-1, 2) / _SQUARE_M).astype(np.int64)
@@ -38,25 +38,25 @@ class CrossingTable:
         self._squares_max = max(_ENTRIES_MAX // max(len(points_m), 1), 1)
         self._square_count = self._member_count = 0
         points, bands = len(points_m), len(loss_db)
-        self._fixed = loss_db, points_m, low, np.full(shape, MISSING, np.int32)
-        self._keep(
+        self._inputs = loss_db, points_m, low, np.full(shape, MISSING, np.int32)
+        self._set_tables(
             np.zeros((1, points), np.int32), np.zeros((1, bands, points)), np.zeros((1, points + 1), np.int32),
             np.zeros(points, np.int32),
         )  # fmt: skip
 
-    def _keep(self, *kept: Array) -> None:
-        self._kept = kept
-        self.arrays = self._fixed + kept
-        """What `crossed_at` needs beside the walls; others once `prepare` has grown them."""
+    def _set_tables(self, *kept: Array) -> None:
+        self._tables = kept
+        self.arrays = self._inputs + kept
+        """Arguments of `crossed_at` after the walls; `prepare` may replace them by larger arrays."""
 
     def crossed(self, x: float, y: float, counts: Array, losses_db: Array) -> None:
-        """Fill counts (k,) int64 and losses_db (bands, k) for the place (x, y)."""
+        """Fill counts (k,) int64 and losses_db (bands, k) for the position (x, y) [m]."""
         self.prepare(x, y)
         crossed_at(x, y, *self._walls, *self.arrays, counts, losses_db)
 
     def prepare(self, x: float, y: float) -> None:
-        """Work out the square around a place, if that is still to be done."""
-        loss_db, points_m, low, numbers = self._fixed
+        """Compute the square around a position unless it is cached."""
+        loss_db, points_m, low, numbers = self._inputs
         if square_at(x, y, low, numbers) != MISSING:
             return
         if self._square_count == self._squares_max:
@@ -65,23 +65,23 @@ class CrossingTable:
         square, begin = self._square_count, self._member_count
         corner = np.floor(np.array([x, y]) / _SQUARE_M).astype(np.int64)
         middle = ((corner + 0.5) * _SQUARE_M).tolist()
-        if square == len(self._kept[0]):
-            self._keep(*(_grown(kept, square + 1) for kept in self._kept[:3]), self._kept[3])
+        if square == len(self._tables[0]):
+            self._set_tables(*(_enlarged(kept, square + 1) for kept in self._tables[:3]), self._tables[3])
         while True:
-            counts, losses, first, members = self._kept
-            end = _sort_walls(
+            counts, losses, first, members = self._tables
+            end = _classify_walls(
                 self._walls[0], loss_db, points_m, *middle, 0.5 * _SQUARE_M, counts[square], losses[square],
                 first[square], members, begin,
             )  # fmt: skip
             if end <= len(members):
                 break
-            self._keep(counts, losses, first, _grown(members, end))
+            self._set_tables(counts, losses, first, _enlarged(members, end))
         numbers[tuple(corner - low)] = square
         self._square_count, self._member_count = square + 1, end
 
 
-def _grown(array: Array, count: int) -> Array:
-    """The array with room for `count` rows, and then for as many again."""
+def _enlarged(array: Array, count: int) -> Array:
+    """The array, or a copy with more than `count` rows, the new ones zero."""
     if count <= len(array):
         return array
     return np.concatenate([array, np.zeros((2 * count - len(array), *array.shape[1:]), array.dtype)])
@@ -89,30 +89,35 @@ def _grown(array: Array, count: int) -> Array:
 
 @borrowing_kernel
 def square_at(x, y, low, numbers):
-    """Number of the square around a place; -1 where it must be worked out, -2 outside of the building."""
+    """Number of the square around a position; `MISSING` or `_OUTSIDE` if there is none."""
     i, j = int(np.floor(x / _SQUARE_M)) - low[0], int(np.floor(y / _SQUARE_M)) - low[1]
     return numbers[i, j] if 0 <= i < numbers.shape[0] and 0 <= j < numbers.shape[1] else _OUTSIDE
 
 
 @borrowing_kernel
 def crossed_at(
-    x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts, sure_losses,
-    first_open, open_walls, counts, losses,
+    x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, certain_counts, certain_losses,
+    first_uncertain, uncertain_walls, counts, losses,
 ):  # fmt: skip
-    """Fill counts (k,) and losses (bands, k) between a place and the points.
+    """Fill counts (k,) and losses (bands, k) between a position and the points.
 
-    Outside of the building, and where the square is not worked out, all walls on the way are tested.
+    Without a cached square, all walls along the lines are tested.
     """
     square = square_at(x, y, low, numbers)
-    if square < 0 or square >= sure_counts.shape[0]:
+    if square < 0 or square >= certain_counts.shape[0]:
         cross(walls, origin, bucket, rows, columns, first, members, loss, x, y, points, counts, losses)
         return
     for band in range(loss.shape[0]):
         for k in range(points.shape[0]):
-            qx, qy, count, total = points[k, 0], points[k, 1], int(sure_counts[square, k]), sure_losses[square, band, k]
-            # Without a branch, for which walls are hit cannot be foretold; unsigned numbers cannot count from an end.
-            for m in range(np.uint64(first_open[square, k]), np.uint64(first_open[square, k + 1])):
-                w = np.uint64(open_walls[m])
+            qx, qy, count, total = (
+                points[k, 0],
+                points[k, 1],
+                int(certain_counts[square, k]),
+                certain_losses[square, band, k],
+            )
+            # No branch, as crossings are unpredictable; unsigned indices need no check for negative ones.
+            for m in range(np.uint64(first_uncertain[square, k]), np.uint64(first_uncertain[square, k + 1])):
+                w = np.uint64(uncertain_walls[m])
                 hit = int(is_crossed(walls, w, x, y, qx, qy))
                 count += hit
                 total += hit * loss[band, w]
@@ -120,13 +125,12 @@ def crossed_at(
 
 
 @borrowing_kernel
-def _sort_walls(walls, loss, points, x, y, half, counts, losses, first, members, begin):
-    """Walls that all of a square crosses are counted, walls that none of it crosses are dropped, the others listed.
+def _classify_walls(walls, loss, points, x, y, half, counts, losses, first, members, begin):
+    """Count the walls crossed from all of a square and list the uncertain ones in `members` from `begin` on.
 
-    Listed from `begin` on; returns where the list ends, were there room.
-
-    Each side of a line that `is_crossed` asks for is linear in the place: it is the same all over the
-    square when its value in the middle exceeds what the half-width can change.
+    Returns the end of the list, which is incomplete if that exceeds the length of `members`. The side tests of
+    `is_crossed` are linear in the position: the sign is constant over the square if the absolute value at its centre
+    exceeds the greatest change within the half-width.
     """
     end = begin
     for k in range(points.shape[0]):

@@ -1,6 +1,6 @@
-"""A building while it is drawn: tiles on a grid of one decimetre, and what is put on them.
+"""Drawing of generated buildings: rectangular tiles on a 0.1 m grid, walls, doors and signs.
 
-All lengths named without unit in the files that draw buildings are decimetres.
+Lengths without a unit in their name are decimetres, here and in the other files of the generator.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from numpy.typing import NDArray as Array
 from twc_env.world.floorplan import Room, Sign
 
 OUTER_DB, INNER_DB, FURNITURE_DB = 8.0, 4.5, 2.0
-"""Loss of walls."""
+"""RSSI losses per crossing of outer walls, inner walls and furniture."""
 ROOM_MIN = 25
 """Shortest side of a room [dm]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """A rectangle of the floor [dm]."""
+    """A rectangle of the floor [dm], axis-parallel."""
 
     x0: int
     y0: int
@@ -35,7 +35,7 @@ class Tile:
 
 @dataclass(frozen=True, slots=True)
 class Edge:
-    """Where two tiles meet along a line: x = line (axis 0) or y = line (axis 1). Tile -1 is the outside."""
+    """Common edge of two tiles on the line x = line (axis 0) or y = line (axis 1); tile -1 is the outside."""
 
     axis: int
     line: int
@@ -45,12 +45,12 @@ class Edge:
     high: int
 
     def point_m(self, along: float) -> Array:
-        """(2,) the point at a coordinate [dm] along the edge."""
+        """(2,) point [m] at a coordinate [dm] along the edge."""
         point = (self.line, along) if self.axis == 0 else (along, self.line)
         return np.array(point) / 10
 
     def facing_rad(self, tile: int) -> float:
-        """Out of the wall, into the tile."""
+        """Direction of the normal into the tile."""
         return (0.0 if self.high == tile else math.pi) + (math.pi / 2 if self.axis == 1 else 0.0)
 
     def other(self, tile: int) -> int:
@@ -59,39 +59,40 @@ class Edge:
 
     @property
     def length(self) -> int:
-        """In decimetres."""
+        """Length [dm]."""
         return self.end - self.begin
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Style:
-    """What one building repeats in all its rooms."""
+    """Settings that all rooms of a building share; repeated layouts make places look alike."""
 
     door: int
-    """Width of every room's door."""
+    """Door width."""
     repeated: str
-    """Hangs at the same place in every second room."""
+    """Text of the sign at the same position in every second room."""
     furniture: tuple[int, int] = (0, 0)
-    """Depth and width of what stands in the corner of each room; (0, 0) for none."""
+    """Depth and width of the furniture in one corner of each room; (0, 0) for none."""
     door_offset: int = 6
-    """Of a room's door from the beginning of its wall."""
+    """Distance of a room's door from the beginning of its wall."""
     washrooms: bool = False
     two_doors_from: int = 80
+    """Least wall length for a second door."""
     connecting_share: float = 0.0
-    """Share of neighbours with a door between them."""
+    """Share of adjacent rooms that are joined by a door."""
     outer_db: float = OUTER_DB
     void_db: float = INNER_DB
     floor_name: str = "CORRIDOR"
     along_floor: tuple[str, str] = ("FIRE EXTINGUISHER", "EXIT")
-    """Hang along the walls of open floor; the second also at the ends of corridors."""
+    """Texts of the signs along the walls of open floor; the second also hangs at the ends of corridors."""
     access_points_in: tuple[str, ...] = ("room", "open", "void")
-    """Uses of the tiles that hold access points."""
+    """Uses of the tiles that may contain access points."""
     label: Callable[[int], str] = lambda number: f"R{number}"
 
 
 @dataclass(slots=True)
 class Drawing:
-    """A building while it is drawn: tiles first, then `finish`."""
+    """A building under construction: tiles are added, then `fittings.finish` returns its floor plan."""
 
     style: Style
     tiles: list[Tile] = field(default_factory=list)
@@ -103,21 +104,21 @@ class Drawing:
     rooms: list[Room] = field(default_factory=list)
 
     def add(self, x0: int, y0: int, x1: int, y1: int, use: str) -> None:
-        """A tile [dm] that is "room", "open" or "void"; one without area is left out."""
+        """Add a tile [dm] unless it has no area; use: see `Tile`."""
         if x1 > x0 and y1 > y0:
             self.tiles.append(Tile(x0, y0, x1, y1, use))
 
     def box(self, x0: float, y0: float, x1: float, y1: float, loss_db: float) -> None:
-        """An obstacle: four walls."""
+        """Add an obstacle [dm] of four walls."""
         corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
         self.walls += [(*a, *b, loss_db) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
 
     def hang(self, text: str, position_m: Array, facing_rad: float) -> None:
-        """A sign."""
+        """Add a sign at position_m (2,)."""
         self.signs.append(Sign(text, position_m, float(facing_rad)))
 
     def is_clear(self, edge: Edge, along: float) -> bool:
-        """Whether a sign fits: on the edge, beside doors and other signs."""
+        """Whether a sign at a coordinate [dm] along the edge keeps its distance from corners, doors and other signs."""
         if not edge.begin + 2 <= along <= edge.end - 2:
             return False
         if any(begin - 2 < along < end + 2 for begin, end in self.doors[edge.axis, edge.line]):

@@ -1,4 +1,4 @@
-"""What breaks in mid-episode: robots that stop for good, and a radio link that is down for a while."""
+"""Failures during an episode: robots that stop permanently, and a temporary outage of the radio link."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from twc_env.team_messages import TeamFrames
 
 
 class Failures:
-    """Knows, step by step, who still works and who can talk."""
+    """Which robots work and which can communicate, per step."""
 
     def __init__(self, config: FailureConfig, robots: int):
         self._config = config
         self.is_nothing = not config.robots and config.link_begin_step >= config.link_end_step
-        """Whether nothing ever breaks."""
+        """Whether there are no failures at all."""
         self._everyone = np.ones(robots, np.bool_)
         self._survivors = np.arange(robots) < robots - config.robots
         self._everyone.flags.writeable = self._survivors.flags.writeable = False
 
     def are_all_alive(self, step: int) -> bool:
-        """Whether nobody has stopped yet."""
+        """Whether no robot has failed up to this step."""
         return not self._config.robots or step < self._config.robots_step
 
     def is_alive(self, step: int) -> Array:
-        """(robots,) bool, read-only: whether each still moves, senses and talks."""
+        """(robots,) bool, read-only: whether each robot moves, measures and communicates."""
         return self._everyone if self.are_all_alive(step) else self._survivors
 
     def contacts(self, step: int, contacts: Contacts) -> Contacts:
-        """What is left of the contacts of a step: the dead neither speak nor hear, and in a cut nobody does."""
+        """The contacts of a step without those of failed robots; none during an outage of the link."""
         config = self._config
         if config.link_begin_step <= step < config.link_end_step:
             nobody = np.zeros_like(contacts.tried)
@@ -43,7 +43,7 @@ class Failures:
 
 
 def silenced(frames: TeamFrames, is_alive: Array) -> TeamFrames:
-    """The frames of a step, of which those of the dead tell nothing; is_alive (robots,) bool."""
+    """The frames of a step with empty measurements for failed robots; is_alive (robots,) bool."""
     alive = is_alive.tolist()
     return TeamFrames(
         frames.step,
