@@ -124,7 +124,7 @@ def test_a_copy_goes_on_to_the_byte_though_its_rigid_body_world_was_made_anew(mo
         drive(other, commands, 3)
         drive(first, commands, 3)
         assert np.array_equal(first.poses, other.poses)
-    assert first.contacts.any() and len(first._asked) <= 60
+    assert first.contacts.any() and len(first._log) <= 60
 
 
 def test_steps_without_the_rigid_body_world_are_those_it_would_have_taken():

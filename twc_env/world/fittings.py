@@ -1,4 +1,4 @@
-"""From the tiles of a drawing to a floor plan: doors, walls, names, signs, furniture and access points."""
+"""Completion of a drawing to a floor plan: doors, walls, room names, signs, furniture and access points."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from twc_env.world.drawing import FURNITURE_DB, INNER_DB, ROOM_MIN, Drawing, Edg
 from twc_env.world.floorplan import AccessPoint, Floorplan, Room, local_macs
 
 _PLATE_OFFSET, _CONNECTION_OFFSET = 3, 6
+"""Distance [dm] of a room's sign from its door, and of doors between rooms from the corner."""
 
 
 def finish(
     drawing: Drawing, name: str, random: np.random.Generator, access_points: int | None = None, macs: int | None = None
 ) -> Floorplan:
-    """Doors, walls, names, signs, furniture and access points for the tiles of a drawing."""
+    """The floor plan of a drawing with `access_points` boxes and `macs` addresses (default: by floor area)."""
     edges = _edges(drawing.tiles)
     at_tile: dict[int, list[Edge]] = defaultdict(list)
     for edge in edges:
@@ -28,7 +29,7 @@ def finish(
     doors = _place_doors(drawing, at_tile, random)
     _name_rooms(drawing, doors)
     _furnish_rooms(drawing, doors, at_tile)
-    _repeat_signs(drawing, edges, random)
+    _hang_signs(drawing, edges, random)
     _draw_walls(drawing, edges)
     table = np.array(drawing.walls)
     start = max((t for t in drawing.tiles if t.use == "open"), key=lambda t: (t.x1 - t.x0) * (t.y1 - t.y0))
@@ -39,12 +40,12 @@ def finish(
         rooms=tuple(drawing.rooms),
         signs=tuple(drawing.signs),
         access_points=_access_points(drawing, random, access_points, macs),
-        interior_m=np.array([[start.x0 + 5.5, start.y0 + 5.5]]) / 10,  # on no box: half a metre off its walls
+        interior_m=np.array([[start.x0 + 5.5, start.y0 + 5.5]]) / 10,  # 0.55 m from the walls, clear of obstacles
     )
 
 
 def _edges(tiles: list[Tile]) -> list[Edge]:
-    """Every stretch along which one tile meets another or the outside."""
+    """All common edges of two tiles, or of a tile and the outside."""
     sides: dict[tuple[int, int], tuple[list, list]] = defaultdict(lambda: ([], []))
     for number, tile in enumerate(tiles):
         sides[0, tile.x1][0].append((tile.y0, tile.y1, number))
@@ -56,18 +57,21 @@ def _edges(tiles: list[Tile]) -> list[Edge]:
         lows, highs = sorted(lows), sorted(highs)
         cuts = sorted({value for begin, end, _ in lows + highs for value in (begin, end)})
         for begin, end in itertools.pairwise(cuts):
-            low, high = _owner(lows, begin), _owner(highs, begin)
+            low, high = _tile_at(lows, begin), _tile_at(highs, begin)
             if low >= 0 or high >= 0:
                 edges.append(Edge(axis, line, begin, end, low, high))
     return edges
 
 
-def _owner(spans: list[tuple[int, int, int]], begin: int) -> int:
+def _tile_at(spans: list[tuple[int, int, int]], begin: int) -> int:
     return next((number for first, last, number in spans if first <= begin < last), -1)
 
 
 def _place_doors(drawing: Drawing, at_tile: dict, random: np.random.Generator) -> dict[int, tuple[Edge, int]]:
-    """A door for every room, onto open floor where it can; (edge, begin) of each room's own door."""
+    """Add a door to every room, to open floor if possible; (edge, begin) of each room's own door.
+
+    Raises MapError if a room cannot be reached.
+    """
     tiles, style = drawing.tiles, drawing.style
     doors: dict[int, tuple[Edge, int]] = {}
     waiting = [number for number, tile in enumerate(tiles) if tile.use == "room"]
@@ -95,7 +99,7 @@ def _place_doors(drawing: Drawing, at_tile: dict, random: np.random.Generator) -
 
 
 def _connect_neighbours(drawing: Drawing, at_tile: dict, doors: dict, random: np.random.Generator) -> None:
-    """Doors between rooms side by side: further loops; one at least, so that the smallest building has a loop."""
+    """Add doors between adjacent rooms, at least one: they close loops in the paths of robots."""
     style, pairs = drawing.style, []
     if not style.connecting_share:
         return
@@ -118,7 +122,7 @@ def _connect_neighbours(drawing: Drawing, at_tile: dict, doors: dict, random: np
 
 
 def _name_rooms(drawing: Drawing, doors: dict[int, tuple[Edge, int]]) -> None:
-    """Rooms get unique names and a plate beside the door; open floors are named too."""
+    """Name rooms and open floors; rooms get a sign beside the door."""
     rooms = opens = 0
     for number, tile in enumerate(drawing.tiles):
         if tile.use == "void":
@@ -141,7 +145,7 @@ def _name_rooms(drawing: Drawing, doors: dict[int, tuple[Edge, int]]) -> None:
 
 
 def _furnish_rooms(drawing: Drawing, doors: dict[int, tuple[Edge, int]], at_tile: dict) -> None:
-    """The same corner piece, washroom and sign at the same place in every room."""
+    """Add furniture, washroom and repeated sign at the same position in every room."""
     style = drawing.style
     for number, (edge, _) in doors.items():
         tile = drawing.tiles[number]
@@ -160,7 +164,7 @@ def _furnish_rooms(drawing: Drawing, doors: dict[int, tuple[Edge, int]], at_tile
 
 @dataclass(frozen=True, slots=True)
 class _Corner:
-    """A room seen from its door: depth away from the door's wall, width along it; pieces go to the far end."""
+    """The corner of a room, in coordinates of the wall with its door: width along the wall, depth away from it."""
 
     tile: Tile
     edge: Edge
@@ -181,7 +185,7 @@ class _Corner:
         return tile.x1 - tile.x0 if self.edge.axis == 0 else tile.y1 - tile.y0
 
     def enclose(self, drawing: Drawing, depths: tuple[int, int], width: int, loss_db: float, door: int = 0) -> None:
-        """Walls off the corner at the end of the span, from depth to depth; the room's own walls close it."""
+        """Add the walls that, with those of the room, enclose the corner at the end of the span between two depths."""
         begin, end = self.span[1] - width, self.span[1]
         along_from = self.edge.line + self.into * depths[0]
         along_to = self.edge.line + self.into * depths[1]
@@ -200,8 +204,8 @@ class _Corner:
         drawing.walls.append((ax, ay, bx, by, loss_db))
 
 
-def _repeat_signs(drawing: Drawing, edges: list[Edge], random: np.random.Generator) -> None:
-    """EXIT at the ends of corridors, EXIT and FIRE EXTINGUISHER along them: one of each per 24 m of wall."""
+def _hang_signs(drawing: Drawing, edges: list[Edge], random: np.random.Generator) -> None:
+    """Add the signs of `Style.along_floor` to corridors: one of each per 24 m of wall, the second also at ends."""
     tiles = drawing.tiles
     places = []
     for edge in edges:
@@ -229,7 +233,7 @@ def _repeat_signs(drawing: Drawing, edges: list[Edge], random: np.random.Generat
 
 
 def _draw_walls(drawing: Drawing, edges: list[Edge]) -> None:
-    """Edges between tiles that are not both open become walls, joined along straight lines and cut by doors."""
+    """Add walls on all edges except between open tiles, merged along straight lines and cut by doors."""
     runs: dict[tuple[int, int, float], list[list[int]]] = defaultdict(list)
     for edge in edges:
         uses = {drawing.tiles[number].use if number >= 0 else "outside" for number in (edge.low, edge.high)}
@@ -261,7 +265,7 @@ def _draw_walls(drawing: Drawing, edges: list[Edge]) -> None:
 def _access_points(
     drawing: Drawing, random: np.random.Generator, count: int | None, macs: int | None
 ) -> tuple[AccessPoint, ...]:
-    """Spread over rooms, corridors and closed blocks, each as far as possible from those before it."""
+    """Access points at candidate positions in the tiles, chosen by farthest point sampling."""
     pool = []
     for tile in (tile for tile in drawing.tiles if tile.use in drawing.style.access_points_in):
         columns, rows = max(1, (tile.x1 - tile.x0) // 30), max(1, (tile.y1 - tile.y0) // 30)
@@ -274,12 +278,12 @@ def _access_points(
     chosen = farthest_first(points, count, int(random.integers(len(points))))
     places = np.round(points[chosen] + random.uniform(-0.6, 0.6, (len(chosen), 2)), 2)
     boxes = random.choice(1 << 16, size=len(chosen), replace=False)
-    shares = random.integers(2, 4, len(chosen)) if macs is None else _shares(macs, len(chosen))
+    shares = random.integers(2, 4, len(chosen)) if macs is None else _split_evenly(macs, len(chosen))
     return tuple(
         AccessPoint(f"ap-{i + 1:03d}", place, local_macs(box, int(share)))
         for i, (place, box, share) in enumerate(zip(places, boxes, shares, strict=True))
     )
 
 
-def _shares(total: int, count: int) -> list[int]:
+def _split_evenly(total: int, count: int) -> list[int]:
     return [total // count + (i < total % count) for i in range(count)]

@@ -1,4 +1,4 @@
-"""A floor plan as a raster: which cells are free, which are wall."""
+"""Rasterisation of a floor plan into free and wall cells."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from twc_env.errors import MapError
 from twc_env.kernels import kernel
 
 CELLS_MAX = 25_000_000
-"""Of a raster: 500 x 500 m in cells of 0.1 m."""
+"""Maximum cells of a raster: 500 x 500 m at 0.1 m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """The building as a raster; row 0 is the lowest y. A cell is free, wall, or neither (outside)."""
+    """Raster of a building; row 0 has the least y. A cell is free, wall or neither (outside)."""
 
     free: Array
     """(rows, columns) bool: not wall and connected to an interior point."""
@@ -27,11 +27,11 @@ class Cells:
     resolution_m: float
 
     def centre_of(self, cells: Array) -> Array:
-        """(..., 2) integer (row, column) -> (..., 2) points."""
+        """(..., 2) integer (row, column) -> (..., 2) cell centres [m]."""
         return self.origin_m + (np.asarray(cells)[..., ::-1] + 0.5) * self.resolution_m
 
     def is_free(self, points_m: Array) -> Array:
-        """(..., 2) points -> (...) bool; False outside the raster."""
+        """(..., 2) points [m] -> (...) bool; False outside the raster."""
         at = np.floor((np.asarray(points_m, float) - self.origin_m) / self.resolution_m)
         inside = np.all((at >= 0) & (at < self.free.shape[::-1]), axis=-1)
         column, row = (np.where(inside, at[..., axis], 0).astype(np.int64) for axis in (0, 1))
@@ -39,13 +39,13 @@ class Cells:
 
 
 def rasterise(name: str, walls_m: Array, interior_m: Array, resolution_m: float) -> Cells:
-    """The raster of walls (walls, 2, 2) whose floor is what is connected to the interior points (k, 2).
+    """The raster of walls_m (walls, 2, 2); cells connected to the interior points (k, 2) are free.
 
-    Raises MapError, naming the map, where it is too large or not closed.
+    Raises MapError if the map (`name`) is too large or not closed.
     """
     ends = walls_m.reshape(-1, 2)
     (low_x, low_y), (high_x, high_y) = ends.min(axis=0), ends.max(axis=0)
-    # The outermost walls, and all walls whole cells away from them, run through cell centres.
+    # The outermost walls, and all walls at a multiple of the cell size from them, pass through cell centres.
     origin = np.array([low_x, low_y]) - 1.5 * resolution_m
     columns, rows = (np.round((np.array([high_x, high_y]) - origin) / resolution_m + 2.0).astype(int)).tolist()
     if rows * columns > CELLS_MAX:
@@ -54,10 +54,10 @@ def rasterise(name: str, walls_m: Array, interior_m: Array, resolution_m: float)
             f"{resolution_m:g} m ({CELLS_MAX} at most); check its unit, or use larger cells"
         )
     wall = np.zeros((rows, columns), np.bool_)
-    _stamp_walls(walls_m.reshape(-1, 4), origin, resolution_m, wall)
+    _draw_walls(walls_m.reshape(-1, 4), origin, resolution_m, wall)
     free = np.zeros((rows, columns), np.bool_)
     seeds = np.floor((interior_m - origin) / resolution_m).astype(np.int64)
-    leaks = _flood(wall, seeds, free)
+    leaks = _flood_fill(wall, seeds, free)
     if leaks:
         raise MapError(
             f"map {name!r} is not closed: its free space reaches the edge of the drawing; "
@@ -69,7 +69,8 @@ def rasterise(name: str, walls_m: Array, interior_m: Array, resolution_m: float)
 
 
 @kernel
-def _stamp_walls(walls, origin, resolution, wall):
+def _draw_walls(walls, origin, resolution, wall):
+    """Mark the cells of wall (rows, columns) whose centre lies within half a cell of a wall (walls, 4)."""
     rows, columns = wall.shape
     reach = 0.5 * resolution * (1.0 + 1e-6)
     for w in range(walls.shape[0]):
@@ -81,7 +82,7 @@ def _stamp_walls(walls, origin, resolution, wall):
         r1 = min(int((max(ay, by) + reach) / resolution), rows - 1)
         for r in range(r0, r1 + 1):
             y = (r + 0.5) * resolution
-            # The part of the wall near this row bounds the columns to look at.
+            # Columns near the part of the wall that lies in this row.
             t0, t1 = 0.0, 1.0
             if abs(ey) > 1e-9:
                 ta, tb = (y - resolution - ay) / ey, (y + resolution - ay) / ey
@@ -100,8 +101,8 @@ def _stamp_walls(walls, origin, resolution, wall):
 
 
 @kernel
-def _flood(wall, seeds, free):
-    """Grow free from the seeds (k, 2) column, row; True when it reaches the raster's edge."""
+def _flood_fill(wall, seeds, free):
+    """Flood-fill `free` from seeds (k, 2: column, row); whether it reaches the edge of the raster."""
     rows, columns = wall.shape
     stack = np.empty(rows * columns, np.int32)
     leaks = False

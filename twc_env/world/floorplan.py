@@ -1,7 +1,7 @@
-"""The building: walls, rooms, signs and access points, and how it is moved.
+"""Floor plans: walls, rooms, signs and access points, and rigid motions of them.
 
-Lengths in metres, angles in radians, counter-clockwise from +x. A plan that was moved remembers its home: everything
-random about a building (shadowing, drawn starts) is fixed there, so moving it changes nothing a robot can measure.
+Lengths in metres, angles in radians, counter-clockwise from +x. A moved plan stores its home pose: random properties
+of a building (shadowing, sampled starts) are fixed in the home frame, so measurements do not depend on the motion.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from twc_env.world.wall_index import WallIndex, index_walls
 
 FORMAT = "twc_env/floorplan-1"
 SIGN_FRONT_M = 0.3
-"""The place this far in front of a sign must be free."""
+"""The point this far in front of a sign must be free."""
 SIGN_FACE_M = 0.02
-"""A camera looks at the sign's face, this far off its position."""
+"""Distance of the point that cameras observe in front of a sign's position."""
 _AREA_CELLS = ((0.0125, 500.0), (0.025, 4000.0), (0.05, 40_000.0), (0.1, math.inf))
-"""Cell sizes [m] that measure floors, and the extent [m2] up to which each is used."""
+"""Cell sizes [m] for the floor area, and the bounding box areas [m2] up to which each is used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +43,7 @@ class Sign:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AccessPoint:
-    """A WiFi transmitter; one box sends under several MAC addresses."""
+    """A WiFi access point, which transmits under one or several MAC addresses."""
 
     name: str
     position_m: Array
@@ -51,7 +51,7 @@ class AccessPoint:
     macs: tuple[int, ...]
     """48-bit addresses, unique over the plan."""
     floor: int = 0
-    """Storeys above (or below, negative) the drawn one; its signal also crosses the ceilings in between."""
+    """Storey relative to the drawn one (negative: below); the signal crosses the ceilings between them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,24 +65,24 @@ class Room:
 
 @dataclass(frozen=True, eq=False)
 class Floorplan:
-    """One floor of a building. Arrays are read-only; `floorplan_check` says what a sound plan is."""
+    """One floor of a building; arrays are read-only. `floorplan_check.validate` checks it."""
 
     name: str
     walls_m: Array
     """(walls, 2, 2): both ends (x, y) of each wall segment."""
     wall_loss_db: Array
-    """(walls,) loss of a radio signal that crosses the wall."""
+    """(walls,) RSSI loss per crossing."""
     rooms: tuple[Room, ...] = ()
     signs: tuple[Sign, ...] = ()
     access_points: tuple[AccessPoint, ...] = ()
     starts: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(starts, 3) suggested start poses; may be empty."""
     interior_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """(k, 2) points known to be free: the floor is what is connected to them."""
+    """(k, 2) free points; the floor is all space connected to them."""
     pose_building_home: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) how far the building was moved from where it was drawn."""
+    """(3,) pose of the frame in which the plan was drawn; zero unless moved."""
     wall_materials: tuple[str, ...] = ()
-    """(walls,) name of each wall's material ("" where not known), or empty: no material is known."""
+    """(walls,) material names, "" if unknown; empty if all are unknown."""
     _cache: dict = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -94,7 +94,7 @@ class Floorplan:
             "pose_building_home": (3,),
         }
         for key, shape in shapes.items():
-            object.__setattr__(self, key, _frozen_array(getattr(self, key), shape, f"{key} of map {self.name!r}"))
+            object.__setattr__(self, key, _read_only(getattr(self, key), shape, f"{key} of map {self.name!r}"))
         for key in ("rooms", "signs", "access_points", "wall_materials"):
             object.__setattr__(self, key, tuple(getattr(self, key)))
 
@@ -106,41 +106,41 @@ class Floorplan:
 
     @property
     def home(self) -> Floorplan:
-        """The plan where it was drawn."""
+        """The plan in the frame in which it was drawn."""
         if not self.pose_building_home.any():
             return self
         if "home" not in self._cache:
-            self._cache["home"] = _carried(self, inverse(self.pose_building_home), np.zeros(3))
+            self._cache["home"] = _transformed(self, inverse(self.pose_building_home), np.zeros(3))
         return self._cache["home"]
 
     @cached_property
     def digest(self) -> str:
-        """Twelve hex digits of the content; the same wherever the building stands."""
+        """Twelve hex digits (SHA-256) of the content in the home frame."""
         return hashlib.sha256(_digest_text(self.home).encode()).hexdigest()[:12]
 
     @cached_property
     def wall_index(self) -> WallIndex:
-        """The walls in buckets, built once."""
+        """Spatial index of the walls."""
         return index_walls(self.walls_m, self.wall_loss_db)
 
     def moved(self, pose: Array) -> Floorplan:
-        """The same building after the rigid motion `pose` (3,)."""
-        plan = _carried(self, pose, compose(pose, self.pose_building_home))
+        """The plan after the rigid motion `pose` (3,)."""
+        plan = _transformed(self, pose, compose(pose, self.pose_building_home))
         plan._cache["home"] = self.home
         return plan
 
     def cells(self, resolution_m: float = 0.1) -> Cells:
-        """The raster, built once per resolution. Walls on whole cells come out one cell thick."""
+        """The raster, cached per resolution; walls at multiples of the cell size are one cell thick."""
         if ("cells", resolution_m) not in self._cache:
             self._cache["cells", resolution_m] = rasterise(self.name, self.walls_m, self.interior_m, resolution_m)
         return self._cache["cells", resolution_m]
 
     @cached_property
     def floor_area_m2(self) -> float:
-        """Free floor up to the lines of its walls.
+        """Free area up to the wall lines.
 
-        Cells that walls pass through are not free, which costs half a cell along every wall. That error shrinks with
-        the cell, so two rasters tell how large it is.
+        Rasters miss half a cell along every wall. This error is linear in the cell size, and Richardson extrapolation
+        from two sizes removes it.
         """
         sizes = self.bounds_m[2:] - self.bounds_m[:2]
         fine = next(size for size, top in _AREA_CELLS if np.prod(sizes) < top)
@@ -149,13 +149,13 @@ class Floorplan:
         return float(2 * areas[0] - areas[1])
 
     def __getstate__(self) -> dict:
-        # What was worked out stays behind, but not the home: it must come back to the last bit.
+        # Of the cache, only `home`: recomputing it from the moved plan would round differently.
         kept = {key: self._cache[key] for key in ("home",) if key in self._cache}
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)} | {"_cache": kept}
 
 
 def local_macs(box: int, count: int) -> tuple[int, ...]:
-    """Addresses of a box of ours; the 02 in front says that they are locally administered."""
+    """Locally administered MAC addresses (02:...) of a generated access point."""
     return tuple(0x02005E << 24 | int(box) << 8 | k for k in range(count))
 
 
@@ -164,8 +164,8 @@ def mac_text(mac: int) -> str:
     return ":".join(f"{mac >> shift & 255:02x}" for shift in range(40, -1, -8))
 
 
-def _carried(plan: Floorplan, pose: Array, pose_building_home: Array) -> Floorplan:
-    """Everything in the plan moved by `pose`; its distance from home is given."""
+def _transformed(plan: Floorplan, pose: Array, pose_building_home: Array) -> Floorplan:
+    """The plan transformed by `pose`, with the given home pose."""
     pose = np.asarray(pose, float)
 
     def move(points_m: Array) -> Array:
@@ -217,7 +217,7 @@ def to_values(plan: Floorplan) -> dict:
 
 
 def _digest_text(home: Floorplan) -> str:
-    """All values to a tenth of a millimetre or milliradian, so that moving there and back keeps the digest."""
+    """All values as text, rounded to 1e-4 m or rad so that a motion and its inverse keep the digest."""
     values = {**to_values(home), "pose_building_home": None}
     for sign in values["signs"]:
         sign["facing_rad"] = _rounded_angle(sign["facing_rad"])
@@ -241,7 +241,7 @@ def _rounded(value: object) -> object:
     return value
 
 
-def _frozen_array(value: object, shape: tuple[int, ...], where: str) -> Array:
+def _read_only(value: object, shape: tuple[int, ...], where: str) -> Array:
     array = np.array(value, dtype=float)
     try:
         array = np.ascontiguousarray(array.reshape((0, *shape[1:]) if array.size == 0 else shape))

@@ -1,4 +1,4 @@
-"""What a sound floor plan is: walls, names and signs that robots can explore."""
+"""Validation of floor plans: walls, names, free space, signs."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from twc_env.world.materials import MATERIALS
 SIGN_TO_WALL_MAX_M = 0.3
 _WALL_LENGTH_MIN_M = 1e-6
 COORDINATE_MAX_M = 100_000.0
-"""Nothing in a plan lies farther from the origin: beyond it, decimetres get lost in single precision."""
+"""Limit of absolute coordinates, below which single precision resolves decimetres."""
 _CHECK_RESOLUTION_M = 0.1
 
 
 def validate(plan: Floorplan) -> Floorplan:
-    """Return the plan if a robot can explore it; otherwise raise MapError naming the value and the remedy."""
+    """Return the plan if it is valid; otherwise raise MapError."""
     if "is_sound" in plan._cache:
         return plan
     where = f"map {plan.name!r}"
@@ -47,7 +47,7 @@ def _check_walls(plan: Floorplan, where: str) -> None:
         raise MapError(
             f"{where} has {len(plan.walls_m)} walls but {len(plan.wall_loss_db)} losses; give one loss per wall"
         )
-    for label, values in _all_numbers(plan):
+    for label, values in _named_arrays(plan):
         if not np.isfinite(values).all():
             raise MapError(f"{where}: {label} holds a value that is not finite (NaN or infinity); give plain numbers")
         if values.size and np.abs(values).max() > COORDINATE_MAX_M:
@@ -66,7 +66,7 @@ def _check_walls(plan: Floorplan, where: str) -> None:
         raise MapError(f"{where}: wall {i} has a loss of {plan.wall_loss_db[i]:g} dB; losses are 0 to 1000")
 
 
-def _all_numbers(plan: Floorplan) -> Iterator[tuple[str, Array]]:
+def _named_arrays(plan: Floorplan) -> Iterator[tuple[str, Array]]:
     for key in ("walls_m", "wall_loss_db", "starts", "interior_m", "pose_building_home"):
         yield key, getattr(plan, key)
     for room in plan.rooms:
