@@ -96,8 +96,8 @@ def square_at(x, y, low, numbers):
 
 @borrowing_kernel
 def crossed_at(
-    x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, certain_counts, certain_losses,
-    first_uncertain, uncertain_walls, counts, losses,
+    x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, certain_counts,
+    certain_losses, first_uncertain, uncertain_walls, counts, losses,
 ):  # fmt: skip
     """Fill counts (k,) and losses (bands, k) between a position and the points.
 

@@ -1,4 +1,4 @@
-"""Native JSON maps: reading, with errors that name the value and the remedy, and writing."""
+"""Reading and writing of floor plans in the native JSON format."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from twc_env.world.floorplan import FORMAT, AccessPoint, Floorplan, Room, Sign, 
 from twc_env.world.floorplan_check import validate
 
 FILE_BYTES_MAX = 64_000_000
-"""Of a map file, unpacked."""
+"""Maximum size of a map file, uncompressed."""
 FLOORS_MAX = 200
-"""Storeys between a floor and an access point."""
+"""Maximum storeys between a floor and an access point."""
 FACING_MAX_RAD = 12.567
-"""Two turns: what is more was meant in degrees."""
+"""Two turns; greater angles are taken for degrees and rejected."""
 
 
 def read_floorplan(path: str | Path) -> Floorplan:
-    """Read and check a native JSON plan. Raises MapError naming the file, the key and the remedy."""
+    """Read and validate a native JSON plan. Raises MapError."""
     path = Path(path)
     return validate(floorplan_from_values(load_json(path), path.name))
 
 
 def load_bytes(path: Path, what: str = "map") -> bytes:
-    """The content of a map file, unpacked if its name ends in .gz; MapError when it cannot be read or is too large."""
+    """Content of a map file, decompressed if its name ends in .gz. Raises MapError if unreadable or too large."""
     try:
         with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as file:
             raw = file.read(FILE_BYTES_MAX + 1)
@@ -44,7 +44,7 @@ def load_bytes(path: Path, what: str = "map") -> bytes:
 
 
 def load_json(path: Path) -> object:
-    """The values of a JSON file (also .gz); MapError when it cannot be read, is no JSON or nests without end."""
+    """Values of a JSON file (also .gz). Raises MapError if unreadable, no JSON or nested too deeply."""
     raw = load_bytes(path)
     try:
         return json.loads(raw.decode("utf-8"))
@@ -55,14 +55,14 @@ def load_json(path: Path) -> object:
 
 
 def write_floorplan(plan: Floorplan, path: str | Path) -> None:
-    """Write the native JSON format; `read_floorplan` gives the same plan back."""
+    """Write the native JSON format; `read_floorplan` returns the same plan."""
     values = to_values(plan)
     lines = [f"{json.dumps(key)}: {_json_rows(value)}" for key, value in values.items()]
     Path(path).write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
 
 
 def floorplan_from_values(values: object, where: str) -> Floorplan:
-    """Build a plan from the values of a native JSON file; `where` names the file in errors."""
+    """The plan of the values of a native JSON file, not validated; `where` names the file in errors."""
     required = ("format", "name", "walls", "interior_m")
     optional = ("rooms", "signs", "access_points", "starts", "pose_building_home", "materials")
     table = _table(values, where, required, optional)
@@ -88,7 +88,7 @@ def floorplan_from_values(values: object, where: str) -> Floorplan:
 
 
 def _json_rows(value: object) -> str:
-    """Lists one item per line, the rest on one line."""
+    """JSON text with one line per list item."""
     if not isinstance(value, list) or not value or not isinstance(value[0], (list, dict)):
         return json.dumps(value, ensure_ascii=False)
     return "[\n  " + ",\n  ".join(json.dumps(item, ensure_ascii=False) for item in value) + "\n]"
@@ -120,7 +120,7 @@ def _numbers(value: object, shape: tuple[int, ...], where: str, meaning: str) ->
     try:
         array = np.array(value, dtype=float)
         if np.array(value).dtype.kind not in "iuf" and array.size:
-            raise ValueError  # texts and booleans convert, but are a mistake
+            raise ValueError  # numpy converts strings and booleans
     except (TypeError, ValueError, OverflowError, RecursionError):
         raise MapError(f"{where} must be {size}; got {_short(value)}") from None
     if array.size == 0 and shape[0] == -1:
@@ -167,7 +167,7 @@ def _access_point(values: object, where: str) -> AccessPoint:
 
 
 def _materials(values: object, wall_count: int, where: str) -> tuple[str, ...]:
-    """{material: wall numbers} -> one name per wall; empty when none is named."""
+    """{material: wall numbers} -> (walls,) names; empty if there are none."""
     if not isinstance(values, dict):
         raise MapError(f"{where} must be a JSON object from material to wall numbers; got {type(values).__name__}")
     names = [""] * (wall_count if values else 0)

@@ -1,7 +1,7 @@
-"""Buildings by kind, area and seed: repeated rooms, corridors that close loops, repeated signs and unique room names.
+"""Procedural buildings: similar rooms, corridors that form loops, repeated signs and unique room names.
 
-A floor is a set of tiles (rooms, open floor, voids) on a grid of one decimetre. Walls are where tiles meet, doors are
-gaps in them. Equal arguments give equal buildings in every process and on every machine.
+A floor consists of tiles (rooms, open floor, voids) on a 0.1 m grid, with walls on their common edges and doors as gaps
+in them. The same arguments give the same building on every machine.
 """
 
 from __future__ import annotations
@@ -16,16 +16,17 @@ from twc_env.world.floorplan_check import validate
 from twc_env.world.layouts import KINDS, LAYOUTS
 
 AREA_MIN_M2, AREA_MAX_M2 = 100, 10_000
-"""Gross floor area of a generated building."""
+"""Limits of the gross floor area."""
 ROBOT_RADIUS_M = 0.2
-"""Every room can be reached by a robot of this radius."""
+"""Robots of this radius can reach every room."""
 _NAMED_MAX = 5
+"""Rooms listed in an error."""
 
 
 def generate(kind: str, area_m2: float, seed: int, check: bool = True) -> Floorplan:
-    """A building of a kind, gross floor area [m2] and seed; its name is `gen:KIND:AREA:SEED`.
+    """The building `gen:KIND:AREA:SEED`; check: validate it and check that all rooms are reachable.
 
-    Raises MapError for an unknown kind, an area outside 100 .. 10,000 m2 or a negative seed.
+    Raises MapError for an unknown kind, a gross floor area outside 100 .. 10,000 m2 or a negative seed.
     """
     if kind not in KINDS:
         raise MapError(f"no buildings of kind {kind!r}; kinds are {', '.join(KINDS)}")
@@ -40,8 +41,8 @@ def generate(kind: str, area_m2: float, seed: int, check: bool = True) -> Floorp
 
 
 def check_reachable(plan: Floorplan, radius_m: float = ROBOT_RADIUS_M) -> Floorplan:
-    """Return the plan if a disc of this radius can drive from any room to any other; otherwise raise MapError."""
-    from scipy import ndimage  # slow to import, and needed for generated buildings alone
+    """Return the plan if a disc of this radius can move between all rooms; otherwise raise MapError."""
+    from scipy import ndimage  # slow to import
 
     cells = plan.cells()
     gap_m = ndimage.distance_transform_edt(~cells.wall) * cells.resolution_m

@@ -1,4 +1,4 @@
-"""Which rooms, corridors and halls a building of each kind has, and how they lie to each other."""
+"""Layouts of generated buildings: rooms, corridors and halls of each kind. Lengths in decimetres."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _RACK_DB = 3.0
 
 
 def _office(area_m2: float, random: np.random.Generator) -> Drawing:
-    """Rooms on both sides of parallel corridors, which cross corridors join to loops."""
+    """Rooms on both sides of parallel corridors, which are joined by cross corridors."""
     style = Style(
         door=_door(random),
         door_offset=_between(random, 4, 8),
@@ -30,7 +30,7 @@ def _office(area_m2: float, random: np.random.Generator) -> Drawing:
 
 
 def _ward(area_m2: float, random: np.random.Generator) -> Drawing:
-    """A racetrack: two corridors or more around service rooms, patient rooms with washrooms outside."""
+    """Racetrack plan: two or more corridors around service rooms; patient rooms with washrooms outside."""
     style = Style(
         door=_between(random, 11, 14),
         door_offset=_between(random, 4, 8),
@@ -47,7 +47,7 @@ def _ward(area_m2: float, random: np.random.Generator) -> Drawing:
 
 
 def _ring(area_m2: float, random: np.random.Generator) -> Drawing:
-    """Rooms inside and outside ring corridors, one within the other."""
+    """Concentric ring corridors with rooms on both sides."""
     style = Style(
         door=_door(random),
         door_offset=_between(random, 4, 8),
@@ -85,7 +85,7 @@ def _mall(area_m2: float, random: np.random.Generator) -> Drawing:
 
 
 def _warehouse(area_m2: float, random: np.random.Generator) -> Drawing:
-    """One hall of alike racks with aisles between them, offices along one side."""
+    """A hall with equal racks and aisles, offices along one side."""
     style = Style(
         door=_door(random),
         door_offset=_between(random, 4, 8),
@@ -124,7 +124,10 @@ def bands(
     random: np.random.Generator,
     count_min: int = 1,
 ) -> None:
-    """Parallel corridors with rooms on both sides; cross corridors through the blocks between them."""
+    """Add parallel corridors with rooms on both sides, and cross corridors between them.
+
+    corridor: width; depth: of the outer rooms; module: width of a room; count_min: of corridors.
+    """
     count = max(count_min, round(height / (2 * depth + corridor)))
     depth = max(ROOM_MIN, (height - count * corridor) // (2 * count))
     inner = (height - count * corridor - 2 * depth) // max(count - 1, 1)
@@ -149,7 +152,7 @@ def bands(
 
 
 def _rings(drawing: Drawing, box: tuple[int, int, int, int], depth: int, corridor: int, module: int, is_inner: bool):
-    """Rooms around, a ring corridor within, and inside it more rooms, a smaller ring or a closed core."""
+    """Add rooms along the sides of a box (x0, y0, x1, y1), a ring corridor inside them, and a smaller ring or core."""
     x0, y0, x1, y1 = box
     if min(x1 - x0, y1 - y0) < (2 * depth + 2 * corridor + ROOM_MIN if is_inner else 0):
         _core(drawing, box, corridor, depth, module)
@@ -160,7 +163,7 @@ def _rings(drawing: Drawing, box: tuple[int, int, int, int], depth: int, corrido
             _row(drawing, x0, middle_x, low, high, module)
             drawing.add(middle_x, low, middle_x + corridor, high, "open")
             _row(drawing, middle_x + corridor, x1, low, high, module)
-        else:  # a corner room meets the corridor only beyond the corner
+        else:  # a corner room touches the corridor only beyond the corner
             _row(drawing, x0, x1, low, high, module, first_extra=depth, last_extra=depth)
     for left, right in ((x0, x0 + depth), (x1 - depth, x1)):
         if is_inner:
@@ -179,7 +182,7 @@ def _rings(drawing: Drawing, box: tuple[int, int, int, int], depth: int, corrido
 
 
 def _core(drawing: Drawing, box: tuple[int, int, int, int], corridor: int, depth: int, module: int) -> None:
-    """The middle of a ring: one or two rows of rooms, or a closed shaft where no room fits."""
+    """Add the centre of a ring: one or two rows of rooms, or a void if no room fits."""
     x0, y0, x1, y1 = box
     if min(x1 - x0, y1 - y0) < ROOM_MIN:
         drawing.add(*box, "void")
@@ -207,7 +210,7 @@ def _column(drawing: Drawing, x0: int, x1: int, y0: int, y1: int, module: int) -
 
 
 def _split(begin: int, end: int, module: int, first_extra: int = 0, last_extra: int = 0) -> list[tuple[int, int]]:
-    """Pieces as long as the module, what is left over in a piece of its own or with the last one."""
+    """Intervals of length `module`, the first and last longer by their extras; the rest extends or follows the last."""
     length = end - begin
     if length <= 0:
         return []
@@ -223,7 +226,7 @@ def _split(begin: int, end: int, module: int, first_extra: int = 0, last_extra: 
 
 
 def _kiosks(drawing: Drawing, side: int, pitch: int) -> None:
-    """Alike boxes along the middle of every open tile."""
+    """Add equal boxes every `pitch` along the centre line of every open tile."""
     for tile in list(drawing.tiles):
         width, height = tile.x1 - tile.x0, tile.y1 - tile.y0
         if tile.use != "open" or max(width, height) < 2 * pitch:

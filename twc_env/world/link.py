@@ -1,4 +1,4 @@
-"""The radio link: which robots reach which listeners in a step."""
+"""The communication link: which robots' transmissions reach which listeners in a step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from twc_env.world.wall_index import WallIndex
 
 
 class Link:
-    """Decides contacts from true positions; what is said over them is the engine's business."""
+    """Contacts from true positions, by range, walls and random loss; the messages are the engine's."""
 
     def __init__(self, config: LinkConfig, robots: int, walls: WallIndex, random: np.random.Generator):
         self._config, self._walls, self._random = config, walls, random
@@ -21,7 +21,7 @@ class Link:
             np.fill_diagonal(self._always, False)
         is_sure = config.topology != "peer" and config.loss_probability == 0.0
         self.constant = Contacts(self._always, self._always) if is_sure else None
-        """The contacts of every step, where they hang on nothing."""
+        """The contacts of every step; None if they depend on positions or random loss."""
 
     def contacts(self, poses: Array) -> Contacts:
         """The contacts of one step at true poses (robots, 2 or 3) in the frame of the walls."""
@@ -32,7 +32,7 @@ class Link:
         return Contacts(tried, tried & (self._random.random(tried.shape) >= config.loss_probability))
 
     def _in_range(self, positions_m: Array) -> Array:
-        """(robots, robots) bool, symmetric: the distance and the walls between two robots leave them in range."""
+        """(robots, robots) bool, symmetric: distance plus `wall_range_m` per wall is within the range."""
         apart_m = np.hypot(*(positions_m[:, None] - positions_m[None]).T)
         if self._config.wall_range_m > 0.0:
             apart_m = apart_m + self._config.wall_range_m * self._walls_between(positions_m)

@@ -1,8 +1,8 @@
-"""What walls are made of: how much each material takes from a radio signal on each band, and what a laser sees of it.
+"""Wall materials: radio losses per band, and transparency to lasers.
 
-The losses are round numbers within the spread of published indoor measurements, thin partition to reinforced concrete
-(3GPP TR 38.901, table 7.4.3-1, comes to 2.5, 5.1 and 14.6 dB for glass, wood and concrete at 2.4 GHz). A floor plan's
-own `wall_loss_db` is its loss at 2.4 GHz, and the table says how other bands differ.
+The losses are rounded values within the spread of published indoor measurements, thin partitions to reinforced concrete
+(3GPP TR 38.901, table 7.4.3-1: 2.5, 5.1 and 14.6 dB for glass, wood and concrete at 2.4 GHz). A floor plan's
+`wall_loss_db` is the loss at 2.4 GHz; the table gives the differences of other bands.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """One crossing of a wall."""
+    """Properties of a wall material."""
 
     losses_db: tuple[float, float, float]
-    """At 2.4 GHz, at 5 GHz, and of LTE below 2 GHz."""
+    """Loss per crossing at 2.4 GHz, at 5 GHz and of LTE below 2 GHz."""
     is_glass: bool = False
-    """A laser often passes through (`lidar.glass_return_probability`)."""
+    """Whether laser beams may pass (`lidar.glass_return_probability`)."""
 
 
 MATERIALS = {
