@@ -1,4 +1,4 @@
-"""What OCR makes of a text: drawn from the measured table, or by the two plain numbers of papers.md T3."""
+"""OCR errors of sign readings: sampled from the measured table, or by the two probabilities of papers.md T3."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
 from twc_env.world.ocr_table import GARBLED_RATE, MISS_LENGTH, OcrTable
 
 CODES = "utf-32"
-"""Code points as this machine keeps them; Python knows this name at once and looks up "utf-32-le" every time."""
+"""Codec of uint32 code points in native byte order; faster than "utf-32-le", which Python looks up in each call."""
 LINE_DRAWS = 3
-"""Numbers drawn per line; two more for each of its characters."""
+"""Random numbers per line, besides two per character."""
 
 
 def draw_count(text: str) -> int:
-    """How many standard normal numbers one reading of a text takes."""
+    """Count of standard normal numbers for one reading of a text."""
     return LINE_DRAWS + 2 * len(text)
 
 
 def shares(table: OcrTable, text: str) -> Array:
-    """(draws,) which part of each drawn number's variance stays with the sign."""
+    """(draws,) share of the variance of each random number that all readings of a sign have in common."""
     return np.repeat([table.line_share, table.letter_share], [LINE_DRAWS, 2 * len(text)])
 
 
@@ -34,11 +34,11 @@ def codes_of(text: str) -> Array:
 
 
 class TableReader:
-    """Draws readings from the measured table."""
+    """Samples readings from the measured table."""
 
     def __init__(self, table: OcrTable):
         t = table
-        # The angle tells by how much it narrows the letters: between two angles, the share lost counts.
+        # Interpolation is linear in the share of the letters' width that is lost to the viewing angle.
         narrowed = 1.0 - np.cos(t.incidence_rad)
         grid = (t.height_px, narrowed, t.blur_widths, t.miss, t.fragment, t.space_loss, t.level_cdf)
         lines = (
@@ -49,7 +49,7 @@ class TableReader:
             t.characters, t.proneness, t.confusion_code, t.confusion_cdf, t.added_code, t.added_cdf,
         )  # fmt: skip
         self.table = Lent((grid, lines, letters))
-        """For `misread_signs`."""
+        """Argument of `misread_signs`."""
         self._levels = np.empty(len(t.level_rate))
         self._run: Callable[..., None] | None = None
         """`misread_signs` with the table."""
@@ -57,9 +57,9 @@ class TableReader:
     def read(
         self, codes: Array, is_hidden: Array, height_px: float, incidence_rad: float, blur_px: float, draws: Array
     ) -> str:
-        """One reading of a text (n,) of which the characters `is_hidden` (n,) cannot be seen; "" when missed.
+        """One reading of the text `codes` (n,); "" if missed.
 
-        `draws` (3 + 2 n) are standard normal: whoever repeats some of them repeats the same mistakes.
+        is_hidden (n,) bool: characters out of sight; draws (3 + 2 n,): standard normal, equal ones give equal errors.
         """
         out, width = np.empty(2 * len(codes) + 1, np.uint32), math.cos(incidence_rad)
         count = _misread(
@@ -69,9 +69,9 @@ class TableReader:
         return out[:count].tobytes().decode(CODES).strip()
 
     def read_signs(self, sights: Array, hidden: Array, texts: SignTexts, fresh: Array) -> list[str]:
-        """One reading of each sign in view; sights and hidden as `look` fills them, one row for each.
+        """One reading of each sign in view; sights (k, 6) and hidden (k, L) as filled by `look`.
 
-        fresh: standard normal, as many as `draw_count` says of each text, one after the other.
+        fresh: standard normal, `draw_count` numbers per text, concatenated.
         """
         given = len(sights), sights, hidden, fresh, 0, *texts.arguments
         if self._run is None:
@@ -84,7 +84,7 @@ class TableReader:
 
 
 class SignTexts:
-    """The texts of a building's signs, and what of a reading's luck stays with each sign; L: the longest text."""
+    """Texts of a building's signs, and the random numbers that all readings of a sign share; L: longest text."""
 
     def __init__(self, table: OcrTable, texts: Sequence[str], plates: np.random.Generator):
         longest = max(map(len, texts), default=0)
@@ -92,14 +92,14 @@ class SignTexts:
         self.codes = np.zeros((len(texts), longest), np.uint32)
         """(signs, L) code points."""
         self.kept, self.weights = np.zeros((2, len(texts), LINE_DRAWS + 2 * longest))
-        """(signs, 3 + 2 L) of each drawn number: what stays with the sign, and the weight of what is drawn anew."""
+        """(signs, 3 + 2 L) for each random number: the sign's constant part, and the weight of the part drawn anew."""
         for k, text in enumerate(texts):
             share = shares(table, text)
             self.codes[k, : len(text)] = codes_of(text)
             self.kept[k, : len(share)] = np.sqrt(share) * plates.standard_normal(len(share))
             self.weights[k, : len(share)] = np.sqrt(1.0 - share)
         self.out, self.counts = np.empty((len(texts), 2 * longest + 1), np.uint32), np.empty(len(texts), np.int64)
-        """What `misread_signs` writes: code points read of each sign in view, and how many."""
+        """Outputs of `misread_signs`: code points read of each sign in view, and their counts."""
         self.arguments = (
             self.codes, self.lengths, self.kept, self.weights, np.empty(LINE_DRAWS + 2 * longest),
             np.empty(len(table.level_rate)), self.out, self.counts,
@@ -107,8 +107,8 @@ class SignTexts:
 
 
 @borrowing_kernel
-def _place(axis, value):
-    """Index of the grid line below a value and the weight of the next, held at the ends."""
+def _grid_weight(axis, value):
+    """Linear interpolation: index of the grid value below, and weight in [0, 1] of the next one; constant outside."""
     last = axis.shape[0] - 2
     k = 0
     while k < last and value >= axis[k + 1]:
@@ -118,12 +118,12 @@ def _place(axis, value):
 
 
 @borrowing_kernel
-def _uniform(z):
+def _normal_cdf(z):
     return 0.5 * math.erfc(-z / math.sqrt(2.0))
 
 
 @borrowing_kernel
-def _pick(cdf, u):
+def _sample_cdf(cdf, u):
     k = 0
     while k < cdf.shape[0] - 1 and u >= cdf[k]:
         k += 1
@@ -138,9 +138,9 @@ def _misread(table, codes, is_hidden, height, narrowed, blur, draws, cdf, out):
         lines
     )
     characters, proneness, confusion_code, confusion_cdf, added_code, added_cdf = letters
-    i, wi = _place(heights, height)
-    j, wj = _place(angles, narrowed)
-    k, wk = _place(blurs, blur)
+    i, wi = _grid_weight(heights, height)
+    j, wj = _grid_weight(angles, narrowed)
+    k, wk = _grid_weight(blurs, blur)
     levels = level_rate.shape[0]
     miss = fragment = space_loss = 0.0
     cdf[:] = 0.0
@@ -164,17 +164,17 @@ def _misread(table, codes, is_hidden, height, narrowed, blur, draws, cdf, out):
         return 0
     odds = (miss_length / visible) ** length_exponent
     miss *= odds / (1.0 - miss + miss * odds)
-    # One number says how good the line is: the worst are missed, the next have the highest error level.
-    quality = _uniform(draws[0])
+    # The quality of a line is one number: the worst lines are missed, the next have the highest error level.
+    quality = _normal_cdf(draws[0])
     if quality < miss:
         return 0
-    level = _pick(cdf, (quality - miss) / (1.0 - miss))
+    level = _sample_cdf(cdf, (quality - miss) / (1.0 - miss))
     rate = level_rate[level]
     garbled = 1 if rate >= garbled_rate else 0
 
     begin, end = 0, visible
-    if visible > 1 and _uniform(draws[1]) < fragment:
-        u = _uniform(draws[2])
+    if visible > 1 and _normal_cdf(draws[1]) < fragment:
+        u = _normal_cdf(draws[2])
         keeps_begin = u < kept_begin
         u = u / kept_begin if keeps_begin else (u - kept_begin) / (1.0 - kept_begin)
         at = min(max(u, 0.0), 1.0) * (kept_quantiles.shape[0] - 1)
@@ -184,15 +184,15 @@ def _misread(table, codes, is_hidden, height, narrowed, blur, draws, cdf, out):
         begin, end = (0, kept) if keeps_begin else (visible - kept, visible)
 
     count = 0
-    at_visible = -1
+    visible_index = -1
     for m in range(n):
         if is_hidden[m]:
             continue
-        at_visible += 1
-        if at_visible < begin or at_visible >= end:
+        visible_index += 1
+        if visible_index < begin or visible_index >= end:
             continue
         code = codes[m]
-        u_error = _uniform(draws[3 + m])
+        u_error = _normal_cdf(draws[3 + m])
         if code == 32:
             by_digit = (m > 0 and 48 <= codes[m - 1] <= 57) or (m < n - 1 and 48 <= codes[m + 1] <= 57)
             if u_error >= space_loss * space_proneness[1 if by_digit else 0]:
@@ -207,14 +207,16 @@ def _misread(table, codes, is_hidden, height, narrowed, blur, draws, cdf, out):
             out[count] = code
             count += 1
             continue
-        u_what = _uniform(draws[3 + n + m])
+        u_what = _normal_cdf(draws[3 + n + m])
         if u_what < edit_cdf[level, 0]:
-            out[count] = confusion_code[garbled, row, _pick(confusion_cdf[garbled, row], u_what / edit_cdf[level, 0])]
+            out[count] = confusion_code[
+                garbled, row, _sample_cdf(confusion_cdf[garbled, row], u_what / edit_cdf[level, 0])
+            ]
             count += 1
         elif u_what >= edit_cdf[level, 1]:
             u = (u_what - edit_cdf[level, 1]) / max(1.0 - edit_cdf[level, 1], 1e-12)
             out[count] = code
-            out[count + 1] = added_code[_pick(added_cdf, u)]
+            out[count + 1] = added_code[_sample_cdf(added_cdf, u)]
             count += 2
     return count
 
@@ -223,7 +225,8 @@ def _misread(table, codes, is_hidden, height, narrowed, blur, draws, cdf, out):
 def misread_signs(
     table, sight_count, sights, hidden, fresh, first, codes, lengths, kept, weights, draws, cdf, out, counts
 ):  # fmt: skip
-    """`_misread` of the first sights (k, 6), with draws of which part is kept and part fresh -> the next fresh one."""
+    """Fill out and counts with one reading per sight (k, 6); the random numbers are partly the signs' own, partly
+    `fresh` from `first` on. Returns the index of the next fresh one."""
     for k in range(sight_count):
         sign = int(sights[k, 0])
         count = lengths[sign]
@@ -238,19 +241,19 @@ def misread_signs(
     return first
 
 
-# --- two plain numbers ---
+# --- two probabilities (papers.md T3) ---
 
 _CONFUSABLE = dict(zip("OISBAEZ" + "0158432", "0158432" + "OISBAEZ", strict=True))
 _CONFUSABLE_SHARE = 0.7
-"""Share of the substitutions that take the look-alike, where there is one."""
+"""Share of the substitutions by the similar character, if there is one."""
 _SUBSTITUTION_SHARE, _DELETION_SHARE = 0.70, 0.15
-"""Of all character errors; the rest are insertions."""
+"""Shares of all character errors; the rest are insertions."""
 _FRAGMENT_MIN, _FRAGMENT_MAX = 0.10, 0.45
 _ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789"
 
 
 def misread(text: str, config: SignsConfig, random: np.random.Generator) -> str:
-    """One OCR reading of a text: sometimes a fragment, else single characters changed, lost or added (papers.md T3)."""
+    """One reading of a text: a fragment, or the text with substitutions, deletions and insertions (papers.md T3)."""
     if random.random() < config.fragment_probability:
         length = max(1, round(len(text) * random.uniform(_FRAGMENT_MIN, _FRAGMENT_MAX)))
         begin = int(random.integers(0, len(text) - length + 1))
@@ -274,7 +277,7 @@ def _wrong_character(character: str, random: np.random.Generator) -> str:
 
 
 def _substitute(character: str, random: np.random.Generator) -> str:
-    """A different character, more often than not the one that looks alike."""
+    """A different character: mostly the similar one, if there is one."""
     alike = _CONFUSABLE.get(character.upper())
     if alike and random.random() < _CONFUSABLE_SHARE:
         return alike
