@@ -1,4 +1,4 @@
-"""Random numbers drawn for many steps at once: one call of a generator costs more than a hundred numbers."""
+"""Random numbers drawn for many steps per call of a generator, as a call costs more than a hundred numbers."""
 
 from __future__ import annotations
 
@@ -10,39 +10,40 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 STEPS, _STEPS_MAX = 64, 256
-_FEW = 16
-"""Numbers per step that are so few that drawing them costs less than asking for them: they are drawn for more steps."""
+"""Steps per call, and the same for at most `_FEW_COUNT` numbers per step."""
+_FEW_COUNT = 16
 _POOL = 512
+"""Numbers drawn per refill of a pool."""
 
 
 class StepNoise:
-    """Numbers for each step from one stream per robot; the same numbers as if drawn step by step."""
+    """Numbers for each step from one stream per robot, equal to those drawn step by step."""
 
     def __init__(self, streams: Sequence[np.random.Generator], count: int, kind: str = "standard_normal"):
-        """`count` numbers per robot and step; kind: "standard_normal", "random" (uniform in [0, 1)), or "bits" (random
-        words of 64 bits, for noise that a kernel makes out of them)."""
+        """`count` numbers per robot and step; kind: "standard_normal", "random" (uniform in [0, 1)) or "bits" (random
+        64-bit words)."""
         self._sources = [(streams, count, kind)]
         self.numbers = np.empty((_steps(count), len(streams), count), np.uint64 if kind == "bits" else np.float64)
         """(steps, robots, count)."""
         self._taken, self._block = 0, -1
 
     def beside(self, streams: Sequence[np.random.Generator], count: int, kind: str = "standard_normal") -> StepNoise:
-        """The same with further numbers of other streams in the columns behind."""
+        """Append numbers of other streams as further columns; returns self."""
         self._sources.append((streams, count, kind))
         _, robots, columns = self.numbers.shape
         self.numbers = np.empty((_steps(columns + count), robots, columns + count))
         return self
 
     def next(self) -> Array:
-        """(robots, count) numbers of step 0, then of step 1, ...; valid until the call after."""
+        """(robots, count) numbers of the next step; valid until the next call."""
         self.hold(self._taken)
         self._taken += 1
         return self.numbers[(self._taken - 1) % len(self.numbers)]
 
     def hold(self, step: int) -> None:
-        """Have the numbers of a step in row `step % len(numbers)`, for kernels; blocks of steps follow each other.
+        """Draw the numbers of a step into row `step % len(numbers)`, for kernels.
 
-        As long as `step // STEPS` stays the same it need not be called again.
+        Must be called for steps in order, and once for all steps of equal `step // STEPS`.
         """
         block = step // len(self.numbers)
         if block != self._block:
@@ -55,26 +56,27 @@ class StepNoise:
 
 
 def _steps(count: int) -> int:
-    """For how many steps numbers are drawn at once, `count` of them for each."""
-    return _STEPS_MAX if count <= _FEW else STEPS
+    """Steps per call for `count` numbers per step."""
+    return _STEPS_MAX if count <= _FEW_COUNT else STEPS
 
 
 class NormalPools:
-    """Normal deviates from one stream per robot for a kernel, which takes what it needs from a row and counts that.
+    """Standard normal numbers from one stream per robot for a kernel that uses varying counts of them.
 
-    The same numbers as if drawn when they are asked for.
+    The numbers are those that separate draws would give.
     """
 
     def __init__(self, streams: Sequence[np.random.Generator], count_max: int):
-        """`count_max`: the most that is ever asked for at once."""
+        """count_max: greatest count of a refill."""
         self._streams = streams
         numbers = np.empty((len(streams), _POOL + count_max))
         self._numbers, self._used, self._end = numbers, *np.zeros((2, len(streams)), np.int64)
         self.arguments = self._numbers, self._used, self._end
-        """(robots, k) numbers, of which those from `used` (robots,) on and before `end` (robots,) are to be taken."""
+        """numbers (robots, k), used (robots,), end (robots,): the unused are numbers[robot, used:end]; the kernel
+        advances `used`."""
 
     def refill(self, count: int) -> None:
-        """Have at least `count` numbers for each robot."""
+        """Provide at least `count` unused numbers for each robot."""
         for robot, stream in enumerate(self._streams):
             row, used, end = self._numbers[robot], int(self._used[robot]), int(self._end[robot])
             left = end - used
@@ -85,9 +87,9 @@ class NormalPools:
 
 
 class StepQueue:
-    """Normal deviates from one stream per robot for a kernel that takes a row of them now and then, at most one a step.
+    """Standard normal numbers from one stream per robot for a kernel that uses at most one row of them per step.
 
-    `numbers` (steps, robots, count); `used` (robots,): the rows that the kernel has taken, which it counts itself.
+    numbers (steps, robots, count); used (robots,): count of rows used, advanced by the kernel.
     """
 
     def __init__(self, streams: Sequence[np.random.Generator], count: int):
@@ -97,7 +99,7 @@ class StepQueue:
         self._block = -1
 
     def hold(self, step: int) -> None:
-        """Have enough for a step and those after it with the same `step // STEPS`."""
+        """Provide enough rows for all steps of equal `step // STEPS`."""
         if step // STEPS == self._block:
             return
         self._block = step // STEPS
@@ -110,10 +112,9 @@ class StepQueue:
 
 @cache
 def normal_quantiles(count: int) -> Array:
-    """(count,) normal deviates of unit variance, one in the middle of each of as many equally likely intervals.
+    """(count,) standard normal quantiles at the centres of `count` equal probability intervals, scaled to variance 1.
 
-    A random number below 4096 picks one of 4096: normal noise to three digits (largest deviate 3.7) for a tenth of the
-    time that exact deviates take.
+    Normal noise by table lookup: 4096 quantiles (the largest is 3.7) take a tenth of the time of exact sampling.
     """
     inverse = NormalDist().inv_cdf
     upper = np.array([inverse((k + 0.5) / count) for k in range(count // 2, count)])

@@ -1,7 +1,6 @@
-"""A real OCR reads pictures of signs: PaddleOCR's PP-OCRv4 models through `rapidocr-onnxruntime` (extra `ocr`).
+"""Sign reading by a real OCR on rendered images: PP-OCRv4 in `rapidocr-onnxruntime` (extra `ocr`).
 
-The whole pipeline runs: the detector finds lines of text in a frame, the recogniser reads each. The models come inside
-the package and run offline.
+The full pipeline of text detection and recognition, with the models of the package, offline.
 """
 
 from __future__ import annotations
@@ -17,8 +16,9 @@ from twc_env.errors import ConfigError
 from twc_env.world.sign_picture import Plate, View, expose, picture
 
 FRAME_PX = (736, 1280)
-"""(rows, columns) of the frames given to the detector, which takes this size as it is."""
+"""(rows, columns) of the frames; the detector does not rescale this size."""
 _GAP_PX = 12
+"""Distance between signs in a frame."""
 
 
 @lru_cache(maxsize=1)
@@ -30,44 +30,44 @@ def _engine():
             f"reading signs with a real OCR needs the extra: pip install 'twc_env[ocr]' ({error})"
         ) from None
     logging.getLogger("RapidOCR").setLevel(logging.ERROR)
-    # One thread: more change nothing but the speed, and runs in parallel share the cores better.
+    # One thread, as parallel runs share the cores.
     return RapidOCR(intra_op_num_threads=1, inter_op_num_threads=1)
 
 
 def require() -> None:
-    """ConfigError, with the remedy, where the extra `ocr` is not installed."""
+    """Raise ConfigError if the extra `ocr` is not installed."""
     _engine()
 
 
 def read_signs(
     texts: Sequence[str], plates: Sequence[Plate], views: Sequence[View], random: np.random.Generator
 ) -> list[str]:
-    """What the OCR reads on each sign; "" where it finds no text. Signs share frames while there is room."""
+    """The reading of each sign, "" if no text is found; several signs are packed into one frame."""
     patches = [picture(t, p, v, random) for t, p, v in zip(texts, plates, views, strict=True)]
     readings = [""] * len(patches)
-    for numbers, places in _packed(patches):
+    for numbers, places in _pack(patches):
         frame = _frame(patches, numbers, places, random)
         for number, reading in zip(numbers, _read_frame(frame, [patches[n] for n in numbers], places), strict=True):
             readings[number] = reading
     return readings
 
 
-def _packed(patches: Sequence[Array]) -> list[tuple[list[int], list[tuple[int, int]]]]:
-    """Frames: which patches each holds and where (row, column); filled in rows, in order."""
+def _pack(patches: Sequence[Array]) -> list[tuple[list[int], list[tuple[int, int]]]]:
+    """(numbers, positions) of the patches in each frame, in order, row by row; positions: (row, column) [px]."""
     frames: list[tuple[list[int], list[tuple[int, int]]]] = [([], [])]
-    row = column = deep = _GAP_PX
+    row = column = row_height = _GAP_PX
     for number, patch in enumerate(patches):
         height, width = patch.shape[:2]
         if column + width + _GAP_PX > FRAME_PX[1] and column > _GAP_PX:
-            row, column, deep = row + deep + _GAP_PX, _GAP_PX, 0
+            row, column, row_height = row + row_height + _GAP_PX, _GAP_PX, 0
         if row + height + _GAP_PX > FRAME_PX[0] and frames[-1][0]:
             frames.append(([], []))
             row = column = _GAP_PX
-            deep = 0
+            row_height = 0
         frames[-1][0].append(number)
         frames[-1][1].append((row, column))
         column += width + _GAP_PX
-        deep = max(deep, height)
+        row_height = max(row_height, height)
     return frames
 
 
@@ -84,7 +84,7 @@ def _frame(
 
 
 def _read_frame(frame: Array, patches: Sequence[Array], places: Sequence[tuple[int, int]]) -> list[str]:
-    """The text found in each patch: its lines from top to bottom, the parts of a line from left to right."""
+    """The text found in each patch: lines from top to bottom, parts of a line from left to right."""
     found, _ = _engine()(frame[:, :, ::-1], use_cls=False)
     parts: list[list[tuple[float, float, float, str]]] = [[] for _ in patches]
     for box, text, _score in found or ():
@@ -93,11 +93,11 @@ def _read_frame(frame: Array, patches: Sequence[Array], places: Sequence[tuple[i
         for k, ((row, column), patch) in enumerate(zip(places, patches, strict=True)):
             if row <= y < row + patch.shape[0] and column <= x < column + patch.shape[1]:
                 parts[k].append((y, x, float(np.ptp(corners[:, 1])), text))
-    return [_joined(part) for part in parts]
+    return [_join_boxes(part) for part in parts]
 
 
-def _joined(parts: list[tuple[float, float, float, str]]) -> str:
-    """(y, x, height, text) of found boxes -> one text."""
+def _join_boxes(parts: list[tuple[float, float, float, str]]) -> str:
+    """(y, x, height, text) of detected boxes -> text."""
     lines: list[list[tuple[float, float, float, str]]] = []
     for part in sorted(parts):
         if lines and part[0] - lines[-1][0][0] < 0.5 * min(part[2], lines[-1][0][2]):
