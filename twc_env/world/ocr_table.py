@@ -1,16 +1,16 @@
-"""How a real OCR misreads signs, as measured: error rates over capital height, incidence and blur, and confusions.
+"""Measured OCR errors: rates over capital height, incidence angle and motion blur, and confusions of characters.
 
-`python -m twc_env ocr measure` makes the table and `ocr_table.json` beside this file is what it made; its `made` entry
-holds the command and the versions. The model behind the numbers:
+`python -m twc_env ocr measure` writes `ocr_table.json`, whose `made` entry contains the command and the versions. The
+error model:
 
-- a line is missed altogether with probability `miss`, short ones more often than long ones;
-- only its beginning or end is read with probability `fragment`; `kept` are deciles of the part that is left;
-- every line draws one error level from `level_share`; each of its characters goes wrong with that level's rate times
-  the character's `proneness`, by substitution, loss or addition (`edit_share`), so errors come in bad lines;
-- spaces get lost on their own, with probability `space_loss`, beside digits more often than between letters;
-- what a character turns into is drawn from its own confusions; these and `proneness` differ between lines that are
-  mostly right and garbled ones;
-- a sign keeps part of all that (`line_share`, `letter_share`): read again, it is misread in much the same way.
+- a line is missed with probability `miss`, short lines more often than long ones;
+- only its beginning or end is read with probability `fragment`; `kept` are quantiles of the share that is read;
+- each line has one error level, sampled from `level_share`. Its characters are wrong with the rate of that level times
+  the character's `proneness`: substitutions, deletions or insertions (`edit_share`);
+- spaces are deleted independently, with probability `space_loss`, beside digits more often than between letters;
+- substitutes are sampled from the confusions of the character; these and `proneness` differ between garbled lines and
+  others;
+- readings of the same sign are correlated (`line_share`, `letter_share`).
 """
 
 from __future__ import annotations
@@ -28,63 +28,63 @@ from twc_env.errors import DataError
 FORMAT = "twc_env/ocr-table-1"
 SHIPPED = Path(__file__).with_name("ocr_table.json")
 GARBLED_RATE = 0.25
-"""Lines whose error level is at least this take the second set of confusions."""
+"""Least error rate of garbled lines, which have their own confusions."""
 MISS_LENGTH = 10
-"""The table's miss rates are those of texts with this many characters."""
+"""Text length [characters] of the table's miss rates."""
 _CONFUSIONS_MAX = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OcrTable:
-    """The measured table, ready for the compiled reader. H heights, A angles, B blurs, Q levels, C characters."""
+    """The table as arrays. H heights, A angles, B blurs, Q error levels, C characters, K entries per character."""
 
     height_px: Array
-    """(H,) capital heights, rising."""
+    """(H,) capital heights, ascending."""
     incidence_rad: Array
     """(A,)."""
     blur_widths: Array
-    """(B,) way of the picture during exposure, in capital heights narrowed by the incidence."""
+    """(B,) image motion during the exposure, in capital heights times the cosine of the incidence."""
     miss: Array
-    """(H, A, B) share of lines with no reading at all, of `MISS_LENGTH` characters."""
+    """(H, A, B) probability of missing a line of `MISS_LENGTH` characters."""
     miss_length_exponent: float
-    """The odds of a miss fall with this power of the text's length."""
+    """The odds of a miss are inversely proportional to this power of the text length."""
     fragment: Array
     """(H, A, B) share of the lines read of which only a part is read."""
     space_loss: Array
-    """(H, A, B)."""
+    """(H, A, B) probability of a space's deletion."""
     space_proneness: Array
-    """(2,) how much more often than that a space gets lost: between letters, and beside a digit."""
+    """(2,) factors on it between letters and beside a digit."""
     level_cdf: Array
     """(H, A, B, Q) cumulative shares of the error levels, worst level first."""
     level_rate: Array
-    """(Q,) character error rates, falling."""
+    """(Q,) character error rates, descending."""
     edit_cdf: Array
-    """(Q, 2) of the errors: substitutions, then losses; the rest are additions."""
+    """(Q, 2) cumulative shares of substitutions and deletions among the errors; the rest are insertions."""
     kept: Array
-    """(K,) quantiles of the share of a fragment's text that is left."""
+    """(quantiles,) of the share of the text in a fragment."""
     kept_begin: float
-    """Share of the fragments that keep the beginning."""
+    """Share of the fragments that are beginnings; the rest are ends."""
     characters: Array
-    """(C,) uint32, rising; row C of the next arrays stands for any other character."""
+    """(C,) uint32, ascending; row C of the next arrays is for any other character."""
     proneness: Array
-    """(2, C + 1) how much more often than the average a character goes wrong, in lines mostly right and in others."""
+    """(2, C + 1) error rate relative to the average character, in lines that are not garbled and in garbled ones."""
     confusion_code: Array
-    """(2, C + 1, K) uint32: what it is read as, in lines mostly right and in garbled ones."""
+    """(2, C + 1, K) uint32 substitutes, in lines that are not garbled and in garbled ones."""
     confusion_cdf: Array
-    """(2, C + 1, K)."""
+    """(2, C + 1, K) their cumulative shares."""
     added_code: Array
-    """(K,) uint32 characters that appear from nowhere."""
+    """(K,) uint32 inserted characters."""
     added_cdf: Array
-    """(K,)."""
+    """(K,) their cumulative shares."""
     line_share: float
-    """How much of a line's luck (missed, fragment, error level) stays with the sign: share of the variance."""
+    """Share of the variance of a line's quality (missed, fragment, error level) common to all readings of a sign."""
     letter_share: float
-    """The same for which letters go wrong and what they become."""
+    """The same for its character errors."""
 
 
 @lru_cache(maxsize=4)
 def load_table(path: Path = SHIPPED) -> OcrTable:
-    """Read a table file; DataError when it is none."""
+    """Read a table file. Raises DataError if it is unreadable or no table."""
     try:
         values = json.loads(path.read_text())
         if values["format"] != FORMAT:
@@ -99,7 +99,7 @@ def load_table(path: Path = SHIPPED) -> OcrTable:
 
 
 def table_of(values: dict) -> OcrTable:
-    """The arrays of a table given as plain values (the content of a table file)."""
+    """The table of the values of a table file."""
     level_share = np.array(values["level_share"], float)  # (H, A, B, Q)
     edit_share = np.array(values["edit_share"], float)  # (Q, 3)
     kinds = ("", "_garbled")
@@ -133,14 +133,14 @@ def table_of(values: dict) -> OcrTable:
 
 
 def _confusions(shares: dict[str, dict[str, float]], characters: list[str]) -> tuple[Array, Array]:
-    """(C + 1, K) codes and cumulative shares; a character without its own row takes the common one, ""."""
+    """(C + 1, K) codes and cumulative shares; characters without an entry take that of ""."""
     common = shares.get("") or {"?": 1.0}
     rows = [_row(shares.get(c) or common, _CONFUSIONS_MAX) for c in [*characters, ""]]
     return np.array([code for code, _ in rows]), np.array([cdf for _, cdf in rows])
 
 
 def _row(shares: dict[str, float], width: int) -> tuple[Array, Array]:
-    """(width,) codes and cumulative shares of the commonest; the last is repeated where there are fewer."""
+    """(width,) most frequent codes and their cumulative shares; the last one is repeated if there are fewer."""
     common = sorted(shares.items(), key=lambda item: (-item[1], item[0]))[:width]
     common += common[-1:] * (width - len(common))
     weights = np.array([*dict(common).values()] + [0.0] * (width - len(dict(common))))

@@ -1,4 +1,4 @@
-"""What wheels, legs or a swaying hand report of the true motion, and what the gyro adds: both drift (papers.md T1)."""
+"""Odometry and gyro models of wheeled, legged and handheld platforms: systematic errors and noise (papers.md T1)."""
 
 from __future__ import annotations
 
@@ -15,45 +15,45 @@ from twc_env.world.noise import StepNoise
 
 @dataclass(frozen=True, slots=True)
 class OdometryPreset:
-    """The errors of one platform at drift 1; all are standard deviations over episodes or steps."""
+    """Errors of one platform at drift 1; biases are constant over an episode."""
 
     scale_std: float
-    """Distance read too long or too short, fixed for an episode."""
+    """Relative bias of distances."""
     heading_bias_std_rad_per_m: float
-    """Steady curl of the dead-reckoned path, fixed for an episode."""
+    """Heading bias per distance."""
     turn_scale_std: float
-    """Turns read too large or too small, fixed for an episode."""
+    """Relative bias of turns."""
     position_std_m: float
-    """White noise over one metre; grows with the root of the distance."""
+    """White noise over 1 m; grows with the square root of the distance."""
     heading_std_rad: float
-    """White noise of the heading over one metre; grows with the root of the distance."""
+    """White noise of the heading over 1 m; grows with the square root of the distance."""
     turn_std_rad: float
-    """White noise of the heading over a turn of one radian; grows with the root of the turn."""
+    """White noise of the heading over a turn of 1 rad; grows with the square root of the turn."""
     slips_per_m: float
-    """How often a wheel spins or a foot slides."""
+    """Rate of slips."""
     slip_share: float
-    """Share of that step's motion which is then read too much, at most."""
+    """Maximum relative excess of the distance measured in a step with a slip."""
     gyro_bias_std_rad_s: float
-    """Constant over an episode."""
+    """Bias of the gyro's turn rate."""
     gyro_std_rad: float
-    """White noise of the heading that the gyro gives over one step."""
+    """White noise of the gyro's heading change per step."""
     scale_mean: float = 0.0
-    """Error of the scale that all episodes share: this robot was never calibrated."""
+    """Mean relative bias of distances over episodes: a miscalibrated robot."""
     heading_bias_mean_rad_per_m: float = 0.0
-    """Curl that all episodes share."""
+    """Mean heading bias over episodes."""
     turn_scale_mean: float = 0.0
-    """Error of turns that all episodes share."""
+    """Mean relative bias of turns over episodes."""
 
 
-# Dead reckoning over 60 m of rooms and corridors (median): about 2 m off on wheels, 2.5 m on legs, 3.5 m in the hand;
-# over 60 m straight ahead, about 4.5 m on wheels.
+# Median dead-reckoning error after 60 m through rooms and corridors: about 2 m wheeled, 2.5 m legged, 3.5 m handheld;
+# after 60 m straight ahead, about 4.5 m wheeled.
 PRESETS = {
     "wheeled": OdometryPreset(0.025, 0.004, 0.02, 0.03, 0.010, 0.02, 0.02, 0.5, 0.004, 0.002),
     "legged": OdometryPreset(0.035, 0.006, 0.025, 0.05, 0.015, 0.025, 0.05, 0.5, 0.006, 0.003),
     "handheld": OdometryPreset(0.045, 0.009, 0.03, 0.07, 0.022, 0.03, 0.0, 0.0, 0.008, 0.004),
-    # Four wheels that slide sideways in every turn (papers.md R14's Husky): calibration errors far outweigh noise.
+    # Four wheels that slip sideways in turns (the Husky of papers.md R14): biases far exceed noise.
     "skid-steer": OdometryPreset(0.02, 0.004, 0.05, 0.03, 0.003, 0.01, 0.0, 0.0, 0.004, 0.002),
-    # Raw odometry of the Intel Research Lab log: it curls steadily to the right. `reproduce odometry` shows how near.
+    # Raw odometry of the Intel Research Lab log, with a heading bias to the right; `reproduce odometry` compares both.
     "pioneer-intel": OdometryPreset(
         0.01, 0.0015, 0.01, 0.06, 0.025, 0.03, 0.0, 0.0, 0.004, 0.002, 0.012, -0.0645, 0.02
     ),
@@ -95,25 +95,28 @@ class Odometry:
 
     @property
     def arguments(self) -> tuple:
-        """What `measure` needs beside the poses; of the last, the row of a step."""
+        """Arguments of `measure` between the poses and the outputs; of the last one, a row per step."""
         return self._biases, self._white, self._slips_per_m, self._time_step_s, self.noise.numbers
 
 
 @borrowing_kernel
 def measure(before, now, biases, white, slips_per_m, time_step, noise, odometry, turn_rates):
-    """Columns of noise: three normal deviates for odometry, one for the gyro, and two uniform ones for slip."""
+    """Fill odometry (n, 3) and turn_rates (n,) from true poses (n, 3) before and now.
+
+    Columns of noise (n, 6): three standard normal for odometry, one for the gyro, and two uniform for slips.
+    """
     for i in range(now.shape[0]):
         c, s = np.cos(before[i, 2]), np.sin(before[i, 2])
         wx, wy = now[i, 0] - before[i, 0], now[i, 1] - before[i, 1]
         dx, dy = c * wx + s * wy, -s * wx + c * wy
         turn = (now[i, 2] - before[i, 2] + np.pi) % (2.0 * np.pi) - np.pi
         distance = np.sqrt(dx * dx + dy * dy)
-        stretch = 1.0 + biases[i, 0]
+        scale = 1.0 + biases[i, 0]
         if noise[i, 4] < slips_per_m * distance:
-            stretch += white[3] * noise[i, 5]
-        blur = white[0] * np.sqrt(distance)
-        odometry[i, 0] = stretch * dx + blur * noise[i, 0]
-        odometry[i, 1] = stretch * dy + 0.5 * blur * noise[i, 1]
-        spread = np.sqrt(white[1] * white[1] * distance + white[2] * white[2] * abs(turn))
-        odometry[i, 2] = turn * (1.0 + biases[i, 2]) + biases[i, 1] * distance + spread * noise[i, 2]
+            scale += white[3] * noise[i, 5]
+        position_std = white[0] * np.sqrt(distance)
+        odometry[i, 0] = scale * dx + position_std * noise[i, 0]
+        odometry[i, 1] = scale * dy + 0.5 * position_std * noise[i, 1]
+        heading_std = np.sqrt(white[1] * white[1] * distance + white[2] * white[2] * abs(turn))
+        odometry[i, 2] = turn * (1.0 + biases[i, 2]) + biases[i, 1] * distance + heading_std * noise[i, 2]
         turn_rates[i] = (turn + white[4] * noise[i, 3]) / time_step + biases[i, 3]

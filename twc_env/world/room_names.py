@@ -1,4 +1,4 @@
-"""What rooms of generated buildings are called: every number another text."""
+"""Unique room names of generated buildings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def letters(number: int) -> str:
 
 
 def room_label(number: int) -> str:
-    """ "A101 ARCHIVE", "A102 HERBARIUM", ...: every number another text."""
+    """ "A101 ARCHIVE", "A102 HERBARIUM", ..."""
     wing, place = divmod(number, 40)
     noun = _NOUNS[(number * 7 + wing) % len(_NOUNS)]
     return f"{letters(wing)}{101 + place} {noun}"
@@ -39,7 +39,7 @@ def ward_label(number: int) -> str:
 
 
 def shop_label(random: np.random.Generator) -> Callable[[int], str]:
-    """Invented shop names of two or three syllables, each once."""
+    """Unique invented shop names of two to four syllables."""
     names: list[str] = []
 
     def label(number: int) -> str:

@@ -1,4 +1,4 @@
-"""Where routers should stand in a floor plan to see the most of it (papers.md K24f)."""
+"""Placement of routers in a floor plan for line of sight to most of the floor (papers.md K24f)."""
 
 from __future__ import annotations
 
@@ -11,29 +11,30 @@ from twc_env.errors import MapError
 from twc_env.world.floorplan import Floorplan
 
 _CANDIDATES_MAX, _FLOOR_MAX = 400, 2000
+"""Limits of candidate positions and floor samples."""
 _OVERLAP = 0.1
-"""Worth of one more line of sight to floor that already has one."""
-_BEHIND = 0.3
-"""Worth of floor behind each further wall."""
+"""Utility of a further router with line of sight to the same floor."""
+_WALL_FACTOR = 0.3
+"""Factor on the utility per wall."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """Advice for one plan."""
+    """Router positions for one plan."""
 
     position_m: Array
-    """(routers, 2) in order of worth."""
+    """(routers, 2), the most useful first."""
     line_of_sight_share: Array
     """(routers,) share of the floor that sees at least one of the first routers."""
     dead_share: float
-    """Share of the floor behind three walls or more of every router."""
+    """Share of the floor with three or more walls to every router."""
 
 
 def place_routers(plan: Floorplan, count: int, clearance_m: float = 0.3) -> Placement:
-    """Greedy advice: each router takes the place that adds the most floor in line of sight, with little overlap.
+    """Greedy placement: each router takes the position that adds most to the summed utility of the floor.
 
-    Floor behind one wall counts 0.3, behind two 0.09, and so on. Raises MapError for a count below one or a plan
-    without floor that clear of walls.
+    The utility of floor with k walls to the nearest router is 0.3^k. Raises MapError for a count below one or a plan
+    without floor at `clearance_m` from walls.
     """
     if count < 1:
         raise MapError(f"place_routers needs at least one router; got {count}")
@@ -45,14 +46,14 @@ def place_routers(plan: Floorplan, count: int, clearance_m: float = 0.3) -> Plac
         raise MapError(f"map {plan.name!r} has no floor {clearance_m} m clear of walls; use a smaller clearance")
     places = places[:: max(len(places) // _CANDIDATES_MAX, 1)]
     walls = np.array([plan.wall_index.crossing(place, floor)[0] for place in places])  # (places, floor)
-    worth = _BEHIND ** walls.astype(float)
+    utility = _WALL_FACTOR ** walls.astype(float)
     chosen: list[int] = []
     best = np.zeros(len(floor))
     shares = []
     for _ in range(min(count, len(places))):
-        gain = np.maximum(worth - best, 0.0) + _OVERLAP * np.minimum(worth, best)
+        gain = np.maximum(utility - best, 0.0) + _OVERLAP * np.minimum(utility, best)
         chosen.append(int(np.argmax(gain.sum(axis=1))))
-        best = np.maximum(best, worth[chosen[-1]])
+        best = np.maximum(best, utility[chosen[-1]])
         shares.append(float((walls[chosen].min(axis=0) == 0).mean()))
     dead = float((walls[chosen].min(axis=0) >= 3).mean())
     return Placement(places[chosen], np.array(shares), dead)
