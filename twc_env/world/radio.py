@@ -1,8 +1,8 @@
-"""Received strength of WiFi and LTE: path loss, walls, ceilings, shadowing, fading, device, noise (papers.md T5, X2).
+"""RSSI of WiFi and LTE: path loss, walls, ceilings, shadowing, fading, device and noise (papers.md T5, X2).
 
-rssi = P(1 m) - 10 n log10(max(d, d0)) - losses of walls and ceilings + shadowing(place) + fading(visit) +
-device(robot) + noise(scan), heard with probability 1 / (1 + exp((floor - rssi) / slope)) and reported in whole dB.
-Walls of L dB in all take -10 log10((1 - w) 10^(-L/10) + w), as a share w of the power comes round them.
+rssi = P(1 m) - 10 n log10(max(d, d0)) - losses of walls and ceilings + shadowing(position) + fading(visit) +
+device(robot) + noise(scan), detected with probability 1 / (1 + exp((floor - rssi) / slope)) and rounded to whole dB.
+The loss of walls with a sum of L dB is -10 log10((1 - w) 10^(-L/10) + w), as a share w of the power bypasses them.
 Power, exponent, losses, floor and slope belong to the band: 2.4 GHz, 5 GHz, or LTE cells on masts outside (papers.md
 R14-R15).
 """
@@ -27,34 +27,37 @@ from twc_env.world.wall_index import WallIndex
 LOW_BAND, HIGH_BAND, CELL_BAND = 0, 1, 2
 """2.4 GHz, 5 GHz, LTE."""
 CELL_ID_MIN = 1 << 48
-"""LTE cells are numbered from here: beyond all MAC addresses."""
+"""Least number of an LTE cell, above all MAC addresses."""
 _WAVES = 32
-"""Cosines summed per shadowing field."""
+"""Cosines per shadowing field."""
 _SECTORS = 3
+"""Cells per mast."""
 _SECTOR_WIDTH_RAD = np.deg2rad(65.0)
 """Half-power width of a mast's sector antenna (3GPP TR 36.814, table A.2.1.1-2)."""
 _SECTOR_BACK_DB = 20.0
+"""Greatest loss of that antenna."""
 _VIRTUAL_ADDRESS_STEP = 1 << 40
+"""Difference between the addresses of an access point's virtual networks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sources:
-    """Where signals come from: access points of the plan, then cells; each has one place and one shadowing field."""
+    """Signal sources: access points of the plan, then cells; each has one position and one shadowing field."""
 
     position_m: Array
     """(sources, 2) building frame."""
     height_m: Array
-    """(sources,) above or below the robots' storey."""
+    """(sources,) height difference to the robots' storey."""
     floors: Array
-    """(sources,) ceilings in between."""
+    """(sources,) count of ceilings to the robots' storey."""
     waves: Array
-    """(3, waves, sources) x and y frequency [rad/m] and phase of the shadowing field."""
+    """(3, waves, sources) x and y frequency [rad/m] and phase of the shadowing field's cosines."""
     shadowing_std_db: Array
     """(sources,)."""
 
 
 class RadioModel:
-    """What depends on the building alone: the mean strength of every transmitter at a place."""
+    """Mean RSSI of all transmitters at any position; depends on the building only."""
 
     def __init__(self, config: RadioConfig, plan: Floorplan):
         self._config, self._index = config, plan.wall_index
@@ -72,13 +75,13 @@ class RadioModel:
         self.macs = macs[order]
         """(transmitters,) ascending."""
         self.access_point_of = owners[order]
-        """(transmitters,) number of the access point that sends under each address; cells count on from there."""
+        """(transmitters,) source of each address: number of the access point, or their count plus that of the cell."""
         self.band_of = np.array(bands, np.int64)[order]
         """(transmitters,) LOW_BAND, HIGH_BAND or CELL_BAND."""
         self.is_cell = self.band_of == CELL_BAND
         """(transmitters,)."""
         draws = [_building_stream(plan.digest, "power", int(mac)).standard_normal() for mac in self.macs]
-        boxes_db = self._box_offsets_db(plan)
+        boxes_db = self._access_point_offsets_db(plan)
         self._power_offsets_db = config.power_spread_db * np.array(draws) + boxes_db[self.access_point_of]
         self._aim_rad = np.array([aim for _, aim in cells])
         self._index_of_band = [_index_for(config, plan, band) for band in range(3)]
@@ -103,16 +106,16 @@ class RadioModel:
         grazing_db = floor_factor * config.floor_loss_grazing_db * (ceilings > 0)
         slope_db = config.detection_slope_db
         self.detection_slopes_db = np.array([slope_db, slope_db * high.detection_slope_factor, slope_db])[self.band_of]
-        """(transmitters,) of the curve of what is heard."""
+        """(transmitters,) slope of the detection probability."""
         missed = config.miss_probability + high.miss_probability_offset * (self.band_of == HIGH_BAND)
         self.miss_probabilities = np.clip(missed, 0.0, 1.0)
         """(transmitters,)."""
         self._power_dbm, self._exponent = power, exponent
         radios, self.radio_of = np.unique(3 * self.access_point_of + self.band_of, return_inverse=True)
         self.radio_count = len(radios)
-        """Transmitting boxes: addresses of one access point and band share one."""
+        """Count of radios; addresses of one access point and band share a radio."""
         self.sweep_place = np.zeros(len(self.macs))
-        """(transmitters,) in [0, 1): how far from a sweep's end each one's channel is listened to."""
+        """(transmitters,) time from scanning the channel to the end of the sweep, as a share of its duration."""
         if config.sweep_duration_s or config.sweep_share < 1.0 or config.sweep_share_std:
             self.sweep_place = _sweep_places(plan.digest, radios)[self.radio_of]
         self._source_count_wifi = len(access_points)
@@ -121,20 +124,20 @@ class RadioModel:
         used = 3 if self.band_of.any() else 1
         losses_db = [i.loss_db if i is not None else np.zeros(len(plan.walls_m)) for i in self._index_of_band[:used]]
         self.crossings = CrossingTable(self._index, self._sources.position_m[: len(access_points)], np.array(losses_db))
-        """Walls between any place and the access points."""
+        """Wall crossings between any position and the access points."""
         self._crossed = np.zeros(len(access_points), np.int64), np.zeros((used, len(access_points)))
         sources = self._sources
         boxes = np.column_stack([sources.position_m, sources.height_m, sources.shadowing_std_db]).T.copy()
         self.signal = (
             self._pose_home_building, boxes, sources.waves, np.stack([self._levels_dbm, self._exponent, grazing_db]),
             np.stack([self.access_point_of, self.band_of]),
-            np.array([config.distance_min_m, _share_round_walls(config.wall_loss_limit_db)]),
+            np.array([config.distance_min_m, _bypass_share(config.wall_loss_limit_db)]),
             np.empty((3 + used, len(sources.position_m))),
         )  # fmt: skip
-        """What `reception.mean_rssi` needs beside the place and the walls around it."""
+        """Arguments of `reception.mean_rssi` after the position and the wall losses."""
 
     def mean_rssi_dbm(self, position_m: Array) -> Array:
-        """(transmitters,) strength at a place (2,) before fading, device offset and noise."""
+        """(transmitters,) RSSI at a position (2,) before fading, device offset and noise."""
         x, y, mean = float(position_m[0]), float(position_m[1]), np.empty(len(self.macs))
         mean_rssi(x, y, self._wall_losses_db(x, y), *self.signal, mean)
         if self._has_cells:
@@ -143,24 +146,24 @@ class RadioModel:
 
     @property
     def is_indoor(self) -> bool:
-        """Whether all signals come from the building itself, so that `crossings` tells their walls."""
+        """Whether there are no cells, so that `crossings` has all sources."""
         return not self._has_cells
 
     def _wall_losses_db(self, x: float, y: float) -> Array:
-        """(bands, sources); bands that nobody sends on stay empty."""
+        """(bands, sources) wall losses; 0 for unused bands."""
         counts, losses = self._crossed
         self.crossings.crossed(x, y, counts, losses)
         if not self._has_cells:
             return losses
         position, count = np.array([x, y]), len(counts)
-        outside, index = self._near_ends(position)[count:], self._index_of_band[CELL_BAND]
+        outside, index = self._signal_origins(position)[count:], self._index_of_band[CELL_BAND]
         assert index is not None
         among_cells = np.zeros((3, len(outside)))
         among_cells[CELL_BAND] = index.crossing(position, outside)[1]
         return np.concatenate([losses, among_cells], axis=1)
 
-    def _near_ends(self, position: Array) -> Array:
-        """(sources, 2) where each signal starts; masts are drawn in to just outside the building."""
+    def _signal_origins(self, position: Array) -> Array:
+        """(sources, 2) positions; masts are moved along the line of sight to just outside the building."""
         ends = self._sources.position_m
         if not self._has_cells:
             return ends
@@ -173,15 +176,15 @@ class RadioModel:
         return ends
 
     def _sector_loss_db(self, position: Array) -> Array:
-        """(cells,) what the antenna's aim takes: 12 (angle / width)^2 dB up to the back loss."""
+        """(cells,) antenna loss: 12 (angle / width)^2 dB up to `_SECTOR_BACK_DB`."""
         masts = transform_points(self._pose_home_building, self._sources.position_m[self._source_count_wifi :])
         away = transform_points(self._pose_home_building, position[None]) - masts
         off = np.arctan2(away[:, 1], away[:, 0]) - self._aim_rad
         off = (off + np.pi) % (2 * np.pi) - np.pi
         return np.minimum(12.0 * (off / _SECTOR_WIDTH_RAD) ** 2, _SECTOR_BACK_DB)
 
-    def _box_offsets_db(self, plan: Floorplan) -> Array:
-        """(sources,) how much stronger each access point sends than the average one."""
+    def _access_point_offsets_db(self, plan: Floorplan) -> Array:
+        """(sources,) deviation of each access point's power from the mean; 0 for cells."""
         offsets = np.zeros(len(self._sources.position_m))
         if self._config.access_point_spread_db and self._config.wifi:
             for i, access_point in enumerate(plan.access_points):
@@ -194,21 +197,21 @@ def _building_stream(digest: str, what: str, mac: int) -> np.random.Generator:
     return np.random.default_rng([int(digest, 16), zlib.crc32(what.encode()), mac])
 
 
-def _share_round_walls(wall_loss_limit_db: float) -> float:
-    """Of a signal's power in the open, what comes by ways without walls."""
+def _bypass_share(wall_loss_limit_db: float) -> float:
+    """Share of the free-space power that bypasses walls."""
     return 10.0 ** (-wall_loss_limit_db / 10.0) if wall_loss_limit_db else 0.0
 
 
 def _sweep_places(digest: str, radios: Array) -> Array:
-    """(radios,) in [0, 1): how far from a sweep's end the channel comes; receivers go through 5 GHz last."""
+    """(radios,) in [0, 1): see `RadioModel.sweep_place`; 5 GHz channels are scanned last."""
     channel = np.array([_building_stream(digest, "channel", int(radio)).random() for radio in radios])
     return 0.5 * channel + 0.5 * (radios % 3 != HIGH_BAND)
 
 
 def _shadowing_waves(length_m: float, digest: str, mac: int) -> Array:
-    """(waves, 3) x and y frequency [rad/m] and phase, so that the field's correlation is exp(-distance / length).
+    """(waves, 3) x and y frequency [rad/m] and phase of a field with correlation exp(-distance / length).
 
-    The frequencies follow the spectrum of that kernel in the plane, density ~ (1 + (k length)^2)^(-3/2).
+    The frequencies are sampled from the spectral density of that kernel in 2D, ~ (1 + (k length)^2)^(-3/2).
     """
     random = _building_stream(digest, "shadowing", mac)
     share = (np.arange(_WAVES) + random.random(_WAVES)) / _WAVES
@@ -218,7 +221,7 @@ def _shadowing_waves(length_m: float, digest: str, mac: int) -> Array:
 
 
 def _place_cells(config: RadioConfig, plan: Floorplan) -> list[tuple[Array, float]]:
-    """Position in the building's home frame and aim of each cell, fixed by the building."""
+    """Position in the home frame and antenna direction [rad] of each cell; depends on the building only."""
     cells, low_high = config.cells, plan.home.bounds_m
     middle = (low_high[:2] + low_high[2:]) / 2
     placed = []
@@ -237,7 +240,7 @@ def _sources(config: RadioConfig, plan: Floorplan, access_points, cells: list[tu
     positions = np.concatenate([np.array([a.position_m for a in access_points]).reshape(-1, 2), masts])
     floors = np.array([abs(a.floor) for a in access_points] + [0] * len(cells), float)
     waves = [_shadowing_waves(config.shadowing_length_m, plan.digest, min(a.macs)) for a in access_points]
-    # The sectors of one mast look at the building along one path: they share its shadowing.
+    # The sectors of a mast share its shadowing.
     length_m = config.cells.shadowing_length_m
     waves += [_shadowing_waves(length_m, plan.digest, CELL_ID_MIN + c // _SECTORS) for c in range(len(cells))]
     stds = [config.shadowing_std_db] * len(access_points) + [config.cells.shadowing_std_db] * len(cells)
@@ -251,7 +254,7 @@ def _sources(config: RadioConfig, plan: Floorplan, access_points, cells: list[tu
 
 
 def _addresses(config: RadioConfig, access_points) -> list[tuple[int, ...]]:
-    """The addresses of each access point: the plan's, cut or continued to the configured number."""
+    """The addresses of each access point: those of the plan, or as many as configured."""
     wanted = config.bssids_per_access_point
     if wanted == 0:
         return [a.macs for a in access_points]
@@ -261,7 +264,7 @@ def _addresses(config: RadioConfig, access_points) -> list[tuple[int, ...]]:
         own = list(access_point.macs[:wanted])
         candidate = access_point.macs[0]
         while len(own) < wanted:
-            # As boxes do it: one more virtual network under the next leading byte.
+            # Virtual networks of access points differ in the leading byte.
             candidate = (candidate + _VIRTUAL_ADDRESS_STEP) % CELL_ID_MIN or 1
             if candidate in taken:
                 candidate += 1
@@ -273,12 +276,12 @@ def _addresses(config: RadioConfig, access_points) -> list[tuple[int, ...]]:
 
 
 def _bands(count: int, high_share: float) -> list[int]:
-    """The band of each of an access point's addresses; a share of one half makes every second one 5 GHz."""
+    """Band of each of an access point's addresses; share 1/2: every second one is 5 GHz."""
     return [HIGH_BAND if int((k + 1) * high_share) > int(k * high_share) else LOW_BAND for k in range(count)]
 
 
 def _index_for(config: RadioConfig, plan: Floorplan, band: int) -> WallIndex | None:
-    """The walls with the losses of that band; None where nobody sends on it."""
+    """The walls with their losses on a band; None if the band is unused."""
     if band == LOW_BAND:
         if not config.wifi or config.high_band.share == 1.0:
             return None

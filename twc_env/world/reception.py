@@ -1,4 +1,4 @@
-"""What one radio device hears: mean strength, fading, its own offset and noise, then whether it is heard at all."""
+"""WiFi scans of the robots' radio devices: mean RSSI, fading, device offset, noise and detection."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from twc_env.world.noise import StepNoise, StepQueue
 if TYPE_CHECKING:
     from twc_env.world.radio import RadioModel
 
-_DOUBT = 1e-9
-"""Of numbers of about one, what rounding never adds up to."""
+_ROUNDING = 1e-9
+"""Bound of rounding errors of numbers of order 1."""
 
 
 class WifiReceiver:
@@ -30,27 +30,27 @@ class WifiReceiver:
         count = len(model.macs)
         noise, detection = random_stream(seed, "wifi-noise", robot), random_stream(seed, "wifi-detection", robot)
         self.streams = noise, detection, random_stream(seed, "wifi-fading", robot)
-        """What its noise, what it misses and its fading are drawn from."""
+        """Random streams of noise, detection and fading."""
         self._draws = StepNoise([noise], count).beside([detection], count, "random")
         self._sweep = random_stream(seed, "wifi-sweep", robot)
         self._is_partial = config.sweep_share < 1.0 or config.sweep_share_std > 0.0
         self.is_plain = model.is_indoor and not self._is_partial and not config.stale_age_max_s
-        """Whether all that it hears comes from this building, and now: then `hear` can stand in for `scan`."""
+        """Whether `hear` computes the same as `scan`: no cells, no partial sweeps, no stale readings."""
         device = random_stream(seed, "wifi-device", robot)
         device_offset_db = config.device_offset_std_db * device.standard_normal() + offset_db
         floors_dbm = model.detection_floors_dbm + config.device_sensitivity_std_db * device.standard_normal()
         self.detection = np.stack([floors_dbm, model.detection_slopes_db, 1.0 - model.miss_probabilities])
-        """(3, transmitters) floor [dBm] and slope [dB] of the curve of what is heard, and its height."""
+        """(3, transmitters) floor [dBm], slope [dB] and maximum of the detection probability."""
         self.constants = np.array([
             device_offset_db, config.noise_std_db, config.quantisation_db, config.fading_length_m, config.fading_std_db
         ])  # fmt: skip
         self.is_fading_shared = config.fading_shared
         self._fading_db = np.zeros(count)
         self._fading_x, self._fading_y = np.inf, np.inf
-        self._kept_dbm, self._kept_time_s = np.zeros(count), np.full(count, -np.inf)
+        self._last_dbm, self._last_time_s = np.zeros(count), np.full(count, -np.inf)
 
     def scan(self, position_m: Sequence[float] | Array, time_s: float = 0.0) -> WifiScan:
-        """Hear what can be heard at a true position (x, y, ...); the time dates readings that are repeated later."""
+        """The scan at a true position (x, y, ...); time_s: for the age of stale readings."""
         x, y = float(position_m[0]), float(position_m[1])
         config, model = self._config, self._model
         if (x - self._fading_x) ** 2 + (y - self._fading_y) ** 2 >= config.fading_length_m**2:
@@ -62,28 +62,28 @@ class WifiReceiver:
             np.empty(count, np.int64), np.empty(count),
         )  # fmt: skip
         if config.cells.listed_max:
-            self._leave_out_faint_cells(rssi, heard)
+            self._drop_weakest_cells(rssi, heard)
         if self._is_partial:
             share = config.sweep_share + config.sweep_share_std * self._sweep.standard_normal()
             heard &= (model.sweep_place - self._sweep.random()) % 1.0 < share
         if config.stale_age_max_s > 0.0:
-            return self._with_stale(rssi, heard, time_s)
+            return self._with_stale_readings(rssi, heard, time_s)
         return WifiScan(model.macs[heard], rssi[heard])
 
-    def _leave_out_faint_cells(self, rssi: Array, heard: Array) -> None:
-        """A phone lists its own cell and a few neighbours, however many more it could hear."""
+    def _drop_weakest_cells(self, rssi: Array, heard: Array) -> None:
+        """Keep only the strongest `cells.listed_max` cells: phones list their own and a few neighbours."""
         cells = np.flatnonzero(heard & self._model.is_cell)
         heard[cells[np.argsort(-rssi[cells], kind="stable")[self._config.cells.listed_max :]]] = False
 
-    def _with_stale(self, rssi: Array, heard: Array, time_s: float) -> WifiScan:
-        """What was heard now, and what was heard not too long ago, with its age."""
-        self._kept_dbm[heard], self._kept_time_s[heard] = (
+    def _with_stale_readings(self, rssi: Array, heard: Array, time_s: float) -> WifiScan:
+        """The new readings, and earlier ones up to the maximum age, with their ages."""
+        self._last_dbm[heard], self._last_time_s[heard] = (
             rssi[heard],
             time_s - self._config.sweep_duration_s * self._model.sweep_place[heard],
         )
-        age_s = time_s - self._kept_time_s
+        age_s = time_s - self._last_time_s
         listed = age_s <= self._config.stale_age_max_s
-        return WifiScan(self._model.macs[listed], self._kept_dbm[listed], age_s[listed])
+        return WifiScan(self._model.macs[listed], self._last_dbm[listed], age_s[listed])
 
     def _refresh_fading(self, x: float, y: float) -> None:
         self._fading_x, self._fading_y = x, y
@@ -95,7 +95,7 @@ class WifiReceiver:
 
 
 class WifiReceivers:
-    """The radio devices of all robots, for one compiled call: each hears what a `WifiReceiver` of its own would."""
+    """The arrays of all robots' `WifiReceiver`s for the compiled scan `hear`."""
 
     def __init__(self, model: RadioModel, devices: Sequence[WifiReceiver]):
         robots, count = len(devices), len(model.macs)
@@ -112,19 +112,19 @@ class WifiReceivers:
         )  # fmt: skip
 
     def hold(self, number: int) -> None:
-        """Have what is drawn for scan 0, 1, ... of each robot, see `StepNoise.hold`."""
+        """Draw the random numbers of scan 0, 1, ...; see `StepNoise.hold`."""
         self._noise.hold(number)
         self._fading.hold(number)
 
     @property
     def arguments(self) -> tuple:
-        """What `hear` needs beside the robot, its place, the walls and where the readings go; of the last, a row."""
+        """Arguments of `hear` between the walls and the readings; of the last one, a row per scan."""
         return *self._crossings.arrays, *self._model.signal, *self._own, self._noise.numbers
 
 
 @borrowing_kernel
 def _shadowing(x, y, pose_home_building, boxes, waves, shadowing):
-    """Sum of cosines per source; the loop over sources is innermost, so that they are worked out side by side."""
+    """Fill shadowing (sources,) [dB] at (x, y): sums of cosines in the home frame; the inner loop is vectorised."""
     c, s = np.cos(pose_home_building[2]), np.sin(pose_home_building[2])
     home_x = pose_home_building[0] + c * x - s * y
     home_y = pose_home_building[1] + s * x + c * y
@@ -132,7 +132,7 @@ def _shadowing(x, y, pose_home_building, boxes, waves, shadowing):
     for k in range(waves.shape[1]):
         for a in range(waves.shape[2]):
             turns = (waves[0, k, a] * home_x + waves[1, k, a] * home_y + waves[2, k, a]) * (0.5 / np.pi)
-            # The sine's series to 1e-9 on the quarter turn around the nearest zero, instead of a call per cosine.
+            # Taylor series of the sine, to 1e-9 on a quarter turn around the zero; vectorised, unlike calls of cos.
             z = 2.0 * np.pi * (0.25 - abs(turns - np.floor(turns + 0.5)))
             q = z * z
             tail = q * (1 / 362880 - q * (1 / 39916800 - q * (1 / 6227020800)))
@@ -142,70 +142,70 @@ def _shadowing(x, y, pose_home_building, boxes, waves, shadowing):
 
 
 @borrowing_kernel
-def mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, ways, scratch, mean):
-    """Fill mean (transmitters,) with the strength before fading, device and noise.
+def mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, limits, scratch, mean):
+    """Fill mean (transmitters,) with the RSSI before fading, device offset and noise.
 
-    losses (bands, sources) [dB]: of walls; boxes (4, sources): x, y, height and spread of the shadowing; waves
-    (3, waves, sources): x and y frequency and phase; radios (3, transmitters): power less fixed losses, path-loss
-    exponent, and further loss of a ceiling at grazing incidence; parts (2, transmitters): source and band; ways (2,):
-    smallest distance, and the share of power that comes round walls; scratch (>= 3, sources).
+    losses (bands, sources): wall losses; boxes (4, sources): x, y, height, shadowing std; waves (3, waves, sources): x
+    and y frequency and phase; radios (3, transmitters): power minus constant losses, path loss exponent, additional
+    ceiling loss at grazing incidence; parts (2, transmitters): source and band; limits (2,): least distance, share of
+    the power that bypasses walls; scratch (>= 3, sources).
     """
     shadowing, path_loss, grazing = scratch[0], scratch[1], scratch[2]
     _shadowing(x, y, pose_home_building, boxes, waves, shadowing)
     for a in range(boxes.shape[1]):
         dx, dy, dz = boxes[0, a] - x, boxes[1, a] - y, boxes[2, a]
         reach = np.sqrt(dx * dx + dy * dy + dz * dz)
-        path_loss[a] = 10.0 * np.log10(max(reach, ways[0]))
+        path_loss[a] = 10.0 * np.log10(max(reach, limits[0]))
         grazing[a] = 1.0 - dz / reach if dz > 0.0 else 0.0
     for t in range(parts.shape[1]):
         a = parts[0, t]
         fixed = radios[0, t] - radios[1, t] * path_loss[a] - radios[2, t] * grazing[a]
         mean[t] = fixed - losses[parts[1, t], a] + shadowing[a]
-    if ways[1] > 0.0:
+    if limits[1] > 0.0:
         for t in range(parts.shape[1]):
             through_db = losses[parts[1, t], parts[0, t]]
-            mean[t] += through_db + 10.0 * np.log10((1.0 - ways[1]) * 10.0 ** (-0.1 * through_db) + ways[1])
+            mean[t] += through_db + 10.0 * np.log10((1.0 - limits[1]) * 10.0 ** (-0.1 * through_db) + limits[1])
 
 
 @borrowing_kernel
-def _is_heard(draw, lack, chance):
-    """Whether draw (1 + exp(lack)) < chance; only where a rough bound leaves a doubt the exponential is worked out."""
-    bound = 1.0 + abs(lack) + 0.5 * lack * lack  # exp(|lack|) is at least that
-    if draw * (1.0 + (bound if lack > 0.0 else 0.0)) >= chance + _DOUBT:
+def _is_heard(draw, deficit, chance):
+    """Whether draw (1 + exp(deficit)) < chance; a bound of the exponential decides most cases."""
+    bound = 1.0 + abs(deficit) + 0.5 * deficit * deficit  # <= exp(|deficit|)
+    if draw * (1.0 + (bound if deficit > 0.0 else 0.0)) >= chance + _ROUNDING:
         return False
-    if lack < 0.0 and draw * (1.0 + 1.0 / bound) < chance - _DOUBT:
+    if deficit < 0.0 and draw * (1.0 + 1.0 / bound) < chance - _ROUNDING:
         return True
-    return draw * (1.0 + np.exp(lack)) < chance
+    return draw * (1.0 + np.exp(deficit)) < chance
 
 
 @borrowing_kernel
 def _receive(rssi, fading, constants, draws, detection, all_macs, heard, macs, readings):
-    """Turn mean strengths into readings, in place; what is heard is also listed in macs and readings -> how many.
+    """Replace mean RSSI (transmitters,) by readings, and list those detected in macs and readings; returns their count.
 
-    Draws: a normal deviate for each transmitter, then a uniform one for each.
+    draws (2 transmitters,): standard normal, then uniform in [0, 1).
     """
     device_offset, noise_std, step = constants[0], constants[1], constants[2]
     transmitters, count = rssi.shape[0], 0
     for t in range(transmitters):
         level = rssi[t] + fading[t] + device_offset + noise_std * draws[t]
-        lack = (detection[0, t] - level) / detection[1, t]
-        heard[t] = _is_heard(draws[transmitters + t], lack, detection[2, t])
+        deficit = (detection[0, t] - level) / detection[1, t]
+        heard[t] = _is_heard(draws[transmitters + t], deficit, detection[2, t])
         rssi[t] = step * np.floor(level / step + 0.5)
-        macs[count], readings[count] = all_macs[t], rssi[t]  # where it is not heard, the next one takes the place
+        macs[count], readings[count] = all_macs[t], rssi[t]  # overwritten by the next if not heard
         count += int(heard[t])
     return count
 
 
 @borrowing_kernel
 def hear(
-    robot, x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts,
-    sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts, ways, scratch,
+    robot, x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, certain_counts,
+    certain_losses, first_uncertain, uncertain_walls, pose_home_building, boxes, waves, radios, parts, limits, scratch,
     detection, constants, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
     draws, macs, readings,
 ):  # fmt: skip
-    """A whole scan of one robot at a place whose walls around are worked out -> how many are heard.
+    """The scan of one robot at (x, y), listed in macs and readings; returns the count.
 
-    `crossed`, `rssi`, `heard` and `scratch` are overwritten.
+    `CrossingTable.prepare` must have been called for the position. crossed, rssi, heard and scratch are overwritten.
     """
     own, losses = constants[robot], scratch[3:]
     if (x - fading_places[robot, 0]) ** 2 + (y - fading_places[robot, 1]) ** 2 >= own[3] ** 2:
@@ -215,8 +215,8 @@ def hear(
         for t in range(fading.shape[1]):
             fading[robot, t] = own[4] * fading_numbers[number, robot, fading_of[t]]
     crossed_at(
-        x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, sure_counts,
-        sure_losses, first_open, open_walls, crossed, losses,
+        x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, certain_counts,
+        certain_losses, first_uncertain, uncertain_walls, crossed, losses,
     )  # fmt: skip
-    mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, ways, scratch, rssi)
+    mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, limits, scratch, rssi)
     return _receive(rssi, fading[robot], own, draws[robot], detection[robot], all_macs, heard, macs, readings)
