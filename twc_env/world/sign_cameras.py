@@ -1,4 +1,4 @@
-"""The cameras of a team: what all robots read in a step, with the measured table in one compiled call."""
+"""The cameras of a team: the sign readings of all robots in a step."""
 
 from __future__ import annotations
 
@@ -19,11 +19,14 @@ from twc_env.world.signs import SignCamera, bearing_stream
 
 _TURN_RAD = 2.0 * math.pi
 Readings = tuple[Sequence[tuple[SignReading, ...]], tuple[tuple[int, ...], ...]]
-"""Of each robot: what it read, and which signs (plan numbers) that truly is."""
+"""Readings of each robot, and the true signs (plan numbers) behind them."""
 
 
 class SignCameras:
-    """Each robot looks once in `period` steps; they take turns. Each reads what a `SignCamera` of its own would."""
+    """The cameras of all robots; each takes an image every `period` steps, staggered. Equal to one `SignCamera` each.
+
+    With the reader "fast", all readings of a step are computed by one compiled call.
+    """
 
     def __init__(self, config: EnvConfig, plan: Floorplan, seed: int, period: int):
         signs, robots = config.signs, config.robots
@@ -32,18 +35,18 @@ class SignCameras:
             SignCamera(signs, plan, robot, seed, config.dynamics) for robot in range(1 if is_fast else robots)
         ]
         self._robots, self._period = robots, period
-        self._sights, self._hidden = self._cameras[0].make_room(robots)
+        self._sights, self._hidden = self._cameras[0].allocate(robots)
         self._counts = np.zeros(robots, np.int64)
         self.arguments = *self._cameras[0].arguments, self._sights, self._hidden, self._counts, period
-        """What `look` needs beside the walls and the poses, where it writes what it finds, how much, and the period."""
+        """Arguments of `look` after the poses, its outputs, the counts (robots,) of signs in view, and the period."""
         self.nothing: Readings = ((),) * robots, ((),) * robots
-        """What is read where no sign is in view."""
-        self._table: _TableReading | None = None
+        """The readings if no sign is in view."""
+        self._table: _TableReadings | None = None
         if is_fast:
-            self._table = _TableReading(config, tuple(sign.text for sign in plan.signs), seed, self.arguments[-4:])
+            self._table = _TableReadings(config, tuple(sign.text for sign in plan.signs), seed, self.arguments[-4:])
 
     def read(self, step: int) -> Readings:
-        """What OCR makes of the signs that `look` has found in view in a step."""
+        """The readings of the signs that `look` has found in view in a step."""
         first = -step % self._period
         readings, sources = list(self.nothing[0]), list(self.nothing[1])
         if self._table is not None:
@@ -57,34 +60,34 @@ class SignCameras:
         return readings, tuple(sources)
 
 
-class _TableReading(BindsAnew):
-    """Draws the readings of all robots from the measured table."""
+class _TableReadings(BindsAnew):
+    """Samples the readings of all robots from the measured table."""
 
     def __init__(self, config: EnvConfig, texts: tuple[str, ...], seed: int, views: tuple):
-        """Views: sights, what of them is hidden, how many each robot has, and the period."""
+        """views: sights and hidden characters of all robots, counts of sights (robots,), and the period."""
         self._texts, robots, signs = texts_of(texts, seed), range(config.robots), config.signs
         most = len(robots) * len(texts)
         draws = LINE_DRAWS * len(texts) + 2 * sum(map(len, texts))
-        self._luck = NormalPools([ocr_stream(seed, robot) for robot in robots], draws)
-        self._error = NormalPools([bearing_stream(seed, robot) for robot in robots], draws)
+        self._text_noise = NormalPools([ocr_stream(seed, robot) for robot in robots], draws)
+        self._position_noise = NormalPools([bearing_stream(seed, robot) for robot in robots], draws)
         self._letters = np.empty(len(robots) * self._texts.out.size, np.uint32)
         self._found, self._measured = np.empty((most, 3), np.int64), np.empty((most, 2))
-        self._kept = (
-            *views, *self._luck.arguments, *self._error.arguments, signs.bearing_noise_std_rad, signs.range_noise_std_m,
-            *self._texts.arguments, self._letters, self._found, self._measured,
+        self._arrays = (
+            *views, *self._text_noise.arguments, *self._position_noise.arguments, signs.bearing_noise_std_rad,
+            signs.range_noise_std_m, *self._texts.arguments, self._letters, self._found, self._measured,
         )  # fmt: skip
         self._run: Callable[[int], int] | None = None
-        """`_read_in_turn` with these."""
+        """`_read_in_view` with the arrays."""
 
     def read(self, first: int) -> list[tuple[int, int, SignReading]]:
-        """Robot, sign and reading of all that is read in a step in which robot `first` looks first."""
+        """(robot, sign, reading) of all signs read by robots first, first + period, ..."""
         if self._run is None:
-            team = Lent(self._kept)
-            self._run = partial(bound(_read_in_turn, shipped_reader().table, team, first), team)
+            team = Lent(self._arrays)
+            self._run = partial(bound(_read_in_view, shipped_reader().table, team, first), team)
         count = self._run(first)
         while count < 0:
-            self._luck.refill(-count)
-            self._error.refill(-count)
+            self._text_noise.refill(-count)
+            self._position_noise.refill(-count)
             count = self._run(first)
         found, begin, readings = self._found[:count].tolist(), 0, []
         text = self._letters[: found[-1][2]].tobytes().decode(CODES) if found else ""
@@ -96,28 +99,29 @@ class _TableReading(BindsAnew):
 
 
 @borrowing_kernel
-def _read_in_turn(table, team, first):
-    """Read the signs in view of robots first, first + period, ... -> how many have a text.
+def _read_in_view(table, team, first):
+    """Read the signs in view of robots first, first + period, ...; returns the count of texts read.
 
-    Writes found (k, 3): robot, sign and where its letters end; measured (k, 2): bearing and distance. Where the numbers
-    drawn do not suffice nothing is read, which gives minus how many some robot needs.
+    Fills found (k, 3): robot, sign and end of its text in `letters`; measured (k, 2): bearing and distance. If some
+    robot needs more random numbers than available, nothing is read, and minus the number needed is returned.
     """
     (
-        sights, hidden, sight_counts, period, luck, luck_used, luck_end, error, error_used, error_end, bearing_std,
-        range_std, codes, lengths, kept, weights, draws, levels, out, counts, letters, found, measured,
+        sights, hidden, sight_counts, period, text_noise, text_used, text_end, position_noise, position_used,
+        position_end, bearing_std, range_std, codes, lengths, kept, weights, draws, levels, out, counts, letters,
+        found, measured,
     ) = parts_of(team)  # fmt: skip
     for robot in range(first, sight_counts.shape[0], period):
         needed = 0
         for k in range(sight_counts[robot]):
             needed += LINE_DRAWS + 2 * lengths[int(sights[robot, k, 0])]
-        if max(luck_used[robot] + needed - luck_end[robot], error_used[robot] + needed - error_end[robot]) > 0:
+        if max(text_used[robot] + needed - text_end[robot], position_used[robot] + needed - position_end[robot]) > 0:
             return -needed
     end = read = 0
     for robot in range(first, sight_counts.shape[0], period):
         count = sight_counts[robot]
-        luck_used[robot] = misread_signs(
-            table, count, sights[robot], hidden[robot], luck[robot], luck_used[robot], codes, lengths, kept, weights,
-            draws, levels, out, counts,
+        text_used[robot] = misread_signs(
+            table, count, sights[robot], hidden[robot], text_noise[robot], text_used[robot], codes, lengths, kept,
+            weights, draws, levels, out, counts,
         )  # fmt: skip
         for k in range(count):
             if counts[k] > 0:
@@ -125,9 +129,11 @@ def _read_in_turn(table, team, first):
                     letters[end + m] = out[k, m]
                 end += counts[k]
                 found[read, 0], found[read, 1], found[read, 2] = robot, int(sights[robot, k, 0]), end
-                measured[read, 0] = sights[robot, k, 2] + bearing_std * error[robot, error_used[robot] + 2 * k]
-                off = range_std * error[robot, error_used[robot] + 2 * k + 1]
+                measured[read, 0] = (
+                    sights[robot, k, 2] + bearing_std * position_noise[robot, position_used[robot] + 2 * k]
+                )
+                off = range_std * position_noise[robot, position_used[robot] + 2 * k + 1]
                 measured[read, 1] = max(sights[robot, k, 1] + off, 0.0)
                 read += 1
-        error_used[robot] += 2 * count
+        position_used[robot] += 2 * count
     return read

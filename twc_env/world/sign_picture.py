@@ -1,7 +1,7 @@
-"""Pictures of signs as a robot's camera would take them: perspective, motion blur, light, noise, something in front.
+"""Rendered camera images of signs: perspective, motion blur, illumination, sensor noise and occlusion.
 
-Needs the extra `ocr` (Pillow, matplotlib for its DejaVu and STIX fonts, OpenCV); nothing of it is imported before the
-first picture. Lengths are in pixels of the camera's picture or in capital heights, the height of an upright capital.
+Needs the extra `ocr` (Pillow, OpenCV, and matplotlib for its DejaVu and STIX fonts), which is imported with the first
+image. Lengths are image pixels or multiples of the height of a capital letter.
 """
 
 from __future__ import annotations
@@ -29,54 +29,54 @@ PAINTS = (
     ((176, 180, 184), (60, 62, 66)),
     ((196, 160, 96), (64, 44, 24)),
 )
-"""(plate, letters) in sRGB: door plates, escape, fire, information, brushed steel, brass."""
+"""sRGB colours of plates and letters: door plates, escape, fire, information, brushed steel, brass."""
 LINE_CHARACTERS_MAX = 20
-"""A longer text is set in several lines, broken between words."""
+"""Longer texts are broken into lines between words."""
 LINE_PITCH = 1.6
-"""Capital heights from line to line."""
+"""Line spacing [capital heights]."""
 DRAWN_HEIGHT_PX = 64
-"""Capitals are drawn this high at least before perspective shrinks them."""
-_FINER = 3
-"""The picture is projected this much finer, then averaged, as pixels average light."""
+"""Capital height before the projection."""
+_OVERSAMPLING = 3
+"""Pixels per image pixel and axis in the projection, which are then averaged."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plate:
-    """How a sign is made, which stays with it: letters, colours, margins."""
+    """Design of a sign: font, colours, margin."""
 
     font: str
     ground: tuple[int, int, int]
     ink: tuple[int, int, int]
     margin: float
-    """Empty border around the letters [capital heights]."""
+    """Border around the text [capital heights]."""
     fading: float
-    """Contrast lost to age, 0 to 1."""
+    """Loss of contrast, 0 to 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """How a camera sees a sign."""
+    """Viewing conditions of a sign."""
 
     height_px: float
-    """Capital height in the picture, at the middle of the sign."""
+    """Capital height in the image, at the centre of the sign."""
     incidence_rad: float
-    """Between line of sight and the sign's normal; the sign's right side is further away where positive."""
+    """Angle between line of sight and the sign's normal; positive if the sign's right side is further away."""
     blur_px: float = 0.0
-    """Way of the picture over the sensor during exposure, horizontal."""
+    """Horizontal image motion during the exposure."""
     hidden: tuple[float, float] = (0.0, 0.0)
-    """Part of the text that something in front hides: from and to, as shares of its width from the left."""
+    """Begin and end of the occluded part of the text, as shares of its width from the left."""
     focal_length_px: float = 1400.0
 
 
 def draw_plate(random: np.random.Generator) -> Plate:
-    """A plate as buildings have them."""
+    """A random plate."""
     ground, ink = PAINTS[int(random.choice(len(PAINTS), p=(0.34, 0.12, 0.12, 0.12, 0.12, 0.1, 0.08)))]
     font = FONTS[int(random.integers(len(FONTS)))]
     return Plate(font, ground, ink, float(random.uniform(0.5, 1.2)), float(random.uniform(0.0, 0.45)))
 
 
 def lines_of(text: str) -> list[str]:
-    """The text broken into lines between words."""
+    """The text in lines of at most `LINE_CHARACTERS_MAX` characters; longer words get their own line."""
     lines: list[str] = []
     for word in text.split():
         if lines and len(lines[-1]) + 1 + len(word) <= LINE_CHARACTERS_MAX:
@@ -87,27 +87,27 @@ def lines_of(text: str) -> list[str]:
 
 
 def picture(text: str, plate: Plate, view: View, random: np.random.Generator) -> Array:
-    """(rows, columns, 3) float picture 0 to 255 of the sign on a wall, before sensor noise (`expose` adds it)."""
+    """(rows, columns, 3) float image, 0 to 255, of the sign on a wall, without sensor noise (see `expose`)."""
     import cv2
 
-    flat = _drawn(text, plate)
+    flat = _render_plate(text, plate)
     _hide(flat, plate, view.hidden, random)
     wall = tuple(int(v) for v in random.integers(120, 230, 1).repeat(3))
     target, size = _corners(flat.shape, view, float(random.normal(0.0, 0.02)))
-    # Averaged to about the fineness of the projection first, so that no stroke is skipped.
-    shrink = min(1.0, 1.2 * _FINER * view.height_px / DRAWN_HEIGHT_PX)
+    # Averaged to about the resolution of the projection, against aliasing.
+    shrink = min(1.0, 1.2 * _OVERSAMPLING * view.height_px / DRAWN_HEIGHT_PX)
     if shrink < 1.0:
         flat = cv2.resize(flat, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
     source = np.array([[0, 0], [flat.shape[1], 0], [flat.shape[1], flat.shape[0]], [0, flat.shape[0]]], np.float32)
-    warp = cv2.getPerspectiveTransform(source, (target * _FINER).astype(np.float32))
-    fine_size = (size[0] * _FINER, size[1] * _FINER)
+    warp = cv2.getPerspectiveTransform(source, (target * _OVERSAMPLING).astype(np.float32))
+    fine_size = (size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING)
     fine = cv2.warpPerspective(flat, warp, fine_size, borderMode=cv2.BORDER_CONSTANT, borderValue=wall)
-    seen = cv2.resize(fine, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    return _lit(_smeared(seen, view.blur_px, random), random)
+    image = cv2.resize(fine, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    return _light(_blur(image, view.blur_px, random), random)
 
 
 def expose(frame: Array, random: np.random.Generator) -> Array:
-    """uint8 picture as the sensor gives it: shot and read noise at a light level drawn log-evenly, 12 to 1."""
+    """uint8 image with shot and read noise at a light level sampled log-uniformly over a factor of 12."""
     light = math.exp(random.uniform(math.log(1 / 12), 0.0))
     signal = np.clip(frame, 0.0, 255.0) / 255.0
     std = np.sqrt(signal / (3000.0 * light) + (0.004 / light) ** 2 * 0.25)
@@ -117,7 +117,7 @@ def expose(frame: Array, random: np.random.Generator) -> Array:
 
 @lru_cache(maxsize=16)
 def _font(name: str):
-    """A font whose capitals are `DRAWN_HEIGHT_PX` high."""
+    """The font with capitals of `DRAWN_HEIGHT_PX`."""
     import matplotlib
     from PIL import ImageFont
 
@@ -126,8 +126,8 @@ def _font(name: str):
     return ImageFont.truetype(path, 200 * DRAWN_HEIGHT_PX / (box[3] - box[1]))
 
 
-def _drawn(text: str, plate: Plate) -> Array:
-    """The plate from straight ahead."""
+def _render_plate(text: str, plate: Plate) -> Array:
+    """Frontal image of the plate."""
     from PIL import Image, ImageDraw
 
     font, lines = _font(plate.font), lines_of(text)
@@ -145,23 +145,23 @@ def _drawn(text: str, plate: Plate) -> Array:
 
 
 def _corners(shape: tuple[int, ...], view: View, roll_rad: float) -> tuple[Array, tuple[int, int]]:
-    """Pinhole projection of the plate's corners (4, 2) and the picture's (width, height) with some wall around."""
+    """Pinhole projection of the plate's corners (4, 2), and (width, height) of the image with a border of wall."""
     half_x, half_y = (0.5 * shape[k] / DRAWN_HEIGHT_PX for k in (1, 0))  # capital heights
     distance = max(view.focal_length_px / view.height_px, 1.5 * half_x)
     x = np.array([-half_x, half_x, half_x, -half_x])
     y = np.array([-half_y, -half_y, half_y, half_y])
     depth = 1.0 + x * math.sin(view.incidence_rad) / distance
-    seen = np.column_stack([x * math.cos(view.incidence_rad) / depth, y / depth]) * view.height_px
+    image = np.column_stack([x * math.cos(view.incidence_rad) / depth, y / depth]) * view.height_px
     cos, sin = math.cos(roll_rad), math.sin(roll_rad)
-    seen = seen @ np.array([[cos, sin], [-sin, cos]])
+    image = image @ np.array([[cos, sin], [-sin, cos]])
     pad = 2.0 + 0.5 * view.height_px + view.blur_px
-    low = seen.min(axis=0) - pad
-    size = np.ceil(seen.max(axis=0) + pad - low).astype(int)
-    return seen - low, (int(size[0]), int(size[1]))
+    low = image.min(axis=0) - pad
+    size = np.ceil(image.max(axis=0) + pad - low).astype(int)
+    return image - low, (int(size[0]), int(size[1]))
 
 
 def _hide(flat: Array, plate: Plate, hidden: tuple[float, float], random: np.random.Generator) -> None:
-    """Something dark stands in front of part of the text, and of the margin beside it."""
+    """Paint an occluding dark object over part of the text and the adjacent margin."""
     if hidden[1] <= hidden[0]:
         return
     margin = round(plate.margin * DRAWN_HEIGHT_PX)
@@ -169,11 +169,11 @@ def _hide(flat: Array, plate: Plate, hidden: tuple[float, float], random: np.ran
     flat[:, begin if hidden[0] > 0.0 else 0 : end if hidden[1] < 1.0 else None] = random.integers(20, 90, 3)
 
 
-def _smeared(seen: Array, blur_px: float, random: np.random.Generator) -> Array:
-    """A lens that is never quite sharp, and motion during exposure."""
+def _blur(image: Array, blur_px: float, random: np.random.Generator) -> Array:
+    """The image with defocus and motion blur."""
     import cv2
 
-    soft = cv2.GaussianBlur(seen, (0, 0), float(random.uniform(0.4, 0.9)))
+    soft = cv2.GaussianBlur(image, (0, 0), float(random.uniform(0.4, 0.9)))
     if blur_px < 0.05:
         return soft
     reach = math.ceil(0.5 * blur_px + 0.5)
@@ -182,12 +182,12 @@ def _smeared(seen: Array, blur_px: float, random: np.random.Generator) -> Array:
     return cv2.filter2D(soft, -1, (kernel / kernel.sum())[None, :], borderType=cv2.BORDER_REPLICATE)
 
 
-def _lit(seen: Array, random: np.random.Generator) -> Array:
-    """Uneven light: a gradient over the sign, now and then a lamp's reflection on it."""
-    rows, columns = seen.shape[:2]
+def _light(image: Array, random: np.random.Generator) -> Array:
+    """The image under uneven illumination, sometimes with the reflection of a lamp."""
+    rows, columns = image.shape[:2]
     across = np.linspace(-0.5, 0.5, columns, dtype=np.float32)[None, :]
     light = random.uniform(0.55, 1.05) * (1.0 + random.uniform(-0.5, 0.5) * across)
-    lit = seen * np.broadcast_to(light, (rows, columns))[:, :, None]
+    lit = image * np.broadcast_to(light, (rows, columns))[:, :, None]
     if random.random() < 0.15:
         at = random.uniform(0, columns), random.uniform(0, rows)
         y, x = np.mgrid[:rows, :columns].astype(np.float32)

@@ -1,4 +1,4 @@
-"""From how a camera sees a sign to the text it reads: by the measured table, by a real OCR, or by two plain numbers."""
+"""Sign readers: viewing conditions -> text, by the measured error table, a real OCR or two error probabilities."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from twc_env.world.misreading import SignTexts, TableReader, draw_count, misread
 from twc_env.world.ocr_table import load_table
 
 DRAWN_MAX_PX = 128.0
-"""Signs so near that their capitals are higher are drawn this high: the OCR reads them no worse."""
+"""Maximum capital height of rendered images; greater ones do not improve the readings."""
 
 
 class SignReader(Protocol):
-    """What turns the signs in view into text."""
+    """Reads the signs in view."""
 
     def read(self, signs: Sequence[int], sights: Array, hidden: Array) -> list[str]:
-        """A text for each sign in view; "" where nothing was read.
+        """A text for each sign in view; "" if it could not be read.
 
-        signs: plan numbers. sights (k, 6): plan number, distance [m], bearing [rad], height [px], incidence [rad]
-        (signed: positive when the sign's right side is further away) and blur [px]; hidden (at least k, characters):
-        what is behind a robot.
+        signs: plan numbers. sights (k, 6): plan number, distance [m], bearing [rad], capital height [px], incidence
+        [rad] (positive if the sign's right side is further away), motion blur [px]; hidden (>= k, characters) bool:
+        characters behind a robot.
         """
         ...
 
 
 def make_reader(config: SignsConfig, texts: Sequence[str], robot: int, seed: int) -> SignReader:
-    """The reader that `signs.reader` names; ConfigError for `paddle` without the extra `ocr`."""
+    """The reader named by `signs.reader`. Raises ConfigError for "paddle" without the extra `ocr`."""
     if config.reader == "simple":
-        return _Simple(config, texts, robot, seed)
+        return _SimpleSignReader(config, texts, robot, seed)
     if config.reader == "paddle":
-        return _Live(config, texts, robot, seed)
-    return _Fast(texts, robot, seed)
+        return _OcrSignReader(config, texts, robot, seed)
+    return _TableSignReader(texts, robot, seed)
 
 
-class _Fast:
-    """Draws from the measured table. Part of what goes wrong stays with the sign, for all robots and the episode."""
+class _TableSignReader:
+    """Samples readings from the measured table; errors of the same sign are correlated over robots and time."""
 
     def __init__(self, texts: Sequence[str], robot: int, seed: int):
         self._noise = ocr_stream(seed, robot)
@@ -54,24 +54,24 @@ class _Fast:
 
 
 def ocr_stream(seed: int, robot: int) -> np.random.Generator:
-    """What is drawn anew with each of a robot's readings."""
+    """Random stream of the independent part of a robot's reading errors."""
     return random_stream(seed, "ocr", robot)
 
 
 @lru_cache(maxsize=1)
 def texts_of(texts: tuple[str, ...], seed: int) -> SignTexts:
-    """The same for all robots of an episode."""
+    """The sign texts of an episode, shared by all robots."""
     return SignTexts(load_table(), texts, random_stream(seed, "sign plates"))
 
 
 @lru_cache(maxsize=1)
 def shipped_reader() -> TableReader:
-    """The same for all: copies and snapshots of an environment carry no table along."""
+    """The reader of the shipped table; global, so that copies and snapshots of an environment do not contain it."""
     return TableReader(load_table())
 
 
-class _Simple:
-    """The same two probabilities for every sign, however it is seen (papers.md T3)."""
+class _SimpleSignReader:
+    """Two error probabilities, independent of the viewing conditions (papers.md T3)."""
 
     def __init__(self, config: SignsConfig, texts: Sequence[str], robot: int, seed: int):
         self._config, self._texts = config, texts
@@ -85,8 +85,8 @@ class _Simple:
         return "" if is_hidden[: len(true_text)].any() else text.strip()
 
 
-class _Live:
-    """Draws a picture of every sign in view and has a real OCR read it: slow, for studies."""
+class _OcrSignReader:
+    """Renders an image of every sign in view and runs a real OCR on it: slow, for studies."""
 
     def __init__(self, config: SignsConfig, texts: Sequence[str], robot: int, seed: int):
         from twc_env.world import ocr

@@ -1,4 +1,4 @@
-"""How strong the best access point is, all over a floor: path loss and walls, without shadowing. For pictures."""
+"""Maps of the strongest access point's mean RSSI over a floor, without shadowing; for images."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from twc_env.config import RadioConfig
 from twc_env.world.floorplan import Floorplan
 
 SIGNAL_SPAN_DBM = (-90.0, -30.0)
-"""The range that pictures tell apart."""
+"""Range of the colour scale."""
 _POINTS = 6000
+"""Approximate raster cells of a map."""
 
 
 def strongest_signal_dbm(plan: Floorplan, points_m: Array, config: RadioConfig | None = None) -> Array:
-    """(k, 2) places -> (k,) mean strength of the best access point: path loss and walls, without shadowing."""
+    """(k, 2) points -> (k,) mean RSSI of the strongest access point: path loss and walls, without shadowing."""
     config = config or RadioConfig()
     best = np.full(len(points_m), -np.inf)
     for access_point in plan.access_points:
@@ -28,9 +29,9 @@ def strongest_signal_dbm(plan: Floorplan, points_m: Array, config: RadioConfig |
 
 
 def signal_map_dbm(plan: Floorplan, config: RadioConfig | None = None) -> tuple[Array, tuple[float, float], float]:
-    """(rows, columns) strength on a raster of some thousand cells, NaN off the floor; its lower left corner, cell [m].
+    """(rows, columns) RSSI on a raster, NaN off the floor; its lower left corner [m] and cell size [m].
 
-    Row 0 is the lowest y.
+    Row 0 has the least y.
     """
     x0, y0, x1, y1 = plan.bounds_m
     step_m = max(0.1, float(np.sqrt((x1 - x0) * (y1 - y0) / _POINTS)))
@@ -38,6 +39,6 @@ def signal_map_dbm(plan: Floorplan, config: RadioConfig | None = None) -> tuple[
     points = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
     signal = strongest_signal_dbm(plan, points, config)
     cells = plan.cells()
-    # Under thin walls too: a pixel is wider than a wall, and would leave a gap.
+    # Walls count as floor: gaps of one pixel would be wider than the walls.
     signal[~dataclasses.replace(cells, free=cells.free | cells.wall).is_free(points)] = np.nan
     return signal.reshape(len(ys), len(xs)), (float(x0), float(y0)), step_m

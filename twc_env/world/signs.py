@@ -1,4 +1,4 @@
-"""Which signs a robot's camera can read from where it stands, and how it sees them."""
+"""Cameras: signs in view of a robot and their viewing conditions."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from twc_env.world.sign_readers import make_reader
 from twc_env.world.wall_index import is_blocked
 
 CHARACTER_PITCH = 0.95
-"""Width of a character on a plate [capital heights]."""
+"""Width of a character [capital heights]."""
 _SIGHT_COLUMNS = 6
-_NOBODY = np.zeros((0, 3))
+_NO_ROBOTS = np.zeros((0, 3))
 _ROBOT = DynamicsConfig()
 
 
@@ -51,13 +51,13 @@ class SignCamera:
     def read(
         self, pose: Array, previous: Array | None = None, robots: Array | None = None
     ) -> tuple[tuple[SignReading, ...], tuple[int, ...]]:
-        """What OCR gives at a true pose (3,), and which signs (plan numbers) those readings truly are.
+        """Readings at a true pose (3,), and the true signs (plan numbers) behind them.
 
-        In view is a sign whose middle is near enough, not too oblique and behind no wall. One time step before, the
-        camera was at `previous`; without it, it stands still. `robots` (k, 3), itself among them or not, may hide part
-        of a text.
+        A sign is in view if its centre is within range and field of view, at a small enough incidence angle and behind
+        no wall. previous: pose one time step before, for motion blur (default: no motion); robots (k, 3): poses of
+        robots that may occlude characters, with or without this one.
         """
-        hiding = robots if self._config.robots_hide and robots is not None else _NOBODY
+        hiding = robots if self._config.robots_hide and robots is not None else _NO_ROBOTS
         count = look(
             *self._walls, self._signs, self._lengths, self._constants, pose, pose if previous is None else previous,
             hiding, self._sights, self._hidden,
@@ -65,7 +65,7 @@ class SignCamera:
         return self.read_sights(self._sights[:count], self._hidden) if count else ((), ())
 
     def read_sights(self, sights: Array, hidden: Array) -> tuple[tuple[SignReading, ...], tuple[int, ...]]:
-        """The same from what `look` found: sights (k, 6), hidden (at least k, characters)."""
+        """The same from the outputs of `look`: sights (k, 6), hidden (>= k, characters)."""
         config, rows = self._config, sights.tolist()
         signs = [int(row[0]) for row in rows]
         readings, sources = [], []
@@ -81,16 +81,16 @@ class SignCamera:
 
     @property
     def arguments(self) -> tuple[Array, Array, Array, bool]:
-        """What `look` needs beside the walls and the poses, and whether robots hide texts; the same for all robots."""
+        """Arguments of `look` between the walls and the poses, and whether robots occlude; equal for all robots."""
         return self._signs, self._lengths, self._constants, self._config.robots_hide
 
-    def make_room(self, robots: int) -> tuple[Array, Array]:
-        """Where `look` writes the sights of each robot and what of them is hidden."""
+    def allocate(self, robots: int) -> tuple[Array, Array]:
+        """Outputs of `look` for each robot: sights (robots, signs, 6), hidden (robots, signs, characters)."""
         return np.empty((robots, *self._sights.shape)), np.zeros((robots, *self._hidden.shape), np.bool_)
 
 
 def bearing_stream(seed: int, robot: int) -> np.random.Generator:
-    """What a robot's errors of bearing and distance are drawn from."""
+    """Random stream of a robot's bearing and distance errors."""
     return random_stream(seed, "camera", robot)
 
 
@@ -99,7 +99,7 @@ def look(
     walls, origin, bucket, rows, columns, first, members, signs, lengths, constants, pose, previous, robots, sights,
     hidden,
 ):  # fmt: skip
-    """Fill a row of sights, as `SignReader` has them, for each sign in view, and one of hidden -> how many."""
+    """Fill one row of sights (see `SignReader.read`) and hidden for each sign in view; returns their count."""
     range_max, half_view, cos_incidence = constants[0], constants[1], constants[2]
     x, y, heading, count = pose[0], pose[1], pose[2], 0
     moved_x, moved_y = x - previous[0], y - previous[1]
@@ -124,14 +124,14 @@ def look(
         sights[count, 5] = abs(swing) * constants[3]
         for m in range(lengths[i]):
             hidden[count, m] = False
-        _hide(signs[i], x, y, robots, constants[5], constants[6], hidden[count, : lengths[i]])
+        _mark_hidden(signs[i], x, y, robots, constants[5], constants[6], hidden[count, : lengths[i]])
         count += 1
     return count
 
 
 @borrowing_kernel
-def _hide(sign, x, y, robots, radius, pitch, is_hidden):
-    """Which characters of a sign, from the reader's left to right, are behind a robot; the reader hides none."""
+def _mark_hidden(sign, x, y, robots, radius, pitch, is_hidden):
+    """Set is_hidden (characters,) for the characters, from left to right, behind a robot other than the observer."""
     count = is_hidden.shape[0]
     for m in range(count):
         along = (m + 0.5 - 0.5 * count) * pitch

@@ -1,4 +1,4 @@
-"""Generated buildings by name, and the fixed splits of them for training, validation and testing."""
+"""Names of generated buildings, and their fixed splits for training, validation and testing."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from twc_env.world.generate import generate
 from twc_env.world.layouts import KINDS
 
 SPLITS = {"train": 1000, "validation": 100, "test": 100}
-"""Buildings of each fixed split, named `train/0000` and so on."""
+"""Number of buildings per split; names are `train/0000` and so on."""
 SPLIT_AREA_M2 = (100.0, 2000.0)
-"""Areas in the splits are drawn from this range, evenly on a logarithmic scale."""
+"""Areas in the splits are sampled log-uniformly from this range."""
 _SPLIT_SEEDS = {"train": 0, "validation": 1_000_000, "test": 2_000_000}
 
 
 def generate_by_name(name: str) -> Floorplan | None:
-    """The building of a name such as `gen:office:800:7` or `train/0007`; None for names of another form.
+    """The building of a name such as `gen:office:800:7` or `train/0007`; None for names of other forms.
 
-    Raises MapError when the form fits and a part of it does not.
+    Raises MapError for invalid parts of such a name.
     """
     head, _, rest = name.partition(":")
     if head == "gen":
@@ -39,20 +39,20 @@ def generate_by_name(name: str) -> Floorplan | None:
 
 
 def split_names(split: str) -> tuple[str, ...]:
-    """The names of all buildings of a split."""
+    """Names of all buildings of a split. Raises MapError for an unknown split."""
     if not isinstance(split, str) or split not in SPLITS:
         raise MapError(f"no split {split!r}; splits are {', '.join(SPLITS)}")
     return tuple(f"{split}/{number:04d}" for number in range(SPLITS[split]))
 
 
 def is_of_split(name: str) -> bool:
-    """Whether this is the name of a building of a fixed split, such as `train/0007`."""
+    """Whether `name` is that of a building of a split, such as `train/0007`."""
     split, _, number = name.partition("/")
     return split in SPLITS and number.isdecimal() and len(number) == 4 and int(number) < SPLITS[split]
 
 
 def split_recipe(split: str, number: int) -> tuple[str, float, int]:
-    """Kind, area [m2] and seed of one building of a split: kinds take turns, areas are drawn."""
+    """Kind, area [m2] and seed of one building of a split; kinds alternate, areas are random."""
     seed = _SPLIT_SEEDS[split] + number
     low, high = (math.log(area) for area in SPLIT_AREA_M2)
     area_m2 = round(math.exp(random_stream(seed, "split-area").uniform(low, high)))
@@ -60,14 +60,14 @@ def split_recipe(split: str, number: int) -> tuple[str, float, int]:
 
 
 def layout_digest(plan: Floorplan) -> str:
-    """Twelve hex digits of the walls alone, the same for moved, quarter-turned and mirrored copies."""
+    """Twelve hex digits (SHA-256) of the walls, invariant to translation, quarter turns and mirroring."""
     walls = np.round(plan.home.walls_m * 100).astype(np.int64)
     copies = []
     for mirror in (1, -1):
         for turn in ([[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]]):
             copy = walls * np.array([mirror, 1]) @ np.array(turn)
             copy -= copy.reshape(-1, 2).min(axis=0)
-            # The ends of a wall, and the walls, in one order.
+            # Canonical order of the ends of each wall, and of the walls.
             is_swapped = (copy[:, 0, 0] > copy[:, 1, 0]) | (
                 (copy[:, 0, 0] == copy[:, 1, 0]) & (copy[:, 0, 1] > copy[:, 1, 1])
             )
@@ -90,7 +90,7 @@ def split_layouts(split: str) -> list[str]:
 @lru_cache(maxsize=32)
 def _cached(kind: str, area_m2: float, seed: int, name: str) -> Floorplan:
     plan = generate(kind, area_m2, seed)
-    object.__setattr__(plan, "name", name)  # not yet seen by anyone; its caches stay warm
+    object.__setattr__(plan, "name", name)  # frozen, but not shared yet; a copy would lose its cache
     return plan
 
 

@@ -1,4 +1,4 @@
-"""Where robots begin an episode: drawn by seed, the plan's own starts, or given poses."""
+"""Start poses of an episode: random, those of the plan, or given ones."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import Floorplan
 
 START_CLEARANCE_M = 0.4
-"""Distance of a drawn start from any wall."""
+"""Least distance of a random start to walls ..."""
 START_SPACING_M = 1.5
-"""Distance between drawn starts."""
+"""... and to other starts, down to `START_SPACING_MIN_M` in small buildings."""
 START_SPACING_MIN_M = 0.6
 START_MARGIN_M = 0.02
-"""Large robots keep further away: so much is left between what would touch."""
+"""Least gap between the rims of large robots and walls or other robots."""
 _PLACES_MAX = 2000
+"""Candidate positions per try."""
 _TRIES = 20
-"""Sets of places tried, each with less distance between the robots, before a map counts as too small."""
+"""Number of spacings tried."""
 
 
 def start_poses(plan: Floorplan, robots: int, radius_m: float, seed: int, starts: str | Array) -> Array:
-    """(robots, 3) in the frame in which the building was drawn, of robots of that radius; starts as `World.reset`.
+    """(robots, 3) start poses in the home frame; starts: see `World.reset`.
 
-    Raises MapError when the robots do not fit, ConfigError for starts that are no such thing.
+    Raises MapError if the robots do not fit, ConfigError for invalid starts.
     """
     home = plan.home
     if not isinstance(starts, str):
@@ -36,10 +37,10 @@ def start_poses(plan: Floorplan, robots: int, radius_m: float, seed: int, starts
             poses = np.array(starts, float)
         except (TypeError, ValueError):
             raise ConfigError(f"starts must be 'random', 'map' or {robots} poses; got {starts!r}") from None
-        _check(plan, robots, radius_m, poses)
+        _check_poses(plan, robots, radius_m, poses)
         return compose(inverse(plan.pose_building_home), poses)
     if starts == "random":
-        return _drawn(home, robots, radius_m, random_stream(seed, "starts"))
+        return _random_starts(home, robots, radius_m, random_stream(seed, "starts"))
     if starts == "map":
         if len(home.starts) < robots:
             raise MapError(
@@ -49,8 +50,8 @@ def start_poses(plan: Floorplan, robots: int, radius_m: float, seed: int, starts
     raise ConfigError(f"starts must be 'random', 'map' or poses; got {starts!r}")
 
 
-def _check(plan: Floorplan, robots: int, radius_m: float, poses: Array) -> None:
-    """Raises ConfigError for starts in the building that are no poses, in walls or in each other."""
+def _check_poses(plan: Floorplan, robots: int, radius_m: float, poses: Array) -> None:
+    """Raise ConfigError for starts in the building frame that are no poses, not on free floor or overlap."""
     wanted = f"starts must be {robots} finite poses (x, y, heading)"
     if poses.shape != (robots, 3):
         raise ConfigError(f"{wanted}; got shape {poses.shape}")
@@ -66,18 +67,15 @@ def _check(plan: Floorplan, robots: int, radius_m: float, poses: Array) -> None:
             raise ConfigError(f"{at} is in robot {np.argmax(is_in)}; keep robots {apart_m:g} m apart")
 
 
-def _drawn(home: Floorplan, robots: int, radius_m: float, random: np.random.Generator) -> Array:
-    """(robots, 3) free poses, clear of walls and apart from each other.
-
-    Where the building is too small, the distance between robots shrinks step by step, down to 0.6 m.
-    """
+def _random_starts(home: Floorplan, robots: int, radius_m: float, random: np.random.Generator) -> Array:
+    """(robots, 3) random poses with clearance to walls and spacing, which is reduced in steps if there is no room."""
     clearance_m = max(START_CLEARANCE_M, radius_m + START_MARGIN_M)
     apart_m = 2 * radius_m + START_MARGIN_M
     places = start_places(home, clearance_m)
     if len(places) == 0:
         raise MapError(f"map {home.name!r} has no place {clearance_m:g} m clear of walls to start from")
     for spacing_m in np.linspace(max(START_SPACING_M, apart_m), max(START_SPACING_MIN_M, apart_m), _TRIES):
-        chosen = _spaced(places[random.permutation(len(places))[:_PLACES_MAX]], robots, spacing_m)
+        chosen = _choose_spaced(places[random.permutation(len(places))[:_PLACES_MAX]], robots, spacing_m)
         if len(chosen) == robots:
             return np.column_stack([chosen, random.uniform(-math.pi, math.pi, robots)])
     raise MapError(f"map {home.name!r} has no room for {robots} robots; use fewer")
@@ -85,13 +83,13 @@ def _drawn(home: Floorplan, robots: int, radius_m: float, random: np.random.Gene
 
 @lru_cache(maxsize=8)
 def start_places(home: Floorplan, clearance_m: float = START_CLEARANCE_M) -> Array:
-    """(k, 2) centres of the free cells that lie so far from walls; computed once per plan."""
+    """(k, 2) centres of the free cells at least `clearance_m` from walls; cached."""
     cells = home.cells()
     centres = cells.centre_of(np.argwhere(cells.free))
     return centres[home.wall_index.distance_m(centres, clearance_m) >= clearance_m]
 
 
-def _spaced(places: Array, count: int, spacing_m: float) -> Array:
+def _choose_spaced(places: Array, count: int, spacing_m: float) -> Array:
     chosen: list[Array] = []
     for place in places:
         if all(np.hypot(*(place - other)) >= spacing_m for other in chosen):

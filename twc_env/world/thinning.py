@@ -1,4 +1,4 @@
-"""Make a building harder to recognise: fewer signs, more signs with one text, fewer access points."""
+"""Harder variants of a building: fewer signs, repeated sign texts, fewer access points."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import AccessPoint, Floorplan, Sign
 
 DUPLICATES = 4
-"""About so many signs carry each repeated text."""
+"""Approximate number of signs per repeated text."""
 
 
 def thinned(plan: Floorplan, config: BuildingConfig) -> Floorplan:
-    """The plan with the shares of signs and access points that `config` leaves; the plan itself where it leaves all.
+    """The plan with the shares of signs and access points in `config`; the plan itself for the default config.
 
-    Which ones go, and which texts are repeated, depends on the plan alone, so the building stays one building over all
-    episodes.
+    The choice depends on the plan only, so it is the same in all episodes.
     """
     if config == BuildingConfig():
         return plan
@@ -36,7 +35,7 @@ def _signs(plan: Floorplan, config: BuildingConfig, seed: int) -> tuple[Sign, ..
     kept = sorted(order[: round(config.sign_share * len(plan.signs))].tolist())
     signs = [plan.signs[k] for k in kept]
     repeated = np.flatnonzero(luck[kept] < config.sign_duplication)
-    if len(repeated) > 1:  # a few texts stand for all of them
+    if len(repeated) > 1:  # the first few texts replace the others
         texts = [signs[k].text for k in repeated[: max(1, len(repeated) // DUPLICATES)]]
         for count, k in enumerate(repeated.tolist()):
             signs[k] = dataclasses.replace(signs[k], text=texts[count % len(texts)])

@@ -1,6 +1,6 @@
-"""Places of the radio SLAM paper by their printed size and number of transmitters (papers.md R14).
+"""Floor plans with the areas and transmitter counts of the sites of the radio SLAM paper (papers.md R14).
 
-The paper prints areas, path lengths and counts, no plans: the layouts are our own.
+The paper has no floor plans: the layouts are our own.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from twc_env.world.layouts import bands
 from twc_env.world.room_names import room_label
 
 _MACS_PER_ACCESS_POINT = 8
-"""Four networks on two bands."""
+"""Four networks on two bands each."""
 _FACES = {"WEST": (0, 0.5, 180), "EAST": (1, 0.5, 0), "SOUTH": (0.5, 0, -90), "NORTH": (0.5, 1, 90)}
 
 
 @lru_cache(maxsize=3)
 def radio_twin(name: str) -> Floorplan:
-    """The twin of that name; always the same plan."""
+    """The twin of a name in `RADIO_TWINS`."""
     random = random_stream(0, name)
     draw, macs = _TWINS[name]
     plan = finish(draw(random), name, random, access_points=macs // _MACS_PER_ACCESS_POINT, macs=macs)
@@ -43,7 +43,7 @@ def _sutd_indoor(random: np.random.Generator) -> Drawing:
 
 
 def _ntu(random: np.random.Generator) -> Drawing:
-    """5,100 m2: covered walks around blocks of rooms and open courts; a court's railing stops hardly any signal."""
+    """5,100 m2: covered walks around blocks of rooms and open courts, whose railings have little radio loss."""
     style = Style(
         door=12, repeated="NO SMOKING", furniture=(8, 16), void_db=1.0, floor_name="WALK",
         access_points_in=("room", "open"), label=room_label,
@@ -63,7 +63,7 @@ def _ntu(random: np.random.Generator) -> Drawing:
 
 
 def _sutd_outdoor(random: np.random.Generator) -> Drawing:
-    """75,000 m2: streets with lamp posts between closed buildings, a fence around them."""
+    """75,000 m2: fenced streets with lamp posts between closed buildings."""
     style = Style(
         door=12, repeated="", outer_db=1.0, void_db=10.0, floor_name="STREET", along_floor=("BUS STOP", "NO PARKING"),
         access_points_in=("void",),
@@ -102,6 +102,6 @@ _TWINS: dict[str, tuple[Callable[[np.random.Generator], Drawing], int]] = {
     "radio-ntu": (_ntu, 1046),
     "radio-sutd-outdoor": (_sutd_outdoor, 4488),
 }
-"""How each is drawn, and how many addresses its robot heard in total."""
+"""Layout, and number of addresses received in total (papers.md R14)."""
 RADIO_TWINS = tuple(_TWINS)
 """Names of the twins."""

@@ -1,4 +1,4 @@
-"""Walls sorted into square buckets, so that a ray or a line of sight meets only the walls near it."""
+"""Spatial index of walls: a grid of square buckets for line-of-sight and distance queries."""
 
 from __future__ import annotations
 
@@ -11,49 +11,51 @@ from twc_env.kernels import borrowing_kernel, kernel
 
 _BUCKET_MIN_M, _BUCKET_MAX_M = 0.5, 2.0
 _MARGIN_M = 0.5
+"""Margin of the grid around the walls."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallIndex:
-    """Walls and, for each bucket of a grid over the building, the walls that pass through it."""
+    """Walls, and for each bucket the walls that touch it."""
 
     walls_m: Array
     """(walls, 4): x1, y1, x2, y2."""
     loss_db: Array
-    """(walls,) radio loss of one crossing."""
+    """(walls,) RSSI loss per crossing."""
     origin_m: Array
     """(2,) lower left corner of bucket (0, 0)."""
     bucket_m: float
     shape: tuple[int, int]
     """(rows, columns)."""
     first: Array
-    """(rows * columns + 1,) int32: bucket b holds members[first[b] : first[b + 1]]."""
+    """(rows * columns + 1,) int32: the walls of bucket b are members[first[b] : first[b + 1]]."""
     members: Array
     """(entries,) int32 wall numbers."""
 
     def buckets(self) -> tuple:
-        """What kernels need that look for walls around a place: walls, origin, side, rows, columns, first, members."""
+        """Arguments of kernels: walls, origin, bucket side, rows, columns, first, members."""
         return self.walls_m, self.origin_m, self.bucket_m, *self.shape, self.first, self.members
 
     def crossing(self, point_m: Array, targets_m: Array) -> tuple[Array, Array]:
-        """Walls between one point (2,) and each target (k, 2): (k,) how many, and (k,) their summed loss [dB].
+        """Walls between a point (2,) and each target (k, 2): counts (k,) and sums of losses (k,) [dB].
 
-        A line through the joint of two walls that continue each other crosses once.
+        A line through the common end of two collinear walls crosses one of them.
         """
         counts, losses = np.empty(len(targets_m), np.int64), np.empty((1, len(targets_m)))
-        targets_m, loss_db = np.array(targets_m, float, order="C"), self.loss_db[None].copy()  # whose type is compiled
+        # Copies, as the compiled signature excludes read-only arrays.
+        targets_m, loss_db = np.array(targets_m, float, order="C"), self.loss_db[None].copy()
         cross(*self.buckets(), loss_db, float(point_m[0]), float(point_m[1]), targets_m, counts, losses)
         return counts, losses[0]
 
     def distance_m(self, points_m: Array, reach_m: float) -> Array:
-        """(k, 2) points -> (k,) distance to the nearest wall, cut at `reach_m`."""
+        """(k, 2) points -> (k,) distance to the nearest wall, at most `reach_m`."""
         gaps = np.empty(len(points_m))
         _gaps(*self.buckets(), np.ascontiguousarray(points_m, float), reach_m, gaps)
         return gaps
 
 
 def index_walls(walls_m: Array, loss_db: Array) -> WallIndex:
-    """Sort walls (w, 2, 2) with their losses (w,) into buckets sized for a few walls each."""
+    """The index of walls (w, 2, 2) with losses (w,), with a few walls per bucket."""
     flat = np.ascontiguousarray(np.asarray(walls_m, float).reshape(-1, 4))
     low = np.minimum(flat[:, :2], flat[:, 2:]).min(axis=0) - _MARGIN_M
     high = np.maximum(flat[:, :2], flat[:, 2:]).max(axis=0) + _MARGIN_M
@@ -71,7 +73,7 @@ def index_walls(walls_m: Array, loss_db: Array) -> WallIndex:
 
 @borrowing_kernel
 def _fill(walls, origin, bucket, rows, columns, slots, members):
-    """Visit every (wall, bucket) pair that touches; count into slots, or write members when there is room."""
+    """Count the walls that touch each bucket into slots, or write them to members if that is not empty."""
     half = 0.5 * bucket + 1e-9
     for w in range(walls.shape[0]):
         ax, ay = walls[w, 0] - origin[0], walls[w, 1] - origin[1]
@@ -81,7 +83,7 @@ def _fill(walls, origin, bucket, rows, columns, slots, members):
         ex, ey = bx - ax, by - ay
         for r in range(max(r0, 0), min(r1, rows - 1) + 1):
             for c in range(max(c0, 0), min(c1, columns - 1) + 1):
-                # The box is cut by the wall's line unless all its corners lie on one side.
+                # The wall's line misses the bucket if all corners lie on one side.
                 side = (c * bucket + half - ax) * ey - (r * bucket + half - ay) * ex
                 if abs(side) > half * (abs(ex) + abs(ey)) + 1e-9:
                     continue
@@ -93,26 +95,26 @@ def _fill(walls, origin, bucket, rows, columns, slots, members):
 
 @borrowing_kernel
 def is_crossed(walls, w, px, py, qx, qy):
-    """Whether the line from p to q crosses wall w; where two walls continue each other, one of them."""
+    """Whether the line from p to q crosses wall w; at the common end of two collinear walls, one of them."""
     ax, ay, bx, by = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
     dx, dy = qx - px, qy - py
     side_a = dx * (ay - py) - dy * (ax - px)
     side_b = dx * (by - py) - dy * (bx - px)
     side_p = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
     side_q = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax)
-    # Without a branch: which of the two fails cannot be foretold, and both cost less than a wrong guess.
+    # Branch-free: computing both sides costs less than a misprediction.
     return ((side_a >= 0.0) != (side_b >= 0.0)) & ((side_p >= 0.0) != (side_q >= 0.0))
 
 
 @kernel
 def cross(walls, origin, bucket, rows, columns, first, members, losses_db, px, py, targets, counts, losses):
-    """Walls between p and targets (k, 2): counts (k,), losses (bands, k) summed from losses_db (bands, walls)."""
+    """Fill counts (k,) and losses (bands, k), sums of losses_db (bands, walls), of walls from p to targets (k, 2)."""
     stamp = np.full(walls.shape[0], -1, np.int32)
     for k in range(targets.shape[0]):
         qx, qy = targets[k, 0], targets[k, 1]
         dx, dy = qx - px, qy - py
         counts[k], losses[:, k] = 0, 0.0
-        # Walk the buckets from p to q; next_x and next_y are the shares of the way where the next one begins.
+        # Traverse the buckets from p to q; next_x, next_y: share of the line at which the next column or row begins.
         gx, gy = (px - origin[0]) / bucket, (py - origin[1]) / bucket
         c, r = int(np.floor(gx)), int(np.floor(gy))
         c_end, r_end = int(np.floor((qx - origin[0]) / bucket)), int(np.floor((qy - origin[1]) / bucket))
@@ -142,7 +144,7 @@ def cross(walls, origin, bucket, rows, columns, first, members, losses_db, px, p
 
 @borrowing_kernel
 def is_blocked(walls, origin, bucket, rows, columns, first, members, px, py, qx, qy):
-    """Whether a wall crosses the line from p to q, a short one: all walls of the buckets around it are tested."""
+    """Whether a wall crosses the line from p to q; for short lines, as it tests all buckets of their bounding box."""
     c0 = max(int(np.floor((min(px, qx) - origin[0]) / bucket)), 0)
     c1 = min(int(np.floor((max(px, qx) - origin[0]) / bucket)), columns - 1)
     r0 = max(int(np.floor((min(py, qy) - origin[1]) / bucket)), 0)
@@ -158,7 +160,7 @@ def is_blocked(walls, origin, bucket, rows, columns, first, members, px, py, qx,
 
 @borrowing_kernel
 def gap(walls, origin, bucket, rows, columns, first, members, x, y, reach):
-    """Distance of (x, y) to the nearest wall, cut at `reach`."""
+    """Distance of (x, y) to the nearest wall, at most `reach`."""
     c0 = max(int(np.floor((x - reach - origin[0]) / bucket)), 0)
     c1 = min(int(np.floor((x + reach - origin[0]) / bucket)), columns - 1)
     r0 = max(int(np.floor((y - reach - origin[1]) / bucket)), 0)

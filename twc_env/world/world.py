@@ -1,4 +1,4 @@
-"""The simulated world: place robots in a building, move them, and compute each robot's measurements."""
+"""The simulated world: the robots' motion in a building and the measurements of their sensors."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ from twc_env.world.starts import start_poses
 
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
 _TYPES = _FLOAT, _FLOAT, _FLOAT, _FLOAT, _INT, _FLOAT, _INT
-"""Of what a step fills: poses, odometry, turn rates, ranges; addresses heard, how strongly, and how many."""
+"""Types of the outputs of a step: poses, odometry, turn rates, ranges; addresses received, their RSSI, their counts."""
 _scans_of = partial(tuple.__new__, WifiScans)
-"""Of its four fields; half as long as calling the class, which goes through Python."""
+"""Faster constructor, from a tuple of the four fields."""
 _STEPS_AT_ONCE = 16
-"""Steps for which arrays are made together: a row of one costs a third of an array of its own."""
+"""Steps per allocation: a row of an array costs a third of a new array."""
 _NO_COMMANDS = np.empty((0, 2))
-"""Nobody is to move."""
-_TOUCHING, _UNSEEN = -1, -2
-"""In place of how many signs are in view: somebody may touch something; the walls around robot 0 are unknown."""
+"""Commands of a call that only senses."""
+_CONTACT, _UNCACHED = -1, -2
+"""Return values of `_move_and_sense` if a contact is possible, and if the wall crossings at robot 0 are not cached."""
 
 
 class World:
-    """Ground truth of one episode. Call `step`, then `sense` once, since sensing draws the noise of that step.
+    """Ground truth of an episode. Call `sense` once after each `step`, as it samples the noise of the step.
 
     Raises MapError for an invalid plan.
     """
@@ -53,24 +53,25 @@ class World:
     def __init__(self, config: EnvConfig, plan: Floorplan):
         self.config, self.plan = config, validate(plan)
         self.sighted_signs: tuple[tuple[int, ...], ...] = ()
-        """For each robot the true signs (plan numbers) behind the readings of its last frame; for metrics only."""
+        """For each robot, the true signs (plan numbers) behind the readings of its last frame; for metrics only."""
         self._dynamics: Dynamics | None = None
-        """All robots, once an episode has begun."""
+        """None before the first `reset`."""
         self._step = 0
-        # All is computed where the building was drawn: moving it changes not even the rounding.
+        # All computations are in the home frame, so that moving the building does not even change the rounding.
         self._home = plan.home
         self._is_moved = bool(plan.pose_building_home.any())
         self._radio = _radio_model(config.radio, self._home)
         self._time_step_s = config.dynamics.time_step_s
         self._wifi_period = _period_steps(config.radio.scan_period_s, config)
         self._camera_period = _period_steps(config.signs.period_s, config)
-        self._hearing = _turns(self._wifi_period, config.robots)
+        self._scanning_robots = _turns(self._wifi_period, config.robots)
         self._run: Callable[..., int] | None = None
-        """`_move_and_sense` with what it needs in every step, as long as the crossing table is `_held_crossings`."""
-        self._held_crossings: tuple[Array, ...] | None = None
+        """`_move_and_sense` with its constant arguments, valid while the crossing table's arrays are
+        `_bound_crossings`."""
+        self._bound_crossings: tuple[Array, ...] | None = None
 
     def reset(self, seed: int, starts: str | Array = "random") -> None:
-        """Begin an episode. Starts: "random" (drawn by seed), "map" (the plan's own), or poses (n, 3).
+        """Begin an episode; starts: "random" (by seed), "map" (those of the plan) or poses (n, 3) in the building.
 
         Raises MapError if the robots do not fit, ConfigError for invalid starts or seed.
         """
@@ -81,7 +82,7 @@ class World:
         self._walls = self._home.wall_index.buckets()
         dynamics = self._dynamics = Dynamics(config.dynamics, self._home.wall_index, starts_home)
         self.contacts = dynamics.contacts
-        """(n,) whether each robot touches something."""
+        """(n,) bool: whether each robot touches a wall or a robot."""
         self._odometry = Odometry(config.odometry, config.dynamics.time_step_s, robots, seed)
         self._lidar = Lidar(config.lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
         offsets_db = [0.0] * (robots - 1) + [config.failure.device_offset_db]
@@ -90,34 +91,34 @@ class World:
             for robot, offset_db in enumerate(offsets_db)
         ]
         self._wifi = WifiReceivers(self._radio, self._receivers)
-        self._hears_at_once = self._receivers[0].is_plain
-        self._listeners = [np.array(turn if self._hears_at_once else (), np.int64) for turn in self._hearing]
-        """For each step of a WiFi period, the robots that hear in the one call of the step."""
-        self._rooms: list[Iterator[tuple]] = [iter(()) for _ in self._hearing]
-        """For each step of a WiFi period, what the next such steps fill: poses, odometry, turn rates, ranges, scans."""
+        self._scans_compiled = self._receivers[0].is_plain
+        self._listeners = [np.array(turn if self._scans_compiled else (), np.int64) for turn in self._scanning_robots]
+        """For each step of a WiFi period, the robots whose scans are computed by `_move_and_sense`."""
+        self._buffers: list[Iterator[tuple]] = [iter(()) for _ in self._scanning_robots]
+        """For each step of a WiFi period, output arrays: poses, odometry, turn rates, ranges, scans."""
         laser = (robots, config.lidar.beam_count) if self._lidar.is_plain else (0, 0)
-        self._shapes = [_shapes_of_room(robots, laser, len(own), len(self._radio.macs)) for own in self._listeners]
+        self._shapes = [_step_shapes(robots, laser, len(own), len(self._radio.macs)) for own in self._listeners]
         self._cameras = SignCameras(config, self._home, seed, self._camera_period)
-        self._held_crossings = None
+        self._bound_crossings = None
         self._sensed_poses = dynamics.poses.copy()
-        """(n, 3) at the last reading of the sensors."""
+        """(n, 3) true poses of the last measurement."""
         self._step, self._noise_block = 0, -1
         self.sighted_signs = self._cameras.nothing[1]
 
     @property
     def poses(self) -> Array:
         """(n, 3) true poses in the building frame, read-only."""
-        poses = (self._dynamics or _not_begun()).poses
+        poses = (self._dynamics or _raise_not_reset()).poses
         return self._in_building(poses) if self._is_moved else poses
 
     @property
     def poses_home(self) -> Array:
-        """(n, 3) true poses in the frame in which the building was drawn."""
-        return (self._dynamics or _not_begun()).poses
+        """(n, 3) true poses in the home frame."""
+        return (self._dynamics or _raise_not_reset()).poses
 
     @property
     def transmitters_home(self) -> tuple[Array, Array]:
-        """Addresses (k,) of the building's access points and their positions (k, 2) in the frame as drawn."""
+        """Addresses (k,) of the building's access points, and their positions (k, 2) in the home frame."""
         points = self._home.access_points
         is_ours = self._radio.access_point_of < len(points)
         places = np.array([p.position_m for p in points], float).reshape(-1, 2)
@@ -125,10 +126,10 @@ class World:
 
     def anchor(self, robots: Iterable[int]) -> None:
         """Make these robots immovable."""
-        (self._dynamics or _not_begun()).anchor(robots)
+        (self._dynamics or _raise_not_reset()).anchor(robots)
 
     def step(self, commands: Array) -> None:
-        """Move all robots for one time step; commands (n, 2) [m/s, rad/s]. Raises ActionError for others."""
+        """Move all robots for one time step; commands (n, 2) [m/s, rad/s]. Raises ActionError if invalid."""
         try:
             commands = np.asarray(commands, _FLOAT)
             is_fit = commands.shape == (self.config.robots, 2) and math.isfinite(commands.sum())
@@ -136,42 +137,42 @@ class World:
             is_fit = False
         if not is_fit:
             raise ActionError(f"commands must be finite and of shape ({self.config.robots}, 2); got {commands!r}")
-        dynamics = self._dynamics or _not_begun()
+        dynamics = self._dynamics or _raise_not_reset()
         dynamics.step(commands)
         self.contacts = dynamics.contacts
         self._step += 1
 
     def sense(self) -> TeamFrames:
-        """One frame per robot: the world's only output. Its arrays are read-only."""
+        """The measurements of all robots, the world's only output; the arrays are read-only."""
         return self.tick(None)
 
     def tick(self, commands: Array | None) -> TeamFrames:
-        """`step`, then `sense`; a single compiled call if there is no contact. Without commands only `sense`."""
+        """`step` (unless commands is None) and `sense`, by a single compiled call if no contact is possible."""
         if commands is not None:
             commands = np.asarray(commands, _FLOAT, "C")
             self._step += 1
-        step, dynamics = self._step, self._dynamics or _not_begun()
+        step, dynamics = self._step, self._dynamics or _raise_not_reset()
         if step // STEPS != self._noise_block:
             self._draw_noise()
         turn = step % self._wifi_period
-        poses, odometry, turn_rates, ranges, heard = next(self._rooms[turn], None) or self._make_room(turn)
+        poses, odometry, turn_rates, ranges, heard = next(self._buffers[turn], None) or self._allocate_steps(turn)
         if commands is None:
             commands, poses = _NO_COMMANDS, dynamics.poses
         else:
             dynamics.poses, dynamics.contacts = poses, dynamics.untouched
         arguments = poses, step, odometry, turn_rates, ranges, *heard
         run = self._run
-        if run is None or self._held_crossings is not self._radio.crossings.arrays:  # another table when it has grown
+        if run is None or self._bound_crossings is not self._radio.crossings.arrays:  # replaced when enlarged
             run = self._bind(arguments)
         sighted = run(commands, *arguments)
         while sighted < 0:
-            if sighted == _TOUCHING:
+            if sighted == _CONTACT:
                 dynamics.collide()
                 poses = dynamics.poses
                 arguments = poses, *arguments[1:]
             else:
-                self._radio.crossings.prepare(*poses[_UNSEEN - sighted, :2].tolist())
-                if self._held_crossings is not self._radio.crossings.arrays:
+                self._radio.crossings.prepare(*poses[_UNCACHED - sighted, :2].tolist())
+                if self._bound_crossings is not self._radio.crossings.arrays:
                     run = self._bind(arguments)
             sighted = run(_NO_COMMANDS, *arguments)
         self.contacts = dynamics.contacts
@@ -180,37 +181,37 @@ class World:
         if step == 0:
             odometry[:], turn_rates[:] = 0.0, 0.0
         time_s = step * self._time_step_s
-        wifi: WifiScans | list[WifiScan | None] = heard if self._hears_at_once else self._hear_one_by_one(time_s)
+        wifi: WifiScans | list[WifiScan | None] = heard if self._scans_compiled else self._scan_each(time_s)
         signs, self.sighted_signs = self._cameras.read(step) if sighted else self._cameras.nothing
         return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, signs)
 
     def _draw_noise(self) -> None:
-        """Random numbers for the coming steps."""
+        """Draw the random numbers of the next steps."""
         self._noise_block = self._step // STEPS
         self._odometry.noise.hold(self._step)
         if self._lidar.is_plain:
             self._lidar.noise.hold(self._step)
-        if self._hears_at_once:
+        if self._scans_compiled:
             self._wifi.hold(self._step // self._wifi_period)
 
-    def _make_room(self, turn: int) -> tuple:
-        """New arrays for some steps of which all are of that turn; the first step's."""
+    def _allocate_steps(self, turn: int) -> tuple:
+        """Allocate the outputs of the next steps at this step of a WiFi period; returns those of the first one."""
         *team, macs, readings, counts = map(np.empty, self._shapes[turn], _TYPES)
         scans = map(_scans_of, zip(repeat(self._listeners[turn]), macs, readings, counts, strict=False))
-        # Asked for a row beyond its last one, an array takes as long as for ten rows.
-        self._rooms[turn] = islice(zip(*team, scans, strict=True), _STEPS_AT_ONCE)
-        return next(self._rooms[turn])
+        # islice: iterating an array beyond its last row costs as much as ten rows.
+        self._buffers[turn] = islice(zip(*team, scans, strict=True), _STEPS_AT_ONCE)
+        return next(self._buffers[turn])
 
-    def _hear_one_by_one(self, time_s: float) -> list[WifiScan | None]:
+    def _scan_each(self, time_s: float) -> list[WifiScan | None]:
         wifi: list[WifiScan | None] = [None] * self.config.robots
-        for robot in self._hearing[self._step % self._wifi_period]:
+        for robot in self._scanning_robots[self._step % self._wifi_period]:
             wifi[robot] = self._receivers[robot].scan(self.poses_home[robot], time_s)
         return wifi
 
     def _bind(self, arguments: tuple) -> Callable[..., int]:
-        """`_move_and_sense` with all that stays the same from step to step while the crossing table does."""
-        self._held_crossings = self._radio.crossings.arrays
-        dynamics = self._dynamics or _not_begun()
+        """Bind the constant arguments of `_move_and_sense`."""
+        self._bound_crossings = self._radio.crossings.arrays
+        dynamics = self._dynamics or _raise_not_reset()
         apparatus = (
             *self._walls, *dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
             *self._wifi.arguments, *self._cameras.arguments, self._sensed_poses, self._wifi_period,
@@ -221,13 +222,13 @@ class World:
         return run
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_run": None, "_rooms": [iter(()) for _ in self._hearing]}
+        return self.__dict__ | {"_run": None, "_buffers": [iter(()) for _ in self._scanning_robots]}
 
     def _in_building(self, poses_home: Array) -> Array:
         return compose(self.plan.pose_building_home, poses_home)
 
 
-def _not_begun() -> NoReturn:
+def _raise_not_reset() -> NoReturn:
     raise TwcError("no episode has started: call reset() first")
 
 
@@ -236,12 +237,12 @@ def _period_steps(period_s: float, config: EnvConfig) -> int:
 
 
 def _turns(period: int, robots: int) -> list[range]:
-    """The robots whose sensor of that period reads in a step, for each step of a period; they take turns."""
+    """For each step of a period, the robots whose sensor measures in it; staggered."""
     return [range(-step % period, robots, period) for step in range(period)]
 
 
-def _shapes_of_room(robots: int, laser: tuple[int, int], listeners: int, transmitters: int) -> list[tuple[int, ...]]:
-    """Of the arrays that steps with so many listeners fill, in the order of `_TYPES`."""
+def _step_shapes(robots: int, laser: tuple[int, int], listeners: int, transmitters: int) -> list[tuple[int, ...]]:
+    """Shapes of the outputs of steps with this count of listeners, in the order of `_TYPES`."""
     heard = listeners, transmitters
     shapes = (robots, 3), (robots, 3), (robots,), laser, heard, heard, (listeners,)
     return [(_STEPS_AT_ONCE, *shape) for shape in shapes]
@@ -254,46 +255,46 @@ _radio_model = lru_cache(maxsize=8)(RadioModel)
 def _move_and_sense(
     apparatus, commands, now, step, odometry, turn_rates, ranges, listeners, macs, readings, heard_counts
 ):  # fmt: skip
-    """Move all robots, where there are commands, then one reading of each: `advance`, which fills `now`; `measure`,
-    `sweep`, `hear` of the listeners and `look` where it is due.
+    """Move all robots if there are commands, which fills `now` (n, 3), then compute their measurements.
 
-    Gives how many signs are in view. Nothing is read where `advance` refuses, which gives _TOUCHING, and where the
-    walls around robot i are still to be worked out, which gives _UNSEEN - i. Lasers need a row each for what they read,
-    or none at all is used.
+    Returns the count of signs in view. Nothing is measured if a contact is possible (returns _CONTACT) or the wall
+    crossings at listener i are not cached (returns _UNCACHED - i). Without rows for all robots in `ranges`, there is no
+    laser measurement.
     """
     (
-        walls, origin, bucket, rows, columns, first, members, state, limits, move_s, substeps, girth, reach, gaps,
+        walls, origin, bucket, rows, columns, first, members, state, motion_limits, move_s, substeps, body_radius,
+        reach, gaps,
         biases, white, slips_per_m, time_step, odometry_noise,
-        directions, radius, far, near, near_counts, anchors, laid, stamps, deviates, quantiles, range_std, words,
-        loss, points, low, numbers, sure_counts, sure_losses, first_open, open_walls,
-        pose_home_building, boxes, waves, radios, parts, ways, scratch,
+        directions, radius, far, near, near_counts, anchors, projected, stamps, deviates, quantiles, range_std, words,
+        loss, points, low, numbers, certain_counts, certain_losses, first_uncertain, uncertain_walls,
+        pose_home_building, boxes, waves, radios, parts, radio_limits, scratch,
         floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
         draws, signs, lengths, optics, does_hide, sights, hidden, sight_counts, camera_period, before, wifi_period,
     ) = parts_of(apparatus)  # fmt: skip
     if commands.shape[0] > 0 and not advance(
-        commands, walls, origin, bucket, rows, columns, first, members, state, limits, move_s, substeps, girth, reach,
-        gaps, now,
+        commands, walls, origin, bucket, rows, columns, first, members, state, motion_limits, move_s, substeps,
+        body_radius, reach, gaps, now,
     ):  # fmt: skip
-        return _TOUCHING
+        return _CONTACT
     robots = now.shape[0]
     for k in range(listeners.shape[0]):
         i = listeners[k]
         if square_at(now[i, 0], now[i, 1], low, numbers) == MISSING:
-            return _UNSEEN - i
+            return _UNCACHED - i
     noise = odometry_noise[step % odometry_noise.shape[0]]
     measure(before, now, biases, white, slips_per_m, time_step, noise, odometry, turn_rates)
     if ranges.shape[0] == robots:
         sweep(
             walls, origin, bucket, rows, columns, first, members, now, directions, radius, far, near, near_counts,
-            anchors, laid, stamps, deviates, quantiles, range_std, words[step % words.shape[0]], ranges,
+            anchors, projected, stamps, deviates, quantiles, range_std, words[step % words.shape[0]], ranges,
         )  # fmt: skip
     scan = step // wifi_period % draws.shape[0]
     for k in range(listeners.shape[0]):
         i = listeners[k]
         heard_counts[k] = hear(
             i, now[i, 0], now[i, 1], walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers,
-            sure_counts, sure_losses, first_open, open_walls, pose_home_building, boxes, waves, radios, parts,
-            ways, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of,
+            certain_counts, certain_losses, first_uncertain, uncertain_walls, pose_home_building, boxes, waves, radios,
+            parts, radio_limits, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of,
             all_macs, crossed, rssi, heard, draws[scan], macs[k], readings[k],
         )  # fmt: skip
     sighted = 0
