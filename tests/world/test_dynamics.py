@@ -113,7 +113,7 @@ def test_a_blocked_robot_regains_speed_only_by_accelerating():
 
 
 def test_a_copy_goes_on_to_the_byte_though_its_rigid_body_world_was_made_anew(monkeypatch):
-    monkeypatch.setattr("twc_env.world.dynamics._ASKED_MAX", 60)
+    monkeypatch.setattr("twc_env.world.dynamics._LOG_MAX", 60)
     random = np.random.default_rng(5)
     first = robots_in(DynamicsConfig(), ROOM, [[1, 1, 0.0], [1.6, 1, 1.0], [1, 1.7, 2.0]])
     for step in range(100):

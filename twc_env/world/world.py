@@ -294,8 +294,8 @@ def _move_and_sense(
         heard_counts[k] = hear(
             i, now[i, 0], now[i, 1], walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers,
             certain_counts, certain_losses, first_uncertain, uncertain_walls, pose_home_building, boxes, waves, radios,
-            parts, radio_limits, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of,
-            all_macs, crossed, rssi, heard, draws[scan], macs[k], readings[k],
+            parts, radio_limits, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used,
+            fading_of, all_macs, crossed, rssi, heard, draws[scan], macs[k], readings[k],
         )  # fmt: skip
     sighted = 0
     for i in range(-step % camera_period, robots, camera_period):
