@@ -14,7 +14,7 @@ from twc_env.errors import ConfigError
 
 
 def numeric_fields():
-    """(dotted key, minimum, maximum, is_integer) of every number that can be configured."""
+    """(dotted key, minimum, maximum, is_integer) of every numeric setting."""
 
     def walk(cls, prefix):
         for field in dataclasses.fields(cls):
@@ -37,7 +37,7 @@ def test_values_survive_a_round_trip_through_json():
     assert from_dict(json.loads(json.dumps(to_dict(config)))) == config
 
 
-def test_what_is_not_named_keeps_its_default():
+def test_missing_values_keep_their_default():
     config = from_dict({"lidar": {"beam_count": 90}})
     assert config.lidar.beam_count == 90
     assert config.lidar.range_max_m == LidarConfig().range_max_m
@@ -65,14 +65,14 @@ def test_what_is_not_named_keeps_its_default():
         ({"slam": {"merging": {"wifi_check": 1}}}, r"wifi_check must be true or false; got 1"),
     ],
 )
-def test_a_wrong_setting_is_refused_in_one_line_that_names_it(values, message):
+def test_an_invalid_setting_is_rejected_in_one_line_with_its_name(values, message):
     with pytest.raises(ConfigError, match=message) as caught:
         from_dict(values)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(("key", "minimum", "maximum", "is_integer"), numeric_fields(), ids=lambda value: str(value))
-def test_each_number_accepts_its_limits_and_refuses_what_lies_beyond(key, minimum, maximum, is_integer):
+def test_each_number_accepts_its_limits_and_rejects_values_beyond(key, minimum, maximum, is_integer):
     step = 1 if is_integer else 1e-3
     for limit, beyond in ((minimum, minimum - step), (maximum, maximum + max(step, abs(maximum) * 1e-9))):
         override(EnvConfig(), {key: int(limit) if is_integer else float(limit)})
@@ -85,12 +85,12 @@ def test_a_direct_constructor_checks_its_range_too():
         LidarConfig(beam_count=0)
 
 
-def test_a_table_is_no_section_for_a_direct_constructor():
+def test_a_direct_constructor_rejects_a_dict_as_section():
     with pytest.raises(ConfigError, match=r"lidar must be a LidarConfig; got .*from_dict"):
         EnvConfig(lidar={"beam_count": 90})
 
 
-def test_override_reads_text_as_the_type_of_the_field():
+def test_override_converts_strings_to_the_type_of_the_field():
     config = override(
         EnvConfig(),
         {"lidar.beam_count": "90", "radio.noise_std_db": "2", "slam.merging.wifi_check": "false", "map": "3"},
@@ -111,12 +111,12 @@ def test_override_reads_text_as_the_type_of_the_field():
         ({"lidar": 3}, r"lidar must be a table of settings; got 3"),
     ],
 )
-def test_a_wrong_override_is_refused(assignments, message):
+def test_an_invalid_override_is_rejected(assignments, message):
     with pytest.raises(ConfigError, match=message):
         override(EnvConfig(), assignments)
 
 
-def test_a_run_folder_stands_for_the_config_in_it(tmp_path):
+def test_a_run_folder_is_read_as_the_config_in_it(tmp_path):
     config = override(EnvConfig(), {"lidar.beam_count": 90})
     (tmp_path / "config.json").write_text(json.dumps(to_dict(config)), encoding="utf-8")
     assert load(tmp_path) == config
@@ -125,13 +125,13 @@ def test_a_run_folder_stands_for_the_config_in_it(tmp_path):
         load(tmp_path / "empty")
 
 
-def test_a_wrong_setting_in_a_file_is_named_with_the_file(tmp_path):
+def test_an_invalid_setting_in_a_file_is_named_with_the_file(tmp_path):
     (tmp_path / "mine.toml").write_text("robotz = 3", encoding="utf-8")
     with pytest.raises(ConfigError, match=r"mine\.toml: there is no setting robotz; did you mean 'robots'\?"):
         load(tmp_path / "mine.toml")
 
 
-def test_numbers_of_numpy_and_paths_are_taken_as_pythons(tmp_path):
+def test_numpy_numbers_and_paths_are_converted(tmp_path):
     values = {"robots": np.int64(2), "map": tmp_path / "a.json", "lidar": {"range_max_m": np.float32(5.0)}}
     read, changed = from_dict(values), override(EnvConfig(), {**values, "lidar": to_dict(EnvConfig())["lidar"]})
     direct = EnvConfig(robots=np.int64(2), map=tmp_path / "a.json")
@@ -143,13 +143,13 @@ def test_numbers_of_numpy_and_paths_are_taken_as_pythons(tmp_path):
         from_dict({"robots": np.float64(2.5)})
 
 
-def test_a_preset_of_the_radio_comes_before_what_changes_it():
+def test_a_radio_preset_is_applied_before_other_settings():
     for order in (1, -1):
         settings = dict(list({"radio.preset": "twc", "radio.noise_std_db": "0.5"}.items())[::order])
         assert override(EnvConfig(), settings).radio == dataclasses.replace(radio_preset("twc"), noise_std_db=0.5)
 
 
-def test_override_leaves_the_original_alone():
+def test_override_does_not_change_the_original():
     config = EnvConfig()
     before = digest(config)
     assert override(config, {"robots": 2}).robots == 2
@@ -187,18 +187,18 @@ def test_toml_and_json_files_give_the_same_config(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["broken.toml", "broken.json"])
-def test_a_file_that_is_no_toml_or_json_is_refused_by_name(tmp_path, name):
+def test_a_file_that_is_no_toml_or_json_is_rejected_by_name(tmp_path, name):
     (tmp_path / name).write_text("{ this is neither")
     with pytest.raises(ConfigError, match=rf"{name} is not valid {name[-4:].upper()}"):
         load(tmp_path / name)
 
 
-def test_a_missing_file_is_refused_by_name(tmp_path):
+def test_a_missing_file_is_rejected_by_name(tmp_path):
     with pytest.raises(ConfigError, match=r"cannot read the config file .*none\.toml"):
         load(tmp_path / "none.toml")
 
 
 @pytest.mark.parametrize("assignments", [None, ["robots"], {3: 1}])
-def test_settings_without_names_are_refused(assignments):
+def test_settings_without_names_are_rejected(assignments):
     with pytest.raises(ConfigError, match="a dict with names as keys"):
         override(EnvConfig(), assignments)

@@ -28,7 +28,7 @@ def lte_model(plan=None, **cells) -> RadioModel:
     return RadioModel(config, plan or load_map("twin-01"))
 
 
-def test_cells_have_numbers_of_their_own_and_stand_outside_at_the_configured_distance():
+def test_cells_have_unique_numbers_and_the_configured_distances():
     model = lte_model(distance_min_m=300.0, distance_max_m=900.0)
     low_x, low_y, high_x, high_y = load_map("twin-01").bounds_m
     away = np.linalg.norm(model._sources.position_m - [(low_x + high_x) / 2, (low_y + high_y) / 2], axis=1)
@@ -37,7 +37,7 @@ def test_cells_have_numbers_of_their_own_and_stand_outside_at_the_configured_dis
     assert away.min() >= 300.0 and away.max() <= 900.0
 
 
-def test_a_cell_weakens_with_distance_walls_and_off_its_aim():
+def test_cells_are_attenuated_by_distance_walls_and_antenna_angle():
     plan = load_map("twin-01")
     model, opened = lte_model(plan), lte_model(plan, wall_loss_factor=0.0)
     place = np.array([15.0, 1.2])
@@ -73,7 +73,7 @@ def test_cells_move_with_the_building():
 
 
 @pytest.mark.parametrize("name", sorted(RADIO_PRESETS))
-def test_every_preset_hears_something_on_the_twin_map(name):
+def test_every_preset_receives_signals_on_the_twin_map(name):
     config = radio_preset(name)
     receiver = WifiReceiver(config, RadioModel(config, load_map("twin-01")), 0, 1)
     macs = np.concatenate([receiver.scan(np.array([x, 1.2])).macs for x in (3.0, 9.0, 15.0, 21.0, 27.0)])
@@ -90,6 +90,6 @@ def test_presets_are_loaded_by_name_and_changed_by_key():
     assert radio_preset("twc") == RadioConfig()
 
 
-def test_an_unknown_preset_is_refused_with_the_nearest_name():
+def test_an_unknown_preset_is_rejected_with_the_nearest_name():
     with pytest.raises(ConfigError, match="did you mean 'radio-indoor'"):
         radio_preset("radio-indor")

@@ -38,7 +38,7 @@ def test_the_table_counts_what_the_wall_index_counts(seed, walls, on_grid):
 
 
 def plain_count(begins, ends, place, points) -> list[int]:
-    """Every wall against every line, by the rule that a joint of two walls counts once."""
+    """All walls against all lines; the common end of two walls counts once."""
     found = []
     for q in points:
         d, a, b = q - place, begins - place, ends - place
@@ -63,7 +63,7 @@ def test_all_bands_and_all_of_a_building_agree_with_the_wall_index(tests_max, mo
         assert losses == pytest.approx(np.stack([summed, 2.5 * summed]))
 
 
-def test_a_square_gives_the_same_bits_whatever_was_asked_before(monkeypatch):
+def test_a_square_is_identical_whatever_was_cached_before(monkeypatch):
     plan = load_map("twin-01")
     points = np.array([a.position_m for a in plan.access_points])
     places = np.random.default_rng(1).uniform(plan.bounds_m[:2], plan.bounds_m[2:], (60, 2))
@@ -76,7 +76,7 @@ def test_a_square_gives_the_same_bits_whatever_was_asked_before(monkeypatch):
         assert np.count_nonzero(forgetful.arrays[3] >= 0) <= 3
 
 
-def test_what_was_grown_elsewhere_is_not_read_beyond_its_end():
+def test_arrays_from_before_an_enlargement_are_not_read_beyond_their_end():
     plan = load_map("twin-01")
     points = np.array([a.position_m for a in plan.access_points])
     table = CrossingTable(plan.wall_index, points, plan.wall_loss_db[None])

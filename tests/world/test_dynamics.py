@@ -39,7 +39,7 @@ def test_headings_stay_within_half_a_turn():
     assert -np.pi <= dynamics.poses[0, 2] < np.pi
 
 
-def test_commands_are_cut_to_the_limits():
+def test_commands_are_clipped_to_the_limits():
     config = DynamicsConfig(speed_max_m_s=0.4, turn_rate_max_rad_s=0.2)
     dynamics = robots_in(config, ROOM, [[1, 3, 0], [3, 5, 0]])
     drive(dynamics, [[99.0, 0.0], [0.0, -99.0]], 50)
@@ -95,7 +95,7 @@ def test_contact_with_a_wall_is_flagged_and_ends():
     assert dynamics.contacts.tolist() == [False, False]
 
 
-def test_robots_that_meet_are_both_flagged_and_keep_apart():
+def test_robots_in_contact_are_both_flagged_and_do_not_overlap():
     dynamics = robots_in(DynamicsConfig(), ROOM, [[2, 3, 0], [4, 3, np.pi], [1, 1, 0]])
     drive(dynamics, [[1.0, 0.0], [1.0, 0.0], [0.0, 0.0]], 30)
     assert dynamics.contacts.tolist() == [True, True, False]
@@ -112,7 +112,7 @@ def test_a_blocked_robot_regains_speed_only_by_accelerating():
     assert np.hypot(*(dynamics.poses[0] - before)[:2]) < 0.03
 
 
-def test_a_copy_goes_on_to_the_byte_though_its_rigid_body_world_was_made_anew(monkeypatch):
+def test_a_copy_continues_identically_though_its_rigid_body_world_was_rebuilt(monkeypatch):
     monkeypatch.setattr("twc_env.world.dynamics._LOG_MAX", 60)
     random = np.random.default_rng(5)
     first = robots_in(DynamicsConfig(), ROOM, [[1, 1, 0.0], [1.6, 1, 1.0], [1, 1.7, 2.0]])
@@ -127,7 +127,7 @@ def test_a_copy_goes_on_to_the_byte_though_its_rigid_body_world_was_made_anew(mo
     assert first.contacts.any() and len(first._log) <= 60
 
 
-def test_steps_without_the_rigid_body_world_are_those_it_would_have_taken():
+def test_steps_without_the_rigid_body_world_equal_those_with_it():
     random = np.random.default_rng(3)
     inner = np.array([[[3, 0], [3, 2.2]], [[0, 3], [2, 3]]], float)
     starts = [[1, 1, 0.0], [5, 1, 1.0], [4, 4.5, 2.0]]

@@ -72,7 +72,7 @@ THICK_WALL = [[2, 0, 2, 4, 5], [2.2, 0, 2.2, 4, 5]]
         ({"rooms": [{"name": "hall"}]}, ["rooms[0] lacks the key 'polygon_m'"]),
     ],
 )  # fmt: skip
-def test_each_fault_is_named_in_one_line_with_its_remedy(changes, expected):
+def test_each_error_is_one_line_with_its_remedy(changes, expected):
     with pytest.raises(MapError) as caught:
         validate(floorplan_from_values(square_values(**changes), "square.json"))
     message = str(caught.value)
@@ -80,12 +80,12 @@ def test_each_fault_is_named_in_one_line_with_its_remedy(changes, expected):
     assert all(part in message for part in expected), message
 
 
-def test_a_plan_that_is_no_table_is_refused():
+def test_a_plan_that_is_no_object_is_rejected():
     with pytest.raises(MapError, match="must be a JSON object"):
         floorplan_from_values([1], "square.json")
 
 
-def test_a_missing_or_broken_file_is_refused_with_its_name(tmp_path):
+def test_a_missing_or_invalid_file_is_rejected_with_its_name(tmp_path):
     with pytest.raises(MapError, match=r"cannot read the map .*none\.json"):
         read_floorplan(tmp_path / "none.json")
     (tmp_path / "broken.json").write_text('{"name": ')
@@ -137,7 +137,7 @@ def test_moving_keeps_the_digest_and_returns_home_exactly():
     assert moved.starts == pytest.approx(expected)
 
 
-def test_moving_carries_signs_access_points_and_rooms():
+def test_a_motion_transforms_signs_access_points_and_rooms():
     plan = Floorplan(
         "p",
         [[[0, 0], [1, 0]]],
@@ -152,7 +152,7 @@ def test_moving_carries_signs_access_points_and_rooms():
     assert plan.rooms[0].polygon_m == pytest.approx(np.array([[10, 0], [10, 1], [9, 1]]))
 
 
-def test_cells_of_a_room_hold_its_area_and_a_closed_wall_one_cell_thick():
+def test_the_cells_of_a_room_have_its_area_and_walls_one_cell_thick():
     cells = floorplan_from_values(square_values(), "square").cells(0.1)
     assert cells.free.sum() == 39 * 39
     assert cells.wall.sum() == 4 * 40
@@ -189,7 +189,7 @@ def test_a_copied_or_pickled_plan_is_the_same_plan():
         assert np.array_equal(other.cells().free, plan.cells().free)
 
 
-def test_a_building_in_the_wrong_unit_is_refused():
+def test_a_building_in_the_wrong_unit_is_rejected():
     walls = [[a * 1000 for a in wall[:4]] + [5] for wall in square_values()["walls"]]
     with pytest.raises(MapError, match="too large for cells"):
         floorplan_from_values(square_values(walls=walls), "square").cells(0.1)

@@ -29,7 +29,7 @@ from twc_env.world.splits import (
 from twc_env.world.world import World
 
 SPLIT_DIGESTS = {"train": "297c9ed274f0", "validation": "e2006fc2e5b2", "test": "12a9da4091fe"}
-"""Change these only together with a new version of the environment: published results name these buildings."""
+"""Change these only with a new version of the environment: published results refer to these buildings."""
 
 
 @pytest.fixture(scope="module")
@@ -38,13 +38,13 @@ def layouts() -> dict[str, list[str]]:
 
 
 def islands(plan: Floorplan) -> int:
-    """How many obstacles stand free on the floor: each is a loop to drive."""
+    """Count of free-standing obstacles, each of which closes a loop."""
     _, count = ndimage.label(np.pad(~plan.cells().free, 1), np.ones((3, 3)))
     return count - 1
 
 
 def door_widths_m(plan: Floorplan) -> list[float]:
-    """Widths of the gaps between walls on one line that a path can cross."""
+    """Widths of the gaps between collinear walls that a path can cross."""
     widths = []
     for axis in (0, 1):
         is_along = plan.walls_m[:, 0, axis] == plan.walls_m[:, 1, axis]
@@ -78,7 +78,7 @@ def test_every_room_of_every_building_can_be_reached(kind, area_m2, seed):
     assert islands(plan) >= 1
 
 
-def test_doors_are_wide_enough_for_a_robot_and_no_gates():
+def test_door_widths_are_within_limits():
     widths = [width for kind in KINDS for seed in range(5) for width in door_widths_m(generate(kind, 600, seed))]
     assert len(widths) > 200
     assert min(widths) >= 0.9 - 1e-9
@@ -92,7 +92,7 @@ def test_rooms_repeat():
         assert sizes.most_common(1)[0][1] >= 4
 
 
-def test_equal_arguments_give_equal_buildings_and_others_do_not():
+def test_equal_arguments_give_equal_buildings_and_different_ones_do_not():
     assert generate("ring", 400, 5).digest == generate("ring", 400, 5).digest
     others = [("ring", 400, 6), ("ring", 410, 5), ("office", 400, 5)]
     assert len({generate(*other).digest for other in [("ring", 400, 5), *others]}) == 4
@@ -128,7 +128,7 @@ def test_ten_thousand_square_metres_are_drawn_in_two_seconds_and_reset_in_one(ki
         ("train/1", "no map named 'train/1'"),
     ],
 )
-def test_names_of_no_building_are_refused(name, expected):
+def test_invalid_building_names_are_rejected(name, expected):
     with pytest.raises(MapError, match=expected) as caught:
         load_map(name)
     assert "\n" not in str(caught.value)
@@ -148,7 +148,7 @@ def test_the_digest_of_a_split_building_names_what_was_generated():
     assert layout_digest(load_map("validation/0007")) == layout_digest(generate(*recipe))
 
 
-def test_splits_take_their_kinds_in_turn_and_stay_in_their_range_of_areas():
+def test_splits_alternate_kinds_and_stay_in_their_range_of_areas():
     recipes = [split_recipe(split, number) for split in SPLITS for number in range(SPLITS[split])]
     assert len(recipes) == len(set(recipes)) == 1200
     assert len({seed for _, _, seed in recipes}) == 1200
@@ -169,14 +169,14 @@ def test_no_layout_occurs_twice_in_or_across_splits_even_turned_or_mirrored(layo
 
 
 @pytest.mark.parametrize("number", range(0, 100, 9))
-def test_buildings_of_the_test_split_are_sound(number):
+def test_buildings_of_the_test_split_are_valid(number):
     plan = load_map(f"test/{number:04d}")
     assert check_reachable(validate(plan)) is plan
 
 
 @pytest.mark.parametrize("mirror", [1, -1])
 @pytest.mark.parametrize("turn", [0, 1, 2, 3])
-def test_a_layout_is_known_again_when_moved_turned_and_mirrored(mirror, turn):
+def test_the_layout_digest_is_invariant_to_motion_and_mirroring(mirror, turn):
     plan = generate("office", 300, 2)
     pose = np.array([7.0, -3.0, turn * np.pi / 2])
     walls = transform_points(pose, (plan.walls_m * np.array([mirror, 1])).reshape(-1, 2)).reshape(-1, 2, 2)
@@ -186,7 +186,7 @@ def test_a_layout_is_known_again_when_moved_turned_and_mirrored(mirror, turn):
     assert layout_digest(generate("office", 300, 4)) != layout_digest(plan)
 
 
-def test_a_room_behind_a_narrow_gap_is_found_out_of_reach():
+def test_a_room_behind_a_narrow_gap_is_unreachable():
     walls = [(0, 0, 6, 0), (6, 0, 6, 3), (6, 3, 0, 3), (0, 3, 0, 0), (3, 0, 3, 1.3), (3, 1.7, 3, 3)]
     rooms = {"WEST": (0, 3), "EAST": (3, 6)}
     plan = Floorplan(

@@ -19,7 +19,7 @@ EXACT = {"range_noise_std_m": 0.0}
 
 
 def scanner(walls=SQUARE, robots=1, seed=0, radius_m=0.2, **config) -> Lidar:
-    """One without noise, unless the config asks for some."""
+    """A scanner, by default without noise."""
     config = LidarConfig(**{**EXACT, **config})
     return Lidar(config, index_walls(walls, np.ones(len(walls))), radius_m, robots, seed)
 
@@ -60,7 +60,7 @@ def test_ranges_agree_with_shapely_on_random_walls(seed, count):
 
 
 def nearest_hit(walls_m, pose, angle_rad: float, far_m: float) -> float:
-    """One beam against every wall, by solving position + r direction = begin + t extent."""
+    """Range of one beam over all walls, by solving position + r direction = begin + t extent."""
     extents, away = walls_m[:, 1] - walls_m[:, 0], walls_m[:, 0] - pose[:2]
     dx, dy = np.cos(angle_rad), np.sin(angle_rad)
     closing = dx * extents[:, 1] - dy * extents[:, 0]
@@ -72,7 +72,7 @@ def nearest_hit(walls_m, pose, angle_rad: float, far_m: float) -> float:
 
 
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 60), on_grid=st.booleans())
-def test_a_scanner_on_its_way_sees_all_that_no_wall_hides(seed, count, on_grid):
+def test_scans_along_a_path_equal_those_with_all_walls(seed, count, on_grid):
     random, beams = np.random.default_rng(seed), 45
     begins, extents = random.uniform(0, 12, (count, 2)), random.normal(0, 3, (count, 2))
     if on_grid:  # walls that end on each other or lie in one line
@@ -91,14 +91,14 @@ def test_a_scanner_on_its_way_sees_all_that_no_wall_hides(seed, count, on_grid):
 
 
 @pytest.mark.parametrize("y", [0.0, 1e-18, -1e-18, 1e-13, -1e-13])
-def test_a_wall_seen_exactly_edge_on_blinds_no_other_beam(y):
+def test_a_wall_seen_exactly_edge_on_affects_no_other_beam(y):
     edge_on = np.array([[[-3.0, y], [-1.0, -y]], [[1.0, -y], [2.0, y]]])
     for walls in (edge_on, edge_on[:, ::-1]):
         ranges = scanner(walls, beam_count=180).scan(np.zeros((1, 3)))[0]
         assert (ranges[1:90] == 10.0).all() and (ranges[91:] == 10.0).all()
 
 
-def test_no_return_reads_exactly_the_maximum_range():
+def test_beams_without_return_read_exactly_the_maximum_range():
     ranges = scanner(FAR_SQUARE, range_max_m=7.5, range_noise_std_m=0.1).scan(np.zeros((1, 3)))
     assert (ranges == 7.5).all()
 
@@ -127,7 +127,7 @@ def test_range_noise_has_the_configured_spread_and_stays_in_range():
     assert 0.0 < scanner(range_noise_std_m=1.0, beam_count=360).scan(pose).min() < 0.01
 
 
-def test_a_robot_behind_a_wall_is_not_seen_and_leaves_the_noise_of_the_others_alone():
+def test_a_robot_behind_a_wall_changes_neither_ranges_nor_noise():
     poses = np.array([[1.0, 1.0, 0.0], [3.0, 3.0, 0.0]])
     walls = np.concatenate([SQUARE, [[[2, 0], [2, 4]]]])
     one, two = (scanner(walls, robots=count, seed=4, range_noise_std_m=0.02).scan(poses[:count]) for count in (1, 2))
@@ -159,7 +159,7 @@ def test_glass_is_a_wall_like_any_other_by_default():
     assert device.scan(pose)[0, 0] == pytest.approx(3.0)
 
 
-def test_glass_is_seen_by_the_chance_of_its_incidence_else_what_lies_behind():
+def test_glass_reflects_with_the_probability_of_its_incidence_angle():
     device = glass_scanner(glass_return_probability=0.8, glass_incidence_max_rad=0.6)
     scans = np.array([device.scan(np.zeros((1, 3)))[0] for _ in range(600)])
     for beam in (0, 10, 20, 30, 40, 340):
@@ -181,7 +181,7 @@ def test_glass_that_never_returns_leaves_exactly_the_solid_walls():
     assert through == pytest.approx(solid, abs=1e-9)
 
 
-def test_a_building_all_of_glass_can_be_looked_through():
+def test_a_building_with_glass_walls_only_can_be_scanned():
     config = LidarConfig(glass_return_probability=0.0)
     device = Lidar(config, index_walls(SQUARE, np.ones(4)), 0.2, 1, 0, glass=(0, 1, 2, 3))
     assert (device.scan(np.array([[2.0, 2.0, 0.0]])) == config.range_max_m).all()

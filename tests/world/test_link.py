@@ -13,7 +13,7 @@ def link(robots: int = 3, seed: int = 0, walls_m=((2.0, -1.0), (2.0, 1.0)), **se
     return Link(LinkConfig(**settings), robots, walls, np.random.default_rng(seed))
 
 
-def test_the_central_mapper_is_reached_from_everywhere():
+def test_the_central_mapper_is_always_in_range():
     contacts = link().contacts(1e6 * IN_A_ROW)
     assert contacts.tried.shape == (1, 3)
     assert contacts.tried.all() and contacts.heard.all()
@@ -30,7 +30,7 @@ def test_a_wall_shortens_the_range_of_those_it_stands_between():
     assert contacts.tried.astype(int).tolist() == [[0, 0, 0], [0, 0, 1], [0, 1, 0]]
 
 
-def test_what_is_lost_was_tried():
+def test_lost_messages_count_as_tried():
     channel = link(loss_probability=0.3, seed=1)
     heard = np.array([channel.contacts(IN_A_ROW).heard for _ in range(2000)])
     assert heard.mean() == pytest.approx(0.7, abs=0.02)

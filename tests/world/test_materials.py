@@ -16,13 +16,13 @@ def values() -> dict:
     return {"format": "twc_env/floorplan-1", "name": "hut", "walls": walls, "interior_m": [[2, 2]]}
 
 
-def test_every_material_loses_more_at_five_gigahertz_than_at_two_and_less_on_lte():
+def test_material_losses_increase_with_frequency():
     for material in MATERIALS.values():
         low, high, cell = material.losses_db
         assert high > low > cell > 0
 
 
-def test_materials_and_storeys_survive_writing_and_moving(tmp_path):
+def test_materials_and_storeys_are_kept_by_writing_and_moving(tmp_path):
     access_point = {"name": "a", "position_m": [1, 1], "macs": ["02:00:5e:00:00:01"], "floor": 2}
     plan = floorplan_from_values({**values(), "materials": {"glass": [1, 3]}, "access_points": [access_point]}, "hut")
     assert plan.wall_materials == ("", "glass", "", "glass")
@@ -52,19 +52,19 @@ def test_plans_without_materials_write_none(tmp_path):
         ([1], "must be a JSON object"),
     ],
 )
-def test_wrong_materials_are_refused(materials, message):
+def test_invalid_materials_are_rejected(materials, message):
     with pytest.raises(MapError, match=message):
         validate(floorplan_from_values({**values(), "materials": materials}, "hut"))
 
 
 @pytest.mark.parametrize("floor", [1.5, "up", True, 1000])
-def test_wrong_storeys_are_refused(floor):
+def test_invalid_storeys_are_rejected(floor):
     access_point = {"name": "a", "position_m": [1, 1], "macs": ["02:00:5e:00:00:01"], "floor": floor}
     with pytest.raises(MapError, match="floor must be a whole number"):
         floorplan_from_values({**values(), "access_points": [access_point]}, "hut")
 
 
-def test_a_plan_names_a_material_for_each_wall_or_for_none():
+def test_materials_are_given_for_all_walls_or_none():
     plan = load_map("twin-01")
     with pytest.raises(MapError, match="1 materials"):
         validate(dataclasses.replace(plan, wall_materials=("glass",)))

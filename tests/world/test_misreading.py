@@ -20,7 +20,7 @@ def readings(table=None, text=TEXT, count=2000, height_px=12.0, incidence=0.0, b
 
 
 def flat(**values):
-    """The shipped table with some rates the same everywhere."""
+    """The shipped table with some rates replaced by constants."""
     table = load_table()
     if "miss" in values:
         table = dataclasses.replace(table, miss_length_exponent=0.0)
@@ -29,7 +29,7 @@ def flat(**values):
 
 
 def at_level(rate: float, **values):
-    """A table of which every line has one character error rate."""
+    """A table with one character error rate for all lines."""
     table = flat(miss=0.0, fragment=0.0, space_loss=0.0, proneness=1.0, **values)
     return dataclasses.replace(
         table, level_rate=np.array([rate]), level_cdf=np.ones((*table.miss.shape, 1)), edit_cdf=table.edit_cdf[:1]
@@ -50,7 +50,7 @@ def test_the_shipped_table_is_small_says_how_it_was_made_and_holds_probabilities
     assert 0.0 <= table.letter_share <= 1.0
 
 
-def test_a_file_that_is_no_table_is_refused_with_the_remedy(tmp_path):
+def test_a_file_that_is_no_table_is_rejected_with_the_remedy(tmp_path):
     path = tmp_path / "table.json"
     path.write_text("{}")
     with pytest.raises(DataError, match="ocr measure"):
@@ -63,18 +63,18 @@ def test_without_errors_in_the_table_every_text_is_read_right():
     assert set(readings(at_level(0.0), count=50)) == {TEXT}
 
 
-def test_lines_are_missed_as_often_as_the_table_says():
+def test_lines_are_missed_at_the_rate_of_the_table():
     seen = readings(flat(miss=0.3))
     assert np.mean([not text for text in seen]) == pytest.approx(0.3, abs=0.03)
 
 
-def test_characters_go_wrong_as_often_as_the_level_says():
+def test_characters_are_wrong_at_the_rate_of_their_level():
     table = dataclasses.replace(at_level(0.2), edit_cdf=np.array([[1.0, 1.0]]))  # substitutions only
     seen = readings(table, "X" * 20)
     assert np.mean([20 - text.count("X") for text in seen]) / 20 == pytest.approx(0.2, abs=0.01)
 
 
-def test_losses_shorten_and_additions_lengthen_a_text():
+def test_deletions_shorten_and_insertions_lengthen_a_text():
     lost = readings(dataclasses.replace(at_level(0.2), edit_cdf=np.array([[0.0, 1.0]])), "X" * 20)
     more = readings(dataclasses.replace(at_level(0.2), edit_cdf=np.array([[0.0, 0.0]])), "X" * 20)
     assert np.mean([len(text) for text in lost]) == pytest.approx(16.0, abs=0.2)
@@ -97,7 +97,7 @@ def test_a_fragment_is_the_beginning_or_the_end_of_the_text():
     assert np.mean(shares) == pytest.approx(integrate.trapezoid(load_table().kept, dx=0.1), abs=0.07)
 
 
-def test_spaces_get_lost_on_their_own():
+def test_spaces_are_deleted_independently():
     table = dataclasses.replace(at_level(0.0), space_loss=np.full_like(load_table().space_loss, 9.0))
     assert set(readings(table, count=50)) == {"A301OPTICSLAB"}
 
@@ -137,6 +137,6 @@ def test_short_texts_are_missed_more_often_than_long_ones():
     assert shares[0] > shares[1] + 0.05 > shares[2] + 0.1
 
 
-def test_a_space_beside_a_digit_is_lost_more_often():
+def test_a_space_beside_a_digit_is_deleted_more_often():
     kept = [np.mean([" " in seen for seen in readings(text=t, height_px=12.0)]) for t in ("LX XL", "L1 1L")]
     assert kept[0] > kept[1] + 0.1

@@ -8,7 +8,7 @@ def streams(*seeds):
     return [np.random.default_rng(seed) for seed in seeds]
 
 
-def test_numbers_in_blocks_are_those_drawn_step_by_step():
+def test_numbers_in_blocks_equal_those_drawn_step_by_step():
     noise = StepNoise(streams(1, 2), 3).beside(streams(3, 4), 2, "random")
     normal, uniform = streams(1, 2), streams(3, 4)
     for _ in range(150):

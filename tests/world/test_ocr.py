@@ -15,7 +15,7 @@ def world(reader: str) -> World:
     return World(override(EnvConfig(), {"signs.reader": reader, "robots": 1}), load_map("twin-01"))
 
 
-def test_without_the_extra_the_real_ocr_is_refused_with_the_remedy(monkeypatch):
+def test_the_real_ocr_without_the_extra_is_rejected_with_the_remedy(monkeypatch):
     ocr._engine.cache_clear()
     monkeypatch.setitem(sys.modules, "rapidocr_onnxruntime", None)
     with pytest.raises(ConfigError, match=r"pip install 'twc_env\[ocr\]'"):
@@ -34,7 +34,7 @@ def test_tall_letters_are_read_by_the_real_ocr_and_tiny_ones_are_not():
 
 
 @pytest.mark.usefixtures("real_ocr")
-def test_what_hides_a_part_of_a_plate_leaves_the_rest_to_be_read():
+def test_the_visible_part_of_an_occluded_sign_is_read():
     from twc_env.world.sign_picture import FONTS, PAINTS, Plate, View
 
     plate = Plate(FONTS[0], *PAINTS[0], margin=0.8, fading=0.0)
@@ -44,7 +44,7 @@ def test_what_hides_a_part_of_a_plate_leaves_the_rest_to_be_read():
 
 
 @pytest.mark.usefixtures("real_ocr")
-def test_the_real_ocr_reads_signs_live_in_an_episode_and_the_same_again():
+def test_the_real_ocr_reads_signs_in_an_episode_reproducibly():
     sign = load_map("twin-01").home.signs[0]
     normal = np.array([np.cos(sign.facing_rad), np.sin(sign.facing_rad)])
     start = [*(sign.position_m + 1.2 * normal), sign.facing_rad + np.pi]

@@ -9,7 +9,7 @@ from twc_env.world.odometry import PRESETS, Odometry
 
 
 def loop(steps: int = 1000, speed_m: float = 0.06) -> np.ndarray:
-    """A path that leads far away: legs of 9 m with quarter turns between."""
+    """A path of 9 m segments with quarter turns between them."""
     poses = [np.zeros(3)]
     for step in range(steps):
         turning = (step // 25) % 7 == 6
@@ -35,7 +35,7 @@ def test_without_drift_odometry_and_gyro_are_exact(platform):
     assert turn_rate[0] == pytest.approx((2 * np.pi - 6.2) / 0.1)
 
 
-def test_errors_grow_from_wheels_to_legs_to_hand():
+def test_errors_grow_from_wheeled_to_legged_to_handheld():
     path = loop()
     errors = {
         platform: np.median([np.hypot(*(dead_reckoning(path, platform, seed=s) - path[-1])[:2]) for s in range(40)])
@@ -44,7 +44,7 @@ def test_errors_grow_from_wheels_to_legs_to_hand():
     assert errors["wheeled"] < errors["legged"] < errors["handheld"]
 
 
-def test_dead_reckoning_on_wheels_ends_metres_off_after_sixty_metres():
+def test_wheeled_dead_reckoning_is_metres_off_after_sixty_metres():
     path = loop(1200)
     length_m = np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1).sum()
     errors = [np.hypot(*(dead_reckoning(path, seed=s) - path[-1])[:2]) for s in range(60)]
@@ -60,7 +60,7 @@ def test_a_robot_at_rest_reports_no_motion_but_its_gyro_drifts():
     assert abs(np.mean(rates)) > 1e-4
 
 
-def test_robots_have_their_own_errors_that_others_do_not_shift():
+def test_errors_of_a_robot_do_not_depend_on_other_robots():
     path = loop(100)
     one, three = (Odometry(OdometryConfig(), 0.1, n, 5) for n in (1, 3))
     for before, now in pairwise(path):
@@ -70,7 +70,7 @@ def test_robots_have_their_own_errors_that_others_do_not_shift():
     assert not np.array_equal(team[0], team[1])
 
 
-def test_the_drift_dial_scales_the_error_from_perfect_to_hard():
+def test_the_drift_setting_scales_the_error():
     path = loop(300)
     errors = [
         np.median([np.hypot(*(dead_reckoning(path, drift=d, seed=s) - path[-1])[:2]) for s in range(30)])
@@ -82,7 +82,7 @@ def test_the_drift_dial_scales_the_error_from_perfect_to_hard():
     assert errors[3] / errors[2] == pytest.approx(2.0, abs=0.4)
 
 
-def test_the_intel_platform_curls_to_the_right_and_overreads_in_every_episode():
+def test_the_intel_platform_has_its_heading_and_scale_bias_in_every_episode():
     straight = np.column_stack([np.arange(0, 20, 0.1), np.zeros(200), np.zeros(200)])
     ends = np.array([dead_reckoning(straight, "pioneer-intel", seed=s) for s in range(20)])
     headings = np.unwrap(ends[:, 2])

@@ -34,7 +34,7 @@ def test_rssi_stops_rising_below_the_smallest_distance():
 
 
 @pytest.mark.parametrize("scale", [1.0, 2.0])
-def test_each_wall_takes_its_loss(scale):
+def test_each_wall_attenuates_by_its_loss(scale):
     position = np.array([10.0, 0.3])
     walls = [(2, -3, 2, 3, 4.0), (5, -3, 5, 3, 7.0), (8, 1, 8, 3, 50.0), (12, -3, 12, 3, 50.0)]
     config = RadioConfig(**QUIET, power_spread_db=0.0)
@@ -44,12 +44,12 @@ def test_each_wall_takes_its_loss(scale):
 
 
 def shadowing(config, plan):
-    """From a place to what its shadowing adds to each address (transmitters,) [dB]."""
+    """Function from a position to the shadowing of each address (transmitters,) [dB]."""
     shadowed, clear = RadioModel(config, plan), RadioModel(dataclasses.replace(config, shadowing_std_db=0.0), plan)
     return lambda place: shadowed.mean_rssi_dbm(place) - clear.mean_rssi_dbm(place)
 
 
-def test_shadowing_is_the_same_at_the_same_place_whatever_came_before():
+def test_shadowing_depends_on_the_position_only():
     plan = load_map("twin-01")
     first, second = shadowing(RadioConfig(), plan), shadowing(RadioConfig(), plan)
     place, elsewhere = np.array([10.0, 1.2]), np.array([22.0, 5.0])
@@ -117,7 +117,7 @@ def test_noise_differs_between_scans_with_the_configured_spread():
     assert readings.std(axis=0).mean() == pytest.approx(3.0, rel=0.05)
 
 
-def test_fading_stays_while_the_robot_stays_and_changes_when_it_has_moved():
+def test_fading_changes_only_after_the_fading_length():
     config = RadioConfig(**{**SURE, "fading_std_db": 4.0, "fading_length_m": 0.5})
     receiver = WifiReceiver(config, RadioModel(config, hall(macs=[tuple(range(1, 31))])), robot=0, seed=0)
     first, same, moved = (receiver.scan(np.array([x, 0.0])).rssi_dbm for x in (20.0, 20.0, 20.6))
@@ -147,7 +147,7 @@ def test_rssi_falls_ten_n_decibels_per_decade_in_each_band_by_its_own_exponent()
     assert near - far == pytest.approx([20.0, 30.0, 20.0, 30.0])
 
 
-def test_a_wall_takes_more_at_five_gigahertz_and_by_its_material():
+def test_wall_losses_are_greater_at_five_gigahertz_and_depend_on_the_material():
     walls, position = [(5, -3, 5, 3, 7.0)], np.array([10.0, 0.3])
     config = RadioConfig(**QUIET, high_band=HighBandConfig(share=0.5, wall_loss_factor=1.5))
     free, plain = hall(macs=((1, 2),)), hall(walls, macs=((1, 2),))
@@ -158,7 +158,7 @@ def test_a_wall_takes_more_at_five_gigahertz_and_by_its_material():
         assert clear - model.mean_rssi_dbm(position) == pytest.approx(expected)
 
 
-def test_a_signal_above_the_floor_is_heard_as_the_slope_of_its_band_says():
+def test_the_detection_probability_follows_the_slope_of_the_band():
     high = HighBandConfig(share=0.5, path_loss_exponent=2.3, power_offset_db=0.0, detection_slope_factor=0.25)
     config = RadioConfig(**QUIET, power_spread_db=0.0, detection_slope_db=8.0, high_band=high)
     model = RadioModel(config, hall(macs=[(k, k + 100) for k in range(1, 101)]))
@@ -170,7 +170,7 @@ def test_a_signal_above_the_floor_is_heard_as_the_slope_of_its_band_says():
     assert (heard > 100).sum() / 4000 == pytest.approx(1 / (1 + np.exp(-4.0 / 2.0)), abs=0.03)
 
 
-def test_what_comes_round_the_walls_bounds_what_they_take():
+def test_the_wall_loss_is_bounded_by_the_limit():
     walls = [(x, -3, x, 3, 6.0) for x in range(1, 9)]
     high = HighBandConfig(share=0.5, wall_loss_factor=3.0)
     plain = RadioConfig(**QUIET, power_spread_db=0.0, high_band=high)
@@ -200,7 +200,7 @@ def test_strong_signals_are_missed_with_the_configured_probability_of_their_band
     assert (heard > 100).sum() / 4000 == pytest.approx(0.95, abs=0.02)
 
 
-def test_ceilings_take_their_losses_and_lengthen_the_way():
+def test_ceilings_attenuate_and_lengthen_the_path():
     config = RadioConfig(
         **QUIET, power_spread_db=0.0, floor_loss_db=15.0, floor_loss_further_db=4.0, floor_height_m=3.0,
         path_loss_exponent=2.0,
@@ -216,7 +216,7 @@ def test_ceilings_take_their_losses_and_lengthen_the_way():
     assert levels[0] - levels[2] == pytest.approx(23.0 + 20 * np.log10(np.hypot(9.0, 4.0) / 4.0))
 
 
-def test_a_ceiling_takes_more_the_flatter_the_way_and_the_most_at_five_gigahertz():
+def test_ceiling_losses_grow_with_obliqueness_and_band():
     plan = hall(macs=((1, 2),))
     above = dataclasses.replace(plan.access_points[0], floor=1)
     plan = dataclasses.replace(plan, access_points=(above,))
@@ -240,7 +240,7 @@ def test_the_number_of_addresses_per_access_point_can_be_set():
         assert np.bincount(model.access_point_of).tolist() == [count] * len(plan.access_points)
 
 
-def test_addresses_of_one_box_fade_together_when_asked():
+def test_addresses_of_one_radio_share_their_fading_if_configured():
     plan = hall(macs=[tuple(range(1, 7))])
     config = RadioConfig(**{**SURE, "fading_std_db": 6.0}, power_spread_db=0.0, fading_shared=True)
     readings = WifiReceiver(config, RadioModel(config, plan), 0, 1).scan(np.array([9.0, 0.0])).rssi_dbm
@@ -250,7 +250,7 @@ def test_addresses_of_one_box_fade_together_when_asked():
     assert np.ptp(scattered) > 2.0
 
 
-def test_readings_not_renewed_are_repeated_with_their_age_and_then_forgotten():
+def test_stale_readings_are_repeated_with_their_age_up_to_the_maximum():
     config = RadioConfig(**SURE, stale_age_max_s=5.0)
     receiver = WifiReceiver(config, RadioModel(config, hall()), robot=0, seed=0)
     first = receiver.scan(np.array([3.0, 0.0]), time_s=0.0)
@@ -272,7 +272,7 @@ def test_a_scan_that_sweeps_part_of_the_channels_renews_that_share():
     assert 2.0 < np.mean(np.concatenate([scan.age_s for scan in scans[30:]])) < 7.0
 
 
-def test_channels_that_a_broken_sweep_leaves_out_lie_together():
+def test_channels_missed_by_a_partial_sweep_are_adjacent():
     plan = hall(macs=tuple((mac,) for mac in range(1, 201)))
     config = RadioConfig(**SURE, sweep_share=0.5, sweep_duration_s=1.0, stale_age_max_s=20.0, scan_period_s=2.0)
     model = RadioModel(config, plan)
@@ -283,7 +283,7 @@ def test_channels_that_a_broken_sweep_leaves_out_lie_together():
         assert np.abs(np.diff(renewed.astype(int))).sum() <= 2
 
 
-def test_a_reading_is_as_old_as_the_sweep_says_when_its_channel_came():
+def test_the_age_of_a_reading_is_the_time_since_its_channel_was_scanned():
     plan = hall(macs=((1, 2), (3, 4)))
     config = RadioConfig(
         sweep_duration_s=2.0, stale_age_max_s=20.0, noise_std_db=0.0, high_band=HighBandConfig(share=0.5)

@@ -14,6 +14,6 @@ def test_more_routers_see_more_floor_and_stand_on_it():
     assert advice.dead_share < 0.05
 
 
-def test_no_router_is_no_advice():
+def test_a_count_below_one_is_rejected():
     with pytest.raises(MapError, match="at least one"):
         place_routers(load_map("sfw-e1"), 0)

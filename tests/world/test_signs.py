@@ -105,7 +105,7 @@ def test_fragments_come_as_often_as_configured_with_10_to_45_percent_of_the_text
     assert {len(fragment) for fragment in fragments} <= set(range(2, 10))
 
 
-def test_characters_are_misread_as_often_as_configured():
+def test_characters_are_misread_at_the_configured_rate():
     config = SignsConfig(fragment_probability=0.0, character_error_probability=0.05)
     random, text = np.random.default_rng(1), "X" * 20
     wrong = longer = shorter = 0
@@ -120,7 +120,7 @@ def test_characters_are_misread_as_often_as_configured():
     assert shorter / 4000 == pytest.approx(1 - (1 - 0.05 * 0.15) ** 20, abs=0.025)
 
 
-def test_substitutions_prefer_the_character_that_looks_alike():
+def test_substitutions_prefer_the_similar_character():
     config = SignsConfig(fragment_probability=0.0, character_error_probability=0.2)
     random = np.random.default_rng(2)
     seen = [c for _ in range(3000) for c in misread("OOOO", config, random) if c != "O"]
@@ -138,7 +138,7 @@ def test_a_reading_always_has_its_source_even_when_text_is_lost():
 
 
 def rate_read(config: dict, pose, previous=None, robots=None, count=300) -> float:
-    """Share of readings that are right, every one by a new camera."""
+    """Share of correct readings, each by a new camera."""
     plan, right = room(), 0
     for seed in range(count):
         device = SignCamera(SignsConfig(**config), plan, 0, seed)
@@ -159,7 +159,7 @@ def test_texts_are_read_worse_from_far_away_obliquely_and_while_turning():
     assert rate_read({"exposure_s": 0.02}, [1.5, 5.0, facing], turning) < 0.1
 
 
-def test_a_robot_in_between_hides_the_letters_behind_it():
+def test_a_robot_in_between_occludes_the_letters_behind_it():
     pose = [3.0, 5.0, math.pi]
     hides = np.array([pose, [1.5, 5.0, 0.0]])
     beside = np.array([pose, [1.5, 6.5, 0.0]])
@@ -168,10 +168,10 @@ def test_a_robot_in_between_hides_the_letters_behind_it():
     assert rate_read({"robots_hide": False}, pose, None, hides, 50) > 0.3
 
 
-def test_a_robot_at_the_left_of_the_view_hides_the_beginning_of_the_text():
+def test_a_robot_at_the_left_of_the_view_occludes_the_beginning_of_the_text():
     config = SignsConfig(focal_length_px=3000.0, character_height_m=0.1)
     device = SignCamera(config, room(), 0, 0)
-    # Facing -x, the reader's left is -y: the disc covers what lies below the sign's middle.
+    # Facing -x, left is -y: the disc occludes the half of the sign below its centre.
     robots = np.array([[3.0, 5.0, math.pi], [1.0, 4.77, 0.0]])
     texts = {r.text for _ in range(50) for r in device.read(robots[0], None, robots)[0]}
     assert texts
@@ -179,7 +179,7 @@ def test_a_robot_at_the_left_of_the_view_hides_the_beginning_of_the_text():
     assert any(text.endswith("0") or text.endswith("O") for text in texts)
 
 
-def test_a_sign_is_misread_by_all_robots_in_much_the_same_way():
+def test_reading_errors_of_a_sign_are_correlated_between_robots():
     config = SignsConfig(focal_length_px=380.0)
     pose, plan, again, another = np.array([3.0, 5.0, math.pi]), room(), [], []
     for seed in range(400):

@@ -10,7 +10,7 @@ from twc_env.world.thinning import thinned
 PLAN = twc_env.load_map("twin-02")
 
 
-def test_a_config_that_leaves_all_changes_nothing():
+def test_the_default_config_changes_nothing():
     assert thinned(PLAN, BuildingConfig()) is PLAN
 
 
@@ -32,7 +32,7 @@ def test_duplication_gives_many_signs_one_text_and_moves_none():
         assert np.array_equal(sign.position_m, old.position_m)
 
 
-def test_the_same_building_comes_out_each_time_and_wherever_it_stands():
+def test_thinning_depends_on_the_plan_only():
     config = BuildingConfig(sign_share=0.6, sign_duplication=0.5, access_point_share=0.5)
     first, again = thinned(PLAN, config), thinned(PLAN, config)
     moved = thinned(PLAN.moved(np.array([30.0, -4.0, 1.0])), config)
@@ -40,7 +40,7 @@ def test_the_same_building_comes_out_each_time_and_wherever_it_stands():
     assert [s.text for s in first.signs] == [s.text for s in moved.signs]
 
 
-def test_the_environment_plays_in_the_thinned_building():
+def test_the_environment_uses_the_thinned_building():
     env = twc_env.parallel_env(map="twin-02", config={"building.sign_share": 0.5, "building.access_point_share": 0.0})
     observations, _ = env.reset(seed=0)
     assert len(env.floorplan.signs) == round(0.5 * len(PLAN.signs))

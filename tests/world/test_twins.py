@@ -38,7 +38,7 @@ def test_k_visibility_areas_have_the_printed_size_and_routers(name, area_m2, rou
 
 
 @pytest.mark.parametrize(("one", "two"), [("sfw-e3", "sfw-e5"), ("sfw-e4", "sfw-e6")])
-def test_runs_in_one_place_differ_by_their_routers_only(one, two):
+def test_plans_of_one_site_differ_by_their_routers_only(one, two):
     a, b = load_map(one), load_map(two)
     assert np.array_equal(a.walls_m, b.walls_m)
     assert a.access_points[0].macs == b.access_points[0].macs

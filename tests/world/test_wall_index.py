@@ -27,7 +27,7 @@ def test_crossings_agree_with_shapely(seed, count):
         assert loss == pytest.approx(losses[hit].sum())
 
 
-def test_a_line_through_the_joint_of_two_walls_crosses_once():
+def test_a_line_through_the_common_end_of_two_walls_crosses_once():
     index = index_walls([[[0, -1], [0, 0]], [[0, 0], [0, 1]]], [3.0, 3.0])
     counts, losses = index.crossing(np.array([-1.0, 0.0]), np.array([[1.0, 0.0]]))
     assert counts[0] == 1

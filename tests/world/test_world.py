@@ -52,7 +52,7 @@ def test_one_seed_gives_identical_bytes_and_another_seed_others():
     assert first != other
 
 
-def test_a_world_used_again_gives_the_same_as_a_new_one():
+def test_a_reused_world_equals_a_new_one():
     used = world(seed=1)
     episode(used, 50)
     used.reset(7)
@@ -70,8 +70,8 @@ def test_a_moved_building_gives_the_same_frames(name):
     assert np.array_equal(here.contacts, there.contacts)
 
 
-def test_a_building_moved_in_its_file_measures_the_same_to_the_last_figures(tmp_path):
-    """Without a home to return to, the same building drawn elsewhere: only radio's own random field may differ."""
+def test_measurements_do_not_depend_on_the_origin_of_the_map_file(tmp_path):
+    """A translated map file is another building: its shadowing may differ, nothing else."""
     plan = load_map("twin-01")
     pose = np.array([3.0, -2.0, 0.7])
     drawn_elsewhere = dataclasses.replace(plan.moved(pose), pose_building_home=np.zeros(3))
@@ -143,7 +143,7 @@ def test_the_plans_own_starts_are_used_when_asked_for():
         ({"access_points": (AccessPoint("a", np.zeros(2), (5, 5)),)}, "every address must be unique"),
     ],
 )
-def test_a_plan_that_no_file_was_read_for_is_looked_at_too(changes, expected):
+def test_a_plan_built_in_memory_is_validated_too(changes, expected):
     plan = dataclasses.replace(TINY, **changes)
     with pytest.raises(MapError, match=expected):
         World(EnvConfig(), plan)
@@ -162,20 +162,20 @@ def test_a_plan_that_no_file_was_read_for_is_looked_at_too(changes, expected):
         ([[2, 2, 0], [3, 3, 0], [2.1, 2, 0]], ConfigError, r"starts\[2\] at \(2.1, 2\) is in robot 0"),
     ],
 )
-def test_impossible_starts_are_refused(starts, error, expected):
+def test_invalid_starts_are_rejected(starts, error, expected):
     with pytest.raises(error, match=expected):
         world(starts=starts)
 
 
 @pytest.mark.parametrize("wrong", [np.zeros((2, 2)), np.zeros((5, 2)), np.zeros(2), np.full((3, 2), np.nan), "stop"])
-def test_commands_that_do_not_fit_the_team_are_refused_and_nothing_happens(wrong):
+def test_invalid_commands_are_rejected_without_effect(wrong):
     here, untouched = world(seed=1), world(seed=1)
     with pytest.raises(ActionError, match=r"commands must be finite and of shape \(3, 2\)"):
         here.step(wrong)
     assert as_bytes(episode(here, 5)) == as_bytes(episode(untouched, 5))
 
 
-def test_more_robots_than_there_is_room_for_are_refused():
+def test_more_robots_than_fit_are_rejected():
     with pytest.raises(MapError, match="4 starts for 5 robots"):
         world(robots=5, starts="map")
     assert world(TINY, robots=2).poses.shape == (2, 3)
@@ -208,7 +208,7 @@ def test_robots_stay_on_open_floor():
         assert w.plan.cells().is_free(w.poses[:, :2]).all()
 
 
-def test_settings_of_one_sensor_leave_the_noise_of_the_others_alone():
+def test_settings_of_one_sensor_do_not_change_the_noise_of_the_others():
     plain = episode(world(seed=5), 30)
     other = episode(world(seed=5, radio={"noise_std_db": 9.0}, signs={"range_noise_std_m": 0.5}), 30)
     for a, b in zip(plain, other, strict=True):
@@ -225,7 +225,7 @@ def test_settings_of_one_sensor_leave_the_noise_of_the_others_alone():
         {"radio": {"sweep_share": 0.6, "stale_age_max_s": 2.0}, "failure": {"device_offset_db": 4.0}},
     ],
 )
-def test_the_sensors_read_together_as_each_does_by_itself(settings):
+def test_the_compiled_step_equals_each_sensor_alone(settings):
     w = world(load_map("twin-02"), seed=5, **settings)
     config, plan, robots = w.config, load_map("twin-02").home, range(3)
     lidar = Lidar(config.lidar, plan.wall_index, config.dynamics.robot_radius_m, 3, 5)
@@ -255,8 +255,8 @@ def test_the_sensors_read_together_as_each_does_by_itself(settings):
 
 
 @pytest.mark.parametrize("settings", [{}, {"lidar": {"dropout_probability": 0.2}, "radio": {"stale_age_max_s": 2.0}}])
-def test_a_tick_is_a_step_and_a_look_at_the_sensors(settings):
-    """Also where robots run into walls and into each other."""
+def test_a_tick_equals_step_and_sense(settings):
+    """Including collisions with walls and between robots."""
     at_once, one_by_one = (world(TINY, seed=3, robots=2, **settings) for _ in range(2))
     assert as_bytes([at_once.sense()]) == as_bytes([one_by_one.sense()])
     touched = 0
@@ -271,7 +271,7 @@ def test_a_tick_is_a_step_and_a_look_at_the_sensors(settings):
 
 
 @pytest.mark.parametrize("call", [lambda w: w.sense(), lambda w: w.poses, lambda w: w.step(np.zeros((1, 2)))])
-def test_a_world_before_its_first_reset_says_so(call):
+def test_a_world_before_its_first_reset_raises_an_error(call):
     with pytest.raises(TwcError, match=r"call reset\(\) first"):
         call(World(EnvConfig(robots=1), load_map("twin-01")))
 

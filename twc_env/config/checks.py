@@ -1,4 +1,4 @@
-"""Fields of a config section that know what may stand in them."""
+"""Config fields with allowed values, and their validation."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from twc_env.errors import ArgumentError, ConfigError, did_you_mean
 
 
 def number(default, minimum: float = -math.inf, maximum: float = math.inf):
-    """A number with its allowed range (both ends included)."""
+    """A numeric field with its allowed range (inclusive)."""
     return field(default=default, metadata={"minimum": minimum, "maximum": maximum})
 
 
 def plain_value(value):
-    """numpy's numbers as Python's, paths as text."""
+    """numpy scalars as Python numbers, paths as strings."""
     if isinstance(value, np.generic):
         return value.item()
     return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
 def whole_number(name: str, value, least: int) -> int:
-    """An argument that counts, as Python's int; raises ConfigError for what is no whole number from `least` on."""
+    """The argument as an int. Raises ConfigError if it is no integer of at least `least`."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise ConfigError(f"{name} must be a whole number of at least {least}; got {value!r}")
     return int(value)
 
 
 def refuse_arguments(unknown: Iterable[str], function: Callable) -> None:
-    """Raise ArgumentError for arguments that a function has not, with the nearest of those it has."""
+    """Raise ArgumentError for unknown keyword arguments of a function, with the most similar known one."""
     for name in unknown:
         given = inspect.signature(function).parameters.values()
         known = [argument.name for argument in given if argument.kind != argument.VAR_KEYWORD]
@@ -47,17 +47,17 @@ def refuse_arguments(unknown: Iterable[str], function: Callable) -> None:
 
 
 def choice(default: str, *others: str, or_class: bool = False):
-    """A name out of a fixed list; with `or_class` that of a class of one's own too, FILE.py:CLASS."""
+    """A field with a fixed list of names; or_class: also a user's class, FILE.py:CLASS."""
     return field(default=default, metadata={"choices": (default, *others), "or_class": or_class})
 
 
 def choices_of(setting: dataclasses.Field) -> str:
-    """What may stand in a field made by `choice`, in words."""
+    """Text of the allowed values of a field made by `choice`."""
     return ", ".join(setting.metadata["choices"]) + (" or FILE.py:CLASS" if setting.metadata["or_class"] else "")
 
 
 class Checked:
-    """Checks each field against the range or list it was declared with."""
+    """Base of config sections: checks each field against its declared range or list. Raises ConfigError."""
 
     __slots__ = ()
 
@@ -83,7 +83,7 @@ class Checked:
                     raise ConfigError(f"{self._name(f)} must lie in [{low:g}, {high:g}]; got {value!r}")
 
     def _name(self, setting: dataclasses.Field) -> str:
-        """What a config file calls the field, as in slam.local_map.resolution_m."""
+        """Dotted name of the field, such as slam.local_map.resolution_m."""
         from twc_env.config.environment import EnvConfig
 
         section = next((name for name, cls in sections_of(EnvConfig) if cls is type(self)), "")
@@ -91,7 +91,7 @@ class Checked:
 
 
 def sections_of(cls: type, name: str = "") -> Iterator[tuple[str, type]]:
-    """Dotted names and classes of a section and of all inside it."""
+    """Dotted names and classes of a section and its subsections."""
     yield name, cls
     for key, kind in typing.get_type_hints(cls).items():
         if dataclasses.is_dataclass(kind) and isinstance(kind, type):

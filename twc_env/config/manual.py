@@ -1,4 +1,4 @@
-"""All settings as commented TOML: meaning, allowed values and current value of each."""
+"""Settings as commented TOML: description, allowed values and value of each."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ _WIDTH = 118
 
 
 def as_toml(config: EnvConfig, sections: Sequence[str] = ()) -> str:
-    """The settings as TOML that `load` reads back; values that differ from their default are marked.
+    """The settings as TOML for `load`; values that differ from their default are marked.
 
-    sections: dotted names of the sections to show, such as "slam.merging"; none shows all. Raises ConfigError for an
+    sections: dotted names of the sections to show, such as "slam.merging" (default: all). Raises ConfigError for an
     unknown section.
     """
-    names = [name for name, _ in sections_of(EnvConfig)]  # that of the outermost is ""
+    names = [name for name, _ in sections_of(EnvConfig)]  # "" for EnvConfig itself
     for name in sections:
         if name not in names:
             hint = did_you_mean(name, names) or f"; sections are {', '.join(names[1:])}"
             raise ConfigError(f"there is no section {name!r} among the settings{hint}")
     chosen = [name for name in names if not sections or any(f"{name}.".startswith(f"{part}.") for part in sections)]
-    return "\n\n".join(_text(name, _part(config, name), _part(EnvConfig(), name)) for name in chosen) + "\n"
+    return "\n\n".join(_text(name, _section(config, name), _section(EnvConfig(), name)) for name in chosen) + "\n"
 
 
-def _part(config: EnvConfig, name: str) -> Any:
+def _section(config: EnvConfig, name: str) -> Any:
     return attrgetter(name)(config) if name else config
 
 
@@ -42,14 +42,14 @@ def _text(name: str, values: Any, defaults: Any) -> str:
     summary = " ".join((type(values).__doc__ or "").split())
     lines = [f"# {line}" for line in textwrap.wrap(summary, _WIDTH)]
     lines += [f"[{name}]"] if name else []
-    explained = _explained(type(values))
+    docs = _field_docs(type(values))
     for field in dataclasses.fields(values):
         value, default = getattr(values, field.name), getattr(defaults, field.name)
         if dataclasses.is_dataclass(value):
             continue
-        lines += [f"# {line}" for line in textwrap.wrap(explained.get(field.name, ""), _WIDTH)]
-        was = "" if value == default else f"; default {json.dumps(default)}"
-        lines.append(f"{field.name} = {json.dumps(value)}".ljust(36) + f"  # {_allowed(field, value)}{was}")
+        lines += [f"# {line}" for line in textwrap.wrap(docs.get(field.name, ""), _WIDTH)]
+        default_text = "" if value == default else f"; default {json.dumps(default)}"
+        lines.append(f"{field.name} = {json.dumps(value)}".ljust(36) + f"  # {_allowed(field, value)}{default_text}")
     return "\n".join(lines)
 
 
@@ -67,8 +67,8 @@ def _short(limit: float) -> str:
     return f"{limit:,.0f}" if limit == round(limit) else f"{limit:.6g}"
 
 
-def _explained(section: type) -> dict[str, str]:
-    """What the text below each field of a section says of it."""
+def _field_docs(section: type) -> dict[str, str]:
+    """Docstring below each field of a section."""
     body = ast.parse(textwrap.dedent(inspect.getsource(section))).body[0]
     assert isinstance(body, ast.ClassDef)
     found = {}

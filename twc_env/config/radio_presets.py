@@ -129,4 +129,4 @@ RADIO_PRESETS: dict[str, dict] = {
         },
     },
 }
-"""What differs from the defaults, which are the preset `twc`."""
+"""Differences from the defaults, which are the preset `twc`."""

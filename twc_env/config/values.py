@@ -1,4 +1,4 @@
-"""Configs from plain values, files and dotted keys, and back; unknown keys and wrong types are refused."""
+"""Conversion of configs from and to plain values, files and dotted keys; unknown keys and wrong types are rejected."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from twc_env.errors import ConfigError, did_you_mean
 
 
 def radio_preset(name: str) -> RadioConfig:
-    """Settings of the radio for one kind of place; ConfigError for an unknown name."""
+    """Radio settings for one type of place. Raises ConfigError for an unknown name."""
     if name not in RADIO_PRESETS:
         known = ", ".join(RADIO_PRESETS)
         raise ConfigError(f"radio.preset must be one of {known}; got {name!r}{_near(name, RADIO_PRESETS)}")
@@ -28,13 +28,13 @@ def radio_preset(name: str) -> RadioConfig:
 
 @lru_cache(maxsize=16)
 def digest(config: EnvConfig) -> str:
-    """Twelve hex digits that change if and only if a value changes."""
+    """Twelve hex digits (SHA-256) of all values."""
     text = json.dumps(dataclasses.asdict(config), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def to_dict(config: EnvConfig) -> dict:
-    """Nested plain values, ready for JSON; `from_dict` reads it back."""
+    """Nested plain values for JSON; inverse of `from_dict`."""
     return dataclasses.asdict(config)
 
 
@@ -42,11 +42,10 @@ _KINDS = {int: "a whole number", float: "a number", str: "text", bool: "true or 
 
 
 def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
-    """Build a (nested) config from plain values; what is not named keeps its default.
+    """Build a (nested) config from plain values; missing ones keep their default.
 
-    `where` is the dotted name of a section, for errors.
-
-    Raises ConfigError for an unknown key (with the nearest known one), a wrong type or a value out of range.
+    where: dotted name of the section, for errors. Raises ConfigError for an unknown key (with the most similar known
+    one), a wrong type or a value out of range.
     """
     if not isinstance(values, dict):
         raise ConfigError(f"{where or 'a config'} must be a table of settings; got {values!r}")
@@ -64,7 +63,10 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
 
 
 def load(path: str | Path) -> EnvConfig:
-    """Read a TOML or JSON file that overrides the defaults it names; of a run folder the config.json in it."""
+    """Read a TOML or JSON file (or the config.json of a folder); missing values keep their default.
+
+    Raises ConfigError if the file is unreadable or invalid.
+    """
     path = Path(path)
     path = path / "config.json" if path.is_dir() else path
     try:
@@ -83,8 +85,8 @@ def load(path: str | Path) -> EnvConfig:
 def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
     """A copy with dotted keys replaced: `override(config, {"lidar.beam_count": 360})`.
 
-    Values given as text are read as the type of the field, so they can come straight from a command line. A
-    `radio.preset` comes first, wherever it stands: the others change it. Raises ConfigError for what is no setting.
+    Strings are converted to the type of the field, as for command lines. `radio.preset` is applied before the others.
+    Raises ConfigError for an unknown key or an invalid value.
     """
     if not isinstance(assignments, Mapping) or not all(isinstance(key, str) for key in assignments):
         raise ConfigError(f"settings must be a dict with names as keys, such as {{'robots': 2}}; got {assignments!r}")
@@ -116,7 +118,7 @@ def _value(kind: type, value, where: str):
 
 
 def _merged(base: dict, changes: dict) -> dict:
-    """`base` with the (nested) values that `changes` names."""
+    """`base` updated recursively with `changes`."""
     merged = dict(base)
     for key, value in changes.items():
         nested = isinstance(value, dict) and isinstance(base.get(key), dict)
