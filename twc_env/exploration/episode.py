@@ -199,7 +199,7 @@ class Episode:
 
     def _judge(self) -> list[dict[str, float]]:
         config, before, sent_before, contacts = self.config, self._standing, self._bytes_judged, self._touching
-        self._bytes_judged = self.bytes_sent
+        self._bytes_judged = sum(self.engine.bytes_sent.values())
         if self.is_over or self.steps % config.reward.period_steps == 0:
             last = self.verdicts() if self.is_over else ()
             self._standing = verdicts.standing(self.engine, self.record, self.floorplan.cells(), last)
