@@ -12,6 +12,7 @@ from twc_env.geometry import between, compose
 from twc_env.messages import LoopCandidate, LoopClosure
 from twc_env.slam import robust_backend
 from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.map_merging import MergeProposal
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import Merge, MergeReview
 from twc_env.slam.robot_sightings import RobotSightings, Sightings
@@ -21,6 +22,8 @@ PLANTED_STEP = 60
 ROOM_M = (8.0, 0.0, 0.0)
 """Robot 1 is said to be where it is, but a room further on."""
 BLIND = {"slam.merging.contradiction_max": 1.0, "slam.merging.wifi_check": False}
+UNSEEN = {"slam.merging.sightings_check": False}
+"""Robots do not look for each other; otherwise they soon merge rightly, by one closure."""
 
 
 @pytest.fixture(autouse=True)
@@ -85,7 +88,7 @@ def run(recorded, shift=ROOM_M, steps=400, **settings):
 
 @pytest.fixture(scope="module")
 def undone(recorded):
-    return run(recorded)
+    return run(recorded, **UNSEEN)
 
 
 def test_a_merge_of_alike_rooms_is_undone_when_walls_speak_against_it(recorded, undone):
@@ -114,7 +117,7 @@ def test_the_closures_of_an_undone_merge_say_why_they_are_refused(undone):
 def test_undoing_is_the_same_every_time(recorded, undone):
     digests = [
         hashlib.sha256(b"".join(e.team.poses_of(r).tobytes() for r in range(3))).hexdigest()
-        for e in (undone[0], run(recorded)[0])
+        for e in (undone[0], run(recorded, **UNSEEN)[0])
     ]
     assert digests[0] == digests[1]
 
@@ -192,6 +195,36 @@ def test_more_closures_on_another_place_outvote_a_standing_merge(recorded):
     assert wrong_pairs(team, true_poses) == []
 
 
+def test_a_rival_by_which_robots_saw_through_each_other_outvotes_nothing(recorded, monkeypatch):
+    engine, _, _ = run(recorded, shift=(0.0, 0.0, 0.0), steps=PLANTED_STEP + 1, **BLIND)
+    team, true_poses = engine.team, recorded[2]
+    for closure in closures(team, true_poses, ROOM_M, count=7):
+        team._graph.add_closure(closure)
+        team._judge_inside_map(closure)
+    review, merge, found = team._review, team._review.merges[-1], {}
+    for name, seen_through in (("allowed", 0), ("contradicted", 5)):
+        monkeypatch.setattr(RobotSightings, "count", lambda *_, through=seen_through: Sightings(0, through))
+        merge.refusals_seen = -1
+        found[name] = review.wrong(PLANTED_STEP + 1, False)
+    assert "closures agree on another place" in found["allowed"][1]
+    assert found["contradicted"] is None
+
+
+def test_one_closure_is_enough_where_robots_saw_each_other(recorded, monkeypatch):
+    config, frames, true_poses = recorded
+    engine = CooperativeSlam(override(config, BLIND), 3)
+    for now in frames[: PLANTED_STEP + 1]:
+        engine.update(now)
+    team = engine.team
+    sides = sorted(team.group_index(robot) for robot in (0, 1))
+    team._graph.add_closure(closures(team, true_poses, count=1)[0])
+    monkeypatch.setattr(RobotSightings, "count", lambda *_: Sightings(9, 0, 9))
+    assert not team._try_merge(*sides)
+    monkeypatch.setattr(RobotSightings, "count", lambda *_: Sightings(10, 0, 5))
+    assert team._try_merge(*sides)
+    assert wrong_pairs(team, true_poses) == []
+
+
 @pytest.mark.parametrize("count", [7, 12])
 def test_many_sightings_of_two_signs_do_not_outvote_a_merge_by_more_signs(recorded, count):
     engine, _, _ = run(recorded, shift=(0.0, 0.0, 0.0), steps=PLANTED_STEP + 1, **BLIND)
@@ -210,7 +243,7 @@ def test_many_sightings_of_two_signs_do_not_outvote_a_merge_by_more_signs(record
 
 def test_signs_that_were_nearly_read_alike_merge_nothing_until_one_was(recorded):
     config, frames, true_poses = recorded
-    engine = CooperativeSlam(override(config, BLIND), 3)
+    engine = CooperativeSlam(override(config, BLIND | UNSEEN), 3)
     for now in frames[: PLANTED_STEP + 1]:
         engine.update(now)
     team = engine.team
@@ -249,9 +282,13 @@ def test_the_same_wrong_merge_needs_twice_as_many_closures_the_next_time(undone)
     i, j, before = review._undone[0]
     graph = team._graph
     again = compose(compose(graph.pose_map_odom(i), before), between(graph.pose_map_odom(j), np.zeros(3)))
-    assert review.closures_needed((i,), (j,), again) == 6
-    assert review.closures_needed((i,), (j,), compose(again, [5.0, 0.0, 0.0])) == 3
-    assert review.closures_needed((i,), (2,), again) == 3
+    elsewhere = compose(again, [5.0, 0.0, 0.0])
+    for is_proven, count in ((False, 3), (True, 1)):
+        there, further = (
+            MergeProposal(pose, np.ones(9, bool), (1, 2, 9), is_proven=is_proven) for pose in (again, elsewhere)
+        )
+        assert review.closures_needed((i,), (j,), there) == 2 * count
+        assert review.closures_needed((i,), (j,), further) == review.closures_needed((i,), (2,), there) == count
 
 
 def test_the_last_merge_is_wrong_where_closures_pull_odometry_apart(recorded):

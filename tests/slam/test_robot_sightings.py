@@ -9,11 +9,13 @@ import pytest
 from twc_env import parallel_env
 from twc_env.config import EnvConfig, override
 from twc_env.geometry import beam_directions, between, compose, inverse
+from twc_env.messages import LoopCandidate, LoopClosure
 from twc_env.slam.engine import CooperativeSlam
-from twc_env.slam.merge_judge import MergeJudge
+from twc_env.slam.merge_judge import HYPOTHESES_MAX, MergeJudge
 from twc_env.slam.robot_sightings import (
     CONFIRMATION_MIN,
     GAP_MAX_M,
+    PLACES_MIN,
     RobotSightings,
     Sightings,
     _count,
@@ -40,11 +42,12 @@ def scan(disc_m: np.ndarray | None) -> np.ndarray:
     return ranges
 
 
-def sightings(other_steps=None, have_scans=True, is_seen=True, config=None) -> RobotSightings:
+def sightings(other_steps=None, have_scans=True, is_seen=True, config=None, paths=(HERE, THERE)) -> RobotSightings:
     """Of robots 0 and 1 on their paths, which took their keyframes at steps 10 apart, robot 1 half-way between."""
     steps = [10 * np.arange(COUNT), 10 * np.arange(COUNT) if other_steps is None else other_steps]
-    poses = np.concatenate([HERE, between(START_B, THERE)])
-    both_ways = [*zip(HERE, THERE, strict=True), *zip(THERE, HERE, strict=True)]
+    here, there = paths
+    poses = np.concatenate([here, between(START_B, there)])
+    both_ways = [*zip(here, there, strict=True), *zip(there, here, strict=True)]
     scans = [scan(between(a, b)[:2] if is_seen else None) for a, b in both_ways]
     graph = SimpleNamespace(
         poses=poses,
@@ -58,8 +61,16 @@ def sightings(other_steps=None, have_scans=True, is_seen=True, config=None) -> R
 
 def test_robots_that_see_each_other_confirm_where_they_are():
     counted = sightings().count([0], [1], START_B)
-    assert counted == Sightings(2 * COUNT, 0)
-    assert counted.confirm and not counted.contradict
+    assert counted == Sightings(2 * COUNT, 0, COUNT), "every second keyframe is 0.5 m or more from the last place"
+    assert counted.confirm and counted.prove and not counted.contradict
+
+
+def test_a_robot_that_stands_still_proves_nothing():
+    """It may be a pillar as wide as a robot, whichever room the hypothesis puts it in."""
+    still = sightings(paths=(HERE, np.tile(THERE[COUNT // 2], (COUNT, 1))))
+    counted = still._between(0, 1, START_B, False)
+    assert counted[0] == COUNT and counted[2] == 1
+    assert not Sightings(*counted).prove and Sightings(*counted).confirm
 
 
 @pytest.mark.parametrize("aside_m", [(0.0, -3.0, 0.0), (-1.5, -2.5, 0.0), (0.5, 2.5, 0.3)])
@@ -110,15 +121,16 @@ def test_a_robot_is_not_interpolated_over_a_gap():
     other_steps = np.array([0, 10])
     for gap_m, count in ((GAP_MAX_M - 0.1, 1), (GAP_MAX_M + 0.1, 0)):
         others = np.array([[2.0, 0.0, 0.0], [2.0, gap_m, 0.0]])
-        chosen, places = _predict(here, steps, others, other_steps, 6.0)
+        chosen, places, stood = _predict(here, steps, others, other_steps, 6.0)
         assert len(chosen) == count
-        assert not count or places[0] == pytest.approx((2.0, gap_m / 2))
+        assert not count or (*places[0], *stood[0]) == pytest.approx((2.0, gap_m / 2) * 2)
 
 
 @pytest.mark.parametrize(("distance_m", "seen_through"), [(1.0, 1), (3.0, 0)])
 def test_few_beams_may_miss_a_robot_far_away(distance_m, seen_through):
     """Of 36 beams none need meet a robot 3 m away, so that they pass by says nothing."""
-    assert _count(np.full((1, 36), WALL_M), np.array([[distance_m, 0.0]]), RADIUS_M) == (0, seen_through)
+    place = np.array([[distance_m, 0.0]])
+    assert _count(np.full((1, 36), WALL_M), place, place, RADIUS_M) == (0, seen_through, 0)
 
 
 @pytest.mark.parametrize(("seen", "is_confirmed"), [(CONFIRMATION_MIN, True), (CONFIRMATION_MIN - 1, False)])
@@ -128,6 +140,51 @@ def test_scans_of_few_places_are_enough_where_robots_saw_each_other(seen, is_con
     compared = SimpleNamespace(sign_m=None, text_similarity=np.nan)
     proposal = SimpleNamespace(pose_a_b=START_B, agreeing=[SimpleNamespace(candidate=compared)] * 3, weight=(3, 3, 3))
     assert MergeJudge(rule, SimpleNamespace(), sightings=told).cues_confirm((0,), (1,), proposal) is is_confirmed
+
+
+SEEN = Sightings(CONFIRMATION_MIN, 0, PLACES_MIN)
+
+
+def judge_of(told) -> MergeJudge:
+    """Of robots 0 and 1, with one keyframe each; `told`: the sightings by the pose of robot 1's map in that of robot
+    0."""
+    graph = SimpleNamespace(poses=np.zeros((2, 3)), node=lambda key: key[0])
+    counted = SimpleNamespace(are_known=True, count=lambda _a, _b, pose: told(pose))
+    return MergeJudge(EnvConfig().slam.merging, graph, sightings=counted)
+
+
+def closure(x_m: float, is_loose=False, recogniser="twc"):
+    """Robot 1 stands `x_m` ahead of robot 0, by the same sign."""
+    candidate = LoopCandidate((0, 0), (1, 0), np.array([x_m, 0.0, 0.0]), recogniser, np.array([1.0, 0.0]))
+    covariance = np.diag([4.0, 0.01, 0.01]) if is_loose else np.diag([0.01, 0.01, 0.002])
+    return LoopClosure(candidate, candidate.guess, covariance, 0.9, "pending")
+
+
+def test_of_single_closures_the_one_by_which_robots_saw_each_other_is_proposed():
+    made = [closure(x_m) for x_m in (2.0, 5.0, 5.1, 9.0)]
+    judge = judge_of(lambda pose: SEEN if abs(pose[0] - 5.0) < 0.5 else Sightings(3, 0, 3))
+    found = judge.sighted_proposal(made, (0,), (1,))
+    assert found.pose_a_b == pytest.approx((5.1, 0.0, 0.0)) and found.is_proven
+    assert found.support.tolist() == [False, True, True, False] and found.agreeing == (made[1], made[2])
+    assert judge_of(lambda _: Sightings(CONFIRMATION_MIN, 0, 1)).sighted_proposal(made, (0,), (1,)) is None
+
+
+def test_the_most_sightings_decide_between_proven_hypotheses():
+    judge = judge_of(lambda pose: SEEN._replace(seen=30) if pose[0] == 2.0 else SEEN)
+    found = judge.sighted_proposal([closure(2.0), closure(9.0)], (0,), (1,))
+    assert found.pose_a_b[0] == 2.0
+
+
+@pytest.mark.parametrize("setting", [{"is_loose": True}, {"recogniser": "wifi"}])
+def test_loose_closures_and_those_by_radio_alone_are_not_proven_by_sightings(setting):
+    assert judge_of(lambda _: SEEN).sighted_proposal([closure(2.0, **setting)], (0,), (1,)) is None
+
+
+def test_only_the_latest_hypotheses_are_tested():
+    tested = []
+    judge = judge_of(lambda pose: tested.append(pose[0]) or Sightings(0, 0))
+    judge.sighted_proposal([closure(2.0 * k) for k in range(2 * HYPOTHESES_MAX)], (0,), (1,))
+    assert tested == [2.0 * k for k in reversed(range(HYPOTHESES_MAX, 2 * HYPOTHESES_MAX))]
 
 
 def test_keyframes_have_the_step_of_the_engine_whatever_a_robot_calls_its_own():
@@ -155,6 +212,8 @@ def test_one_robot_of_another_team_behind_a_wall_is_not_expected():
 def test_counts_decide():
     assert Sightings(CONFIRMATION_MIN, 1).confirm and not Sightings(CONFIRMATION_MIN - 1, 0).confirm
     assert not Sightings(CONFIRMATION_MIN, 2).confirm
+    assert Sightings(CONFIRMATION_MIN, 1, PLACES_MIN).prove and not Sightings(CONFIRMATION_MIN, 1, PLACES_MIN - 1).prove
+    assert not Sightings(CONFIRMATION_MIN - 1, 0, PLACES_MIN).prove
     assert Sightings(1, 2).contradict and not Sightings(2, 2).contradict and not Sightings(0, 1).contradict
 
 

@@ -283,11 +283,13 @@ class TeamMapper:
         if is_patient and (robots_a, robots_b) in self._uncertain:
             return False
         self._tried_counts[robots_a, robots_b] = len(pending)
-        proposal = self._judge.proposal(pending, robots_a)
+        proposal = self._judge.proposal(pending, robots_a) or self._judge.sighted_proposal(
+            pending[-1:] if is_patient else pending, robots_a, robots_b
+        )
         if proposal is None:
             return False
         pose_a_b = proposal.pose_a_b
-        if proposal.support.sum() < self._review.closures_needed(robots_a, robots_b, pose_a_b):
+        if proposal.support.sum() < self._review.closures_needed(robots_a, robots_b, proposal):
             return False
         if not self._judge.cues_confirm(robots_a, robots_b, proposal):
             return False
