@@ -81,12 +81,12 @@ class MergeJudge:
     def sighted_proposal(
         self, closures: Sequence[LoopClosure], a: Sequence[int], b: Sequence[int]
     ) -> MergeProposal | None:
-        """A merge hypothesis of few closures, even of one, that mutual sightings of the robots prove.
+        """A merge hypothesis of few closures by signs, even of one, that mutual sightings of the robots prove.
 
-        See `robot_sightings`. Of several proven hypotheses, the one by which the robots saw each other most often;
-        loose and radio-only closures are ignored.
+        See `robot_sightings`. Of several proven hypotheses, the one by which the robots saw each other most often.
+        Loose closures are ignored, and those by radio or scans alone: there are many more wrong ones among them.
         """
-        closures = [c for c in closures if not c.is_loose and not _is_radio_only(c)]
+        closures = [c for c in closures if c.candidate.sign_m is not None and not c.is_loose]
         if self._sightings is None or not self._sightings.are_known or not closures:
             return None
         in_a, in_b, measured, signs, alike = self._as_a_to_b(closures, a)
