@@ -169,9 +169,9 @@ class MergingConfig(Checked):
     wifi_check: bool = True
     """Check all fingerprints that a merge would bring together against the variation along each robot's own path."""
     sightings_check: bool = True
-    """Check that robots see each other's bodies in laser scans when and where a merge implies it, and merge by a single
-    closure by a sign where they did at ten keyframes; needs robots that move at the same time (`slam.keyframe.mask_mates`, laser
-    cue)."""
+    """Check that robots see each other's bodies in laser scans when and where a merge implies it; where they did at ten
+    keyframes, one closure by a sign is enough. Needs robots that move at the same time (`slam.keyframe.mask_mates`,
+    laser cue)."""
     undo: bool = True
     """Re-examine merges as evidence accumulates, and undo those found to be wrong."""
 
