@@ -12,7 +12,7 @@ STEP_M, STEP_RAD, BEFORE, AFTER = 0.05, 0.02, 50, 10
 HALL = [(-4, -3), (4, -3), (4, 3), (-4, 3)]
 TWO_ROOMS = [(-2, -2), (2, -2), (2, -0.5), (5, -0.5), (5, 2.5), (2, 2.5), (2, 0.5), (1.8, 0.5), (1.8, 2), (-2, 2)]
 ROUND_A_CORNER = [(-2, -1), (6, -1), (6, 8), (4, 8), (4, 1), (-2, 1)]
-"""A corridor: few beams tell how far along it a robot is."""
+"""An L-shaped corridor, in which few beams constrain the position along it."""
 ROOMS = [HALL, TWO_ROOMS, ROUND_A_CORNER]
 SLIPS_M = [-0.5, -0.3, -0.2, -0.15, -0.1, 0.1, 0.15, 0.2, 0.3, 0.5]
 
