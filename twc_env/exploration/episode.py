@@ -59,7 +59,7 @@ class Episode:
         self.pilot = None if config.action.kind == "velocity" else Pilot(config)
         """Executes waypoint and frontier actions; None with velocity actions."""
         self._looker = self.pilot or (Scout(config) if config.observation.frontiers else None)
-        """Computes goal candidates; None if nothing uses them."""
+        """Updates the goal candidates: the pilot, or a `Scout` for the `frontiers` block with velocity actions."""
         self.record = EpisodeRecord(count)
         """Ground truth and front-end poses of all steps, for evaluation only."""
         self._judged = _NOT_JUDGED
@@ -124,7 +124,7 @@ class Episode:
                 return sums
 
     def observe(self) -> list[Any]:
-        """The observation of each robot. Updates the goal candidates first, if actions or a block use them."""
+        """The observation of each robot; first updates the goal candidates, with a pilot or a `frontiers` block."""
         pilot, looker, masks = self.pilot, self._looker, None
         if looker is None:
             return self._builder.build()

@@ -230,7 +230,7 @@ def render(scene: Scene) -> Array:
     walls = np.ascontiguousarray(scene.walls, dtype=bool)
     view = (float(left), float(top), 1.0 / scale)
     _paint_floor(image, *view, walls, float(scene.origin_m[0]), float(scene.origin_m[1]), float(scene.resolution_m))
-    for k in range(len(scene.grids) - 1, -1, -1):  # the largest group lies on top
+    for k in range(len(scene.grids) - 1, -1, -1):  # the largest group is painted last, on top
         _paint_estimate(image, view, scene, k)
     if scene.signal is not None:
         x, y = float(scene.signal.origin_m[0]), float(scene.signal.origin_m[1])
