@@ -45,7 +45,7 @@ class Lent(int):
         return lent
 
     def __reduce__(self):
-        raise TypeError("a Lent holds memory addresses and cannot be copied or pickled: create a new one")
+        raise TypeError("a Lent holds memory addresses: make it anew instead of copying or pickling it")
 
 
 _LAYOUTS: dict[Any, tuple[Struct, LentType]] = {}
