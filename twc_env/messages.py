@@ -158,11 +158,11 @@ class LoopCandidate:
     mac_similarity: float = float("nan")
     rssi_similarity: float = float("nan")
     log_odds: float = float("nan")
-    """Of `fused`: how sure it is that this is one place."""
+    """Of `fused`: log-odds that this is one place."""
 
     @property
     def is_read_alike(self) -> bool:
-        """Whether nothing sets the two texts apart: they agree to the letter, or likeness of texts was not asked."""
+        """Whether the two texts are equal, or were not compared."""
         return not self.text_similarity < 1.0
 
 

@@ -1,4 +1,4 @@
-"""Carry out actions that last: waypoints and frontiers are planned and followed on each robot's estimated map."""
+"""Actions that last many time steps: waypoints and frontiers, planned and followed on each robot's estimated map."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ SIGN, MATE, STAY = (EXTRA_CHOICES.index(name) for name in ("sign", "mate", "stay
 
 
 def waypoint_space() -> spaces.Box:
-    """(2,) a goal in the robot frame, in units of `action.waypoint_reach_m`."""
+    """(2,) goal ahead and to the left in the robot frame, in units of `action.waypoint_reach_m`."""
     return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
 
 def frontier_space(config: ActionConfig) -> spaces.Discrete:
-    """Which candidate: the frontiers in the order of the `frontiers` block, then sign, mate, stay."""
+    """Index of a choice: frontiers in the order of the `frontiers` block, then sign, mate, stay."""
     return spaces.Discrete(config.frontier_slots + len(EXTRA_CHOICES))
 
 
 class Scout:
-    """Keeps a list of frontiers for observations where nothing is decided on it."""
+    """Computes frontiers for the `frontiers` block with velocity actions."""
 
     def __init__(self, config: EnvConfig):
         self._config = config
@@ -44,7 +44,7 @@ class Scout:
         self.candidates: list[Candidates] = [NOTHING] * config.robots
 
     def look(self, beliefs: Sequence[Belief]) -> None:
-        """Work the lists out anew when it is time."""
+        """Update the candidates every `observation.frontier_period_s`."""
         if beliefs[0].step - self._looked_step < self._period:
             return
         self._looked_step = beliefs[0].step
@@ -55,7 +55,7 @@ class Scout:
 
 
 class Pilot:
-    """Drives the whole team through one episode's decisions."""
+    """Executes the waypoint or frontier actions of all robots in one episode."""
 
     def __init__(self, config: EnvConfig):
         self._config, self._action = config, config.action
@@ -63,9 +63,9 @@ class Pilot:
         count = config.robots
         self._drivers = [Driver(config.dynamics, self._finder) for _ in range(count)]
         self.candidates: list[Candidates] = [NOTHING] * count
-        """What each robot may choose from now."""
+        """Goals that each robot can choose."""
         self.is_deciding = np.ones(count, bool)
-        """(robots,) whose action counts in the next step; the others are still busy with their last one."""
+        """(robots,) whether the robot's action counts in the next step; if not, it still executes its last one."""
         self._stay_until = np.zeros(count, np.int64)
         self._terrains: dict[tuple[float, GridMap], Terrain] = {}
         self._ticks = 0
@@ -73,7 +73,7 @@ class Pilot:
         self._seconds = 1.0 / config.dynamics.time_step_s
 
     def mask(self, robot: int) -> Array:
-        """(choices,) int8, 1 where a choice can be made. A busy robot can only go on, which is `stay`."""
+        """(choices,) int8, 1 for valid choices. The only one of a busy robot is `stay`, which means continue."""
         slots = self._action.frontier_slots
         mask = np.zeros(slots + len(EXTRA_CHOICES), np.int8)
         mask[slots + STAY] = 1
@@ -85,7 +85,7 @@ class Pilot:
         return mask
 
     def look(self, beliefs: Sequence[Belief]) -> None:
-        """Work out what robots that decide now may choose from."""
+        """Update the candidates of the robots that decide now."""
         self._terrains.clear()
         for robot, belief in enumerate(beliefs):
             if self.is_deciding[robot]:
@@ -94,10 +94,9 @@ class Pilot:
                 )
 
     def assign(self, actions: Mapping[str, object], agents: Sequence[str], beliefs: Sequence[Belief]) -> None:
-        """Give robots that decide their new goals.
+        """Set the goals of the robots that decide; actions of the others are only checked.
 
-        Raises ActionError for a malformed action; then nothing is changed. A frontier, sign or mate that
-        the mask rules out counts as `stay`.
+        Raises ActionError for a malformed action; nothing is changed then. A masked choice counts as `stay`.
         """
         check_agents(actions, agents)
         is_waypoint = self._action.kind == "waypoint"
@@ -121,7 +120,7 @@ class Pilot:
         )
 
     def is_decision_due(self) -> bool:
-        """Whether the step is over; then `is_deciding` says for whom."""
+        """Whether the step ends now; if so, updates `is_deciding`."""
         is_free = np.array([driver.status != "driving" for driver in self._drivers])
         is_free &= self._stay_until <= self._ticks
         late = self._ticks >= self._deadline
@@ -131,7 +130,7 @@ class Pilot:
         return bool(due)
 
     def _goal_of(self, robot: int, value, belief: Belief) -> tuple[str, Array] | None:
-        """Kind and place (map frame) of what an action means; None: stay."""
+        """Kind and position (2,) in the map frame of the goal of an action; None: stay."""
         if self._action.kind == "waypoint":
             offset = np.asarray(value, float) * self._action.waypoint_reach_m
             wanted = transform_points(belief.pose_map_robot, offset[None])[0]
@@ -159,9 +158,9 @@ class Pilot:
 
 
 def terrain_of(known: dict[tuple[float, GridMap], Terrain], belief: Belief, radius_m: float) -> Terrain:
-    """The robot's map read for robots of a radius; looked up in `known` first, which must be of this moment.
+    """The terrain of the robot's grid for robots of this radius; `known` caches the terrains of the present step.
 
-    Robots may know each other and yet hold different maps (`link.topology = "peer"`): the map is what is looked up.
+    The key is the grid, not the group: robots of one group may hold different maps (`link.topology = "peer"`).
     """
     key = radius_m, belief.grid
     if key not in known:
@@ -171,7 +170,7 @@ def terrain_of(known: dict[tuple[float, GridMap], Terrain], belief: Belief, radi
 
 def _waypoint(action, agent: str, size: int) -> Array:
     goal = action_array(action)
-    # NaN fails the comparison too.
+    # The comparison is False for NaN.
     if goal.shape != (size,) or goal.dtype.kind not in "fiu" or not np.all(np.abs(goal) <= 1.0 + 1e-6):
         raise ActionError(
             f"action of {agent!r} must be 2 finite numbers (goal ahead, to the left) in [-1, 1]; got {action!r}"
