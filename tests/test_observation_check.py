@@ -30,6 +30,7 @@ def test_a_block_that_leaves_its_space_stands_still_or_is_shared_is_named(monkey
     faults = " ".join(check_observations(EPISODE_STEPS).faults)
     for words in ("pose left its space", "wifi shares memory", "signs never changed"):
         assert words in faults
+    assert "team" not in faults
 
 
 def test_a_run_shorter_than_an_episode_does_not_call_a_block_constant(monkeypatch, capsys):
