@@ -30,6 +30,7 @@ def test_blocks_outside_their_space_constant_or_sharing_memory_are_reported(monk
     faults = " ".join(check_observations(EPISODE_STEPS).faults)
     for words in ("pose left its space", "wifi shares memory", "signs never changed"):
         assert words in faults
+    assert "team" not in faults
 
 
 def test_a_run_shorter_than_an_episode_reports_no_constant_blocks(monkeypatch, capsys):

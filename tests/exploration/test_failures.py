@@ -58,6 +58,21 @@ def test_failed_robots_neither_send_nor_receive(listeners):
     assert listeners == 1 or not left[2].any()
 
 
+@pytest.mark.parametrize("topology", ["central", "peer"])
+def test_the_age_of_contact_grows_after_a_failure_and_in_a_cut(topology):
+    failure = {"robots": 1, "robots_step": 40, "link_begin_step": 10, "link_end_step": 20}
+    link = {"link.topology": topology, "link.range_max_m": 1000.0}
+    config = {**link, **{f"failure.{key}": value for key, value in failure.items()}}
+    env = twc_env.parallel_env(robots=3, max_cycles=60, config=config)
+    env.reset(seed=3)
+    for step in range(1, 61):
+        observations, *_ = env.step({agent: np.array([0.5, 0.3]) for agent in env.agents})
+        cut_s = 0.1 * (step - 9) if 10 <= step < 20 else 0.0
+        failed_s = 0.1 * (step - 39) if step >= 40 else cut_s
+        shares = observations["robot_0"]["team"][:, 4]
+        assert 10.0 * shares / (1.0 - shares) == pytest.approx([cut_s, failed_s], abs=1e-5)
+
+
 def test_a_device_offset_shifts_all_rssi():
     _, odd = play(3, device_offset_db=10.0)
     _, even = play(3)

@@ -8,6 +8,7 @@ import pytest
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, seed_test, state_test
 
 import twc_env
+from twc_env.exploration.episode import Episode
 from twc_env.exploration.observations import ObservationBuilder
 from twc_env.exploration.pilot import Pilot, Scout
 from twc_env.observation_check import ACTIONS, BLOCKS, random_actions
@@ -128,8 +129,11 @@ def test_greedy_choices_explore_a_building():
 
 
 @pytest.mark.parametrize("action", ACTIONS)
-def test_every_block_can_be_rebuilt_from_the_frames_for_every_kind_of_action(action):
-    config = settings(action, **ALL_BLOCKS, **{"slam.k_visibility.enabled": True, "action.decision_max_s": 3.0})
+def test_every_block_can_be_rebuilt_from_the_frames_for_every_kind_of_action(action, monkeypatch):
+    contacts, think = [], Episode._think
+    monkeypatch.setattr(Episode, "_think", lambda self, now: (think(self, now), contacts.append(self.contacts)))
+    more = {"slam.k_visibility.enabled": True, "action.decision_max_s": 3.0, "link.loss_probability": 0.3}
+    config = settings(action, **ALL_BLOCKS, **more)
     env = twc_env.parallel_env(map="twin-02", max_cycles=200, config=config)
     random = np.random.default_rng(0)
     observations, infos = env.reset(seed=0, options={"starts": "map"})
@@ -138,7 +142,7 @@ def test_every_block_can_be_rebuilt_from_the_frames_for_every_kind_of_action(act
     seen = set()
     while env.agents:
         for frames in env.frames_of_step or [env.frames]:
-            engine.update(frames)
+            engine.update(frames, contacts.pop(0))
             beliefs = [engine.belief(robot) for robot in range(3)]
             builder.notice(frames, beliefs)
         looker = scout if action[0] == "velocity" else pilot

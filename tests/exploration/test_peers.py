@@ -58,6 +58,18 @@ def test_replayed_frames_and_contacts_give_the_same_observations(played):
             assert all(np.array_equal(built[key], log.observations[step][agent][key]) for key in built)
 
 
+def test_the_last_contact_is_the_last_step_in_which_one_robot_heard_the_other_itself(played):
+    log, _, contacts, _ = played
+    last = np.where(contacts[0].heard, 0, -1)
+    for step, (now, beliefs) in enumerate(zip(contacts[1:], log.beliefs, strict=True), start=1):
+        last[now.heard] = step
+        assert [b.contact_steps for b in beliefs] == [
+            {other: last[robot, other] for other in range(3) if other != robot} for robot in range(3)
+        ]
+    silent = STEPS - last[~np.eye(3, dtype=bool)]
+    assert silent.min() < 10 < silent.max(), "all pairs are in contact, or none"
+
+
 def test_verification_uses_only_scans_that_have_arrived(played):
     log, _, _, looked_at = played
     engine = log.env.engine

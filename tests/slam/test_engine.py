@@ -119,6 +119,29 @@ def test_robots_of_a_group_are_in_each_others_beliefs(engine):
             assert engine.belief(mate).grid.log_odds is belief.grid.log_odds
 
 
+def test_what_others_forward_is_no_contact_with_its_robot(recorded):
+    config, frames, _ = recorded
+    chain = np.array([[False, True, False], [True, False, True], [False, True, False]])
+    engine = CooperativeSlam(override(config, {"link.topology": "peer"}), 3)
+    for step in range(60):
+        engine.update(frames[step], Contacts(chain, chain if step < 50 else chain & ~chain))
+    assert len(engine.mappers[0].keyframes[2]) > 1
+    steps = [belief.contact_steps for belief in engine.beliefs()]
+    assert steps == [{1: 49, 2: -1}, {0: 49, 2: 49}, {0: -1, 1: 49}]
+
+
+def test_earlier_beliefs_keep_their_steps_of_contact(recorded):
+    config, frames, _ = recorded
+    engine, before = CooperativeSlam(config, 3), []
+    assert [belief.contact_steps for belief in engine.beliefs()] == [{}, {}, {}]
+    heard = np.array([[True, True, False]])
+    for step in range(20):
+        engine.update(frames[step], Contacts(heard, heard))
+        before.append(engine.beliefs())
+    for step, beliefs in enumerate(before):
+        assert [b.contact_steps for b in beliefs] == [{1: step, 2: -1}, {0: step, 2: -1}, {0: step, 1: step}]
+
+
 def test_a_known_text_is_listed_once_per_place(engine):
     signs = engine.belief(0).signs
     assert len(signs) > 0
@@ -213,15 +236,17 @@ def test_a_copy_of_the_engine_continues_identically(copied):
     engine = CooperativeSlam(config, 6)
     twin = None
     for step in range(140):
+        heard = np.array([[True, step % 7 > 0, step < 30, step > 50, step < 10 or step > 30, False]])
         if step % 20 == 0:
             commands = np.column_stack([random.uniform(0.2, 0.8, 6), random.uniform(-0.8, 0.8, 6)])
         world.step(commands)
         frames = list(world.sense())
         for each in (engine, twin):
             if each is not None:
-                each.update(frames)
+                each.update(frames, Contacts(heard, heard))
         if step == 20:
             twin = copied(engine)
     assert engine.team.closures, "there is something to optimise"
     for robot in range(6):
         assert np.array_equal(twin.belief(robot).pose_map_robot, engine.belief(robot).pose_map_robot)
+        assert twin.belief(robot).contact_steps == engine.belief(robot).contact_steps

@@ -76,3 +76,13 @@ def test_the_longest_and_the_present_link_outage_are_reported():
         "robot 1 not heard since 19.9 s", "robot 1 not heard from 5.0 s to 12.0 s",
     ]  # fmt: skip
     assert listening.lines(0, (0,)) == []
+
+
+def test_a_step_with_the_contacts_of_the_last_one_needs_no_array():
+    listening, heard = Listening(1, 3, 0.1), np.array([[True, False, True]])
+    listening.note(0, np.ones((1, 3), bool))
+    listening.note(1, heard)
+    listening.last_steps = listening.is_heard = None  # whatever uses them fails
+    for step in range(2, 10):
+        listening.note(step, heard if step % 2 else heard.copy())
+    assert listening.last_step == 9

@@ -78,7 +78,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `signs` | (4, 5) | [-1, 1] | recent readings, newest first: present, bearing / pi, distance d / (d + 10 m), age |
     | | | | / `sign_memory_s`, c / (c + 2) if the text is known from c other places |
     | `team` | (n-1, 5) | [-1, 1] | per teammate: shares my map, bearing / pi, d / (d + 10 m), heading / pi, |
-    | | | | age a / (a + 10 s) of its newest keyframe received; a robot that stands still makes none |
+    | | | | age a / (a + 10 s) of the last contact: 0 now, 1 before the first. Contact is that of the |
+    | | | | central mapper with the teammate, or with one mapper per robot, of both robots directly |
     | `frontiers` | (8, 6) | [-1, 1] | candidates, nearest first: present, bearing / pi, d / (d + 10 m), |
     | | | | path l / (l + 10 m), size s / (s + 5 m), a teammate is closer |
     | `action_mask` | (11,) int8 | 0, 1 | valid choices (only with `action.kind = "frontier"`) |

@@ -201,9 +201,9 @@ class TeamMapper:
         """(3,) pose of the robot's odom frame in its group's map frame; identity for a robot without keyframes."""
         return self._graph.pose_map_odom(robot)
 
-    def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
+    def locate(self, robots: Array, into: tuple[Array, Array, Array]) -> None:
         """Poses of robots in the maps of their groups, see `GraphArrays.locate`."""
-        self._graph.locate(robots, others, into)
+        self._graph.locate(robots, into)
 
     def grid_of(self, group: int) -> GridMap:
         """The current merged map of a group."""
