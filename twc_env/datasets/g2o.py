@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.text_file import read_text
+from twc_env.datasets.tum import FAR_M
 from twc_env.errors import DataError
 from twc_env.geometry import compose, inverse
 
@@ -30,10 +31,10 @@ def write_g2o(path: str | Path, graph: Mapping[str, Any]) -> None:
     values.
     """
     nodes, ij, z, information = _checked(graph)
-    lines = [f"VERTEX_SE2 {i} {_numbers(pose)}" for i, pose in enumerate(nodes)]
+    lines = [f"VERTEX_SE2 {i} {_pose(pose)}" for i, pose in enumerate(nodes)]
     lines += ["FIX 0"] if len(nodes) else []
     for (i, j), measured, matrix in zip(ij, z, information, strict=True):
-        lines.append(f"EDGE_SE2 {i} {j} {_numbers(measured)} {_numbers(matrix[_UPPER])}")
+        lines.append(f"EDGE_SE2 {i} {j} {_pose(measured)} {_numbers(matrix[_UPPER])}")
     text = "\n".join(lines) + "\n"
     Path(path).write_bytes(gzip.compress(text.encode()) if str(path).endswith(".gz") else text.encode())
 
@@ -147,3 +148,8 @@ def _checked(graph: Mapping[str, Any]) -> tuple[Array, Array, Array, Array]:
 
 def _numbers(values: Array) -> str:
     return " ".join(f"{value:.9g}" for value in values)
+
+
+def _pose(values: Array) -> str:
+    """A pose; map coordinates (UTM) have seven digits before the point."""
+    return " ".join(f"{value:.{9 if abs(value) < FAR_M else 15}g}" for value in values)
