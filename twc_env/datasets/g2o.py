@@ -45,7 +45,8 @@ def read_g2o(path: str | Path) -> dict[str, Any]:
     vertex_ids (k,): the numbers the file gives its vertices; edges_kind: "odometry" for edges between neighbours in
     the file's numbering, else "closure". Lines of other kinds (FIX, switches, parameters) are left out. Where there are
     edges alone, nodes are laid along them from the lowest number on, which is at (0, 0, 0).
-    Raises DataError naming the line for malformed numbers, edges to unknown vertices, or a file of neither kind.
+    Raises DataError naming the line for malformed numbers, edges to unknown vertices, one vertex in two places, or a
+    file of neither kind.
     """
     vertices: dict[int, list[float]] = {}
     edges: list[tuple[int, int, list[float], int]] = []
@@ -57,7 +58,10 @@ def read_g2o(path: str | Path) -> dict[str, Any]:
             continue
         ids, values = _parse(words, path, number)
         if words[0] == "VERTEX_SE2":
-            vertices[ids[0]] = values
+            if vertices.setdefault(ids[0], values) != values:
+                raise DataError(
+                    f"{path}, line {number}: vertex {ids[0]} stands elsewhere in a line before; number them anew"
+                )
         else:
             edges.append((ids[0], ids[1], values, number))
     if edges and not vertices:
