@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from twc_env.errors import DataError
+from twc_env.geometry import points_along, travelled_m
 from twc_env.metrics.k_visibility import walls_crossed_in_raster, walls_crossed_map
 from twc_env.slam import k_visibility_rules as rules
 from twc_env.slam.k_clusters import compensate_distance, k_means, predict_walls, silhouette_k, sliding_window
@@ -237,6 +238,22 @@ def test_an_unknown_router_is_located_within_a_metre():
     path, rssi, _ = two_rooms()
     place, _ = locate_router(bin_along_path(path, rssi), 0)
     assert np.linalg.norm(place - ROUTER) < 1.0
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_an_unknown_router_a_step_off_the_path_is_found_however_the_plan_is_turned(turns):
+    router_m = np.array([1.0, 1.0])
+    first = [(0.3, 2.0), (0.3, 0.3), (4.7, 0.3), (4.7, 2.0)]  # two rooms of 5 x 4 m with a door at (5, 2)
+    second = [(5.3, 2.0), (5.3, 0.3), (9.7, 0.3), (9.7, 3.7), (5.3, 3.7), (5.3, 2.0)]
+    corners = np.array([*first, *second, (4.7, 2.0), (4.7, 3.7), (0.3, 3.7), (0.3, 2.0)])
+    path = points_along(corners, np.linspace(0.0, travelled_m(corners)[-1], 600))
+    share = (5.0 - router_m[0]) / np.maximum(path[:, 0] - router_m[0], 1e-9)
+    is_behind = (path[:, 0] > 5.0) & (np.abs(router_m[1] + share * (path[:, 1] - router_m[1]) - 2.0) > 0.5)
+    distance_m = np.maximum(np.linalg.norm(path - router_m, axis=1), 0.5)
+    rssi = -30.0 - 18.0 * np.log10(distance_m) - 9.0 * is_behind + np.random.default_rng(6).normal(0.0, 1.0, 600)
+    turned = np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), turns)
+    place, _ = locate_router(bin_along_path(path @ turned.T, rssi[:, None]), 0)
+    assert np.linalg.norm(place - turned @ router_m) < 0.2
 
 
 def test_the_wall_between_two_rooms_is_found_at_the_signal_drop():

@@ -68,6 +68,15 @@ def test_an_empty_fingerprint_has_no_preferred_position():
     assert radio_map.nearest(Fingerprint(np.zeros(0, np.int64), np.zeros(0))) == pytest.approx([15.0, 15.0])
 
 
+@pytest.mark.parametrize("macs", [[], [999]])
+def test_the_gaussian_process_is_not_sure_of_a_place_where_none_of_its_transmitters_was_heard(macs):
+    places = np.random.default_rng(0).uniform(0.0, 30.0, (60, 2))
+    process = GaussianProcessMap(RadioMap(places, [heard_at(place, k) for k, place in enumerate(places)]))
+    found, spread = process.locate(Fingerprint(np.array(macs, np.int64), np.full(len(macs), -50.0)))
+    assert found == pytest.approx(places.mean(axis=0))
+    assert np.sqrt(np.diag(spread)) == pytest.approx(places.std(axis=0), abs=0.1)
+
+
 def test_a_map_needs_a_position_for_each_fingerprint():
     with pytest.raises(ValueError, match="one position"):
         RadioMap(np.zeros((2, 2)), [heard_at((0, 0), 0)])

@@ -311,3 +311,16 @@ def test_a_revision_fixes_the_given_pose(is_thorough):
     poses = robust_backend.revise(start, corrupted, is_used, PoseGraphConfig(), 20, is_thorough).poses
     assert poses[20] == pytest.approx(start[20], abs=1e-12)
     assert np.abs(poses[0] - start[0]).max() > 1e-3
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("moved", [(4e4, -3e4, 2.0), (5e5, 5e6, -1.0)])
+def test_a_graph_in_map_coordinates_is_solved_as_one_at_the_origin(mode, moved):
+    _, start, graph = loops()
+    random = np.random.default_rng(4)
+    wrong = [(3, 47), (10, 90), (21, 70), (30, 101), (44, 120)]
+    corrupted = with_false(graph, wrong, random.normal(0, (1.0, 1.0, 0.3), (5, 3)))
+    near, far = solve(mode, start, corrupted), solve(mode, compose(moved, start), corrupted)
+    assert np.array_equal(far.accepted, near.accepted)
+    assert np.array_equal(far.poses[0], compose(moved, start)[0])
+    assert np.allclose(between(compose(moved, near.poses), far.poses), 0.0, atol=1e-6)
