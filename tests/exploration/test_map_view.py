@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+import twc_env
 from twc_env.exploration import map_view
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import kinds_of
@@ -76,3 +77,19 @@ def test_path_mates_and_signs_stand_where_the_robot_sees_them(room):
     views = map_view.MapViews(CELLS, CELL_M, path, np.array([3]), mates).draw(maps, poses)
     cells = [np.argwhere(views[0, k]).tolist() for k in (map_view.PATH, map_view.MATES, map_view.SIGNS)]
     assert cells == [[[HALF - 3, HALF], [HALF, HALF + 4]], [[HALF - 5, HALF + 4]], [[HALF - 1, HALF + 8]]]
+
+
+def test_the_overview_shows_the_map_of_the_present_step(wander):
+    env = twc_env.parallel_env(robots=2, max_cycles=60, config={"observation.overview": True})
+    observations, _ = env.reset(seed=0)
+    pictures = []
+    while env.agents:
+        actions = {a: wander(o["lidar"] * 10, env.episode.steps) for a, o in observations.items()}
+        observations = env.step(actions)[0]
+        for agent, seen in observations.items():
+            free_and_wall, corner_m, cell_m = map_view.shrink(env.belief(agent).grid, seen["overview"].shape[1])
+            assert np.array_equal(seen["overview"][:2], free_and_wall)
+            column, row = np.floor((env.belief(agent).pose_map_robot[:2] - corner_m) / cell_m).astype(int)
+            assert np.argwhere(seen["overview"][2]).tolist() == [[row, column]]
+        pictures.append(observations["robot_0"]["overview"][:2].tobytes())
+    assert len(set(pictures)) > 3

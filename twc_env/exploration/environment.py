@@ -93,9 +93,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     another group has more robots. The map is evaluated every `reward.period_steps` time steps and at the last one. The
     last `info` also contains the scalar metrics of the report (docs/figures.md).
 
-    `slam.mode = "off"` runs no engine: `pose` is integrated odometry, `map` shows the own path amid unknown floor, `team`
-    stays zero, `coverage` pays nothing, only `velocity` actions are possible (there is no map), and `localisation` and
-    `result()` evaluate dead reckoning.
+    `slam.mode = "off"` runs no engine: `pose` is integrated odometry, `map` shows the own path in unknown space,
+    `team` stays zero, `coverage` pays nothing, only `velocity` actions are possible (there is no map), and
+    `localisation` and `result()` evaluate dead reckoning.
 
     Arguments: `map` (bundled name or file), `robots`, `max_cycles`; `render_mode` ("human", "rgb_array" or None);
     `config` (an EnvConfig or a dict of overrides, dotted keys allowed) for everything else; `task`, a standard task to

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env import metrics
