@@ -16,7 +16,7 @@ from twc_env.exploration.observation_blocks import EXTRA_CHOICES
 from twc_env.geometry import transform_points
 from twc_env.messages import Belief, GridMap
 from twc_env.planning.candidates import NOTHING, Candidates, find_candidates
-from twc_env.planning.driver import Driver
+from twc_env.planning.driver import Driver, map_id
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
 
@@ -34,24 +34,36 @@ def frontier_space(config: ActionConfig) -> spaces.Discrete:
 
 
 class Scout:
-    """Keeps a list of frontiers for observations where nothing is decided on it."""
+    """Keeps a list of candidates of each robot that is never older than `observation.frontier_period_s`, nor of an
+    earlier map."""
 
-    def __init__(self, config: EnvConfig):
+    def __init__(self, config: EnvConfig, finder: PathFinder | None = None):
         self._config = config
         self._period = max(1, round(config.observation.frontier_period_s / config.dynamics.time_step_s))
-        self._finder = PathFinder()
-        self._looked_step = -self._period
+        self._finder = finder or PathFinder()
+        self._looked = [(-self._period, (-1, -1))] * config.robots
+        """Step, and the robot's map then (`map_id`)."""
         self.candidates: list[Candidates] = [NOTHING] * config.robots
 
-    def look(self, beliefs: Sequence[Belief]) -> None:
-        """Work the lists out anew when it is time."""
-        if beliefs[0].step - self._looked_step < self._period:
-            return
-        self._looked_step = beliefs[0].step
-        terrains: dict[tuple[float, GridMap], Terrain] = {}
+    def look(
+        self,
+        beliefs: Sequence[Belief],
+        is_due: Sequence[bool] | Array = (),
+        terrains: dict[tuple[float, GridMap], Terrain] | None = None,
+    ) -> None:
+        """Work out anew the lists of robots for which `is_due` (robots,), and those that are old or of another map.
+
+        terrains: as in `terrain_of`.
+        """
+        step, known = beliefs[0].step, {} if terrains is None else terrains
         for robot, belief in enumerate(beliefs):
-            terrain = terrain_of(terrains, belief, self._config.dynamics.robot_radius_m)
-            self.candidates[robot] = find_candidates(belief, terrain, self._finder, self._config.action.frontier_slots)
+            looked_step, looked_map = self._looked[robot]
+            is_old = step - looked_step >= self._period or map_id(belief) != looked_map
+            if is_old or (len(is_due) and is_due[robot]):
+                self._looked[robot] = step, map_id(belief)
+                terrain = terrain_of(known, belief, self._config.dynamics.robot_radius_m)
+                slots = self._config.action.frontier_slots
+                self.candidates[robot] = find_candidates(belief, terrain, self._finder, slots)
 
 
 class Pilot:
@@ -62,8 +74,7 @@ class Pilot:
         self._finder = PathFinder()
         count = config.robots
         self._drivers = [Driver(config.dynamics, self._finder) for _ in range(count)]
-        self.candidates: list[Candidates] = [NOTHING] * count
-        """What each robot may choose from now."""
+        self._scout = Scout(config, self._finder)
         self.is_deciding = np.ones(count, bool)
         """(robots,) whose action counts in the next step; the others are still busy with their last one."""
         self._stay_until = np.zeros(count, np.int64)
@@ -71,6 +82,11 @@ class Pilot:
         self._ticks = 0
         self._deadline = 0
         self._seconds = 1.0 / config.dynamics.time_step_s
+
+    @property
+    def candidates(self) -> list[Candidates]:
+        """What each robot may choose from now; of a busy robot, what it sees meanwhile."""
+        return self._scout.candidates
 
     def mask(self, robot: int) -> Array:
         """(choices,) int8, 1 where a choice can be made. A busy robot can only go on, which is `stay`."""
@@ -87,11 +103,7 @@ class Pilot:
     def look(self, beliefs: Sequence[Belief]) -> None:
         """Work out what robots that decide now may choose from."""
         self._terrains.clear()
-        for robot, belief in enumerate(beliefs):
-            if self.is_deciding[robot]:
-                self.candidates[robot] = find_candidates(
-                    belief, self._terrain(belief, 1.0), self._finder, self._action.frontier_slots
-                )
+        self._scout.look(beliefs, self.is_deciding, self._terrains)
 
     def assign(self, actions: Mapping[str, object], agents: Sequence[str], beliefs: Sequence[Belief]) -> None:
         """Give robots that decide their new goals.
