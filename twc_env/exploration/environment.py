@@ -80,7 +80,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `team` | (n-1, 5) | [-1, 1] | per teammate: shares my map, bearing / pi, d / (d + 10 m), heading / pi, |
     | | | | age a / (a + 10 s) of its newest keyframe received; a robot that stands still makes none |
     | `frontiers` | (8, 6) | [-1, 1] | candidates, nearest first: present, bearing / pi, d / (d + 10 m), |
-    | | | | path l / (l + 10 m), size s / (s + 5 m), a teammate is closer |
+    | | | | path cost l / (l + 10 m) in metres of open floor (more beside walls), size s / (s + 5 m), |
+    | | | | whether some teammate's distance is less than l |
     | `action_mask` | (11,) int8 | 0, 1 | valid choices (only with `action.kind = "frontier"`) |
     | `radio` | (2, 64, 64) uint8 | 0, 255 | with `slam.k_visibility.enabled`: probably free, probably wall, estimated |
     | | | | from signal strength alone; egocentric like `map` |

@@ -58,10 +58,10 @@ class EpisodeResult:
 
 def progress(
     engine: Engine, record: EpisodeRecord, cells: Cells, verdicts: Sequence[GroupVerdict]
-) -> tuple[Array, list[dict], dict[str, float]]:
+) -> tuple[list[dict], dict[str, float]]:
     """What pictures over time show, by the same definitions as those of the report; leaves no mark on the record.
 
-    Where the map of each robot's group lies in the building (robots, 3), closures as in `EpisodeResult`, and figures.
+    Closures as in `EpisodeResult`, and figures.
     """
     paths, best = TeamPaths(engine, record.odom_poses), verdicts[0]
     estimated, alignment = paths.as_seen(), paths.alignment(record.true_poses)
@@ -77,7 +77,7 @@ def progress(
         "closures_accepted": status.count("accepted"),
         "closures_rejected": status.count("rejected"),
     }
-    return alignment, closures, figures
+    return closures, figures
 
 
 class EpisodePaths(NamedTuple):
