@@ -45,7 +45,9 @@ class EpisodeResult:
     odometry_poses: Array
     """(steps + 1, robots, 3) dead reckoning alone, set off at the true start, in the building frame."""
     groups: tuple[tuple[int, ...], ...]
-    """Robots that share a map, largest group first."""
+    """Robots that share a map, largest group first; with one mapper per robot, those in the map of each robot."""
+    viewers: tuple[tuple[int, ...], ...]
+    """Robots whose estimates are in the map of each group: all of it, or the one robot that has the mapper."""
     grids: tuple[GridMap, ...]
     """The merged map of each group."""
     pose_building_map: Array
@@ -176,6 +178,7 @@ def evaluate(
         estimated_poses=estimated,
         odometry_poses=paths.reckoned,
         groups=tuple(v.robots for v in verdicts),
+        viewers=tuple(v.view.viewers for v in verdicts),
         grids=tuple(GridMap(v.grid.log_odds.copy(), v.grid.origin_m.copy(), v.grid.resolution_m) for v in verdicts),
         pose_building_map=np.array([v.pose_building_map for v in verdicts]),
         closures=closures,
