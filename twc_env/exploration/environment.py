@@ -62,7 +62,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     their next actions are ignored), at the latest after `action.decision_max_s`. Rewards of the time steps are summed.
     `info["is_deciding"]` says whether a robot's next action counts, `info["time_steps"]` how long the step was. For
     `frontier`, `action_mask` is in the observation and in `info`. A masked choice counts as stay; for a busy robot,
-    stay means "continue".
+    stay means "continue". A robot that has failed decides nothing, and no step waits for it.
 
     Observation: a `Dict` of the blocks enabled in `observation`, built from sensor frames and estimates only:
 

@@ -69,13 +69,14 @@ class Scout:
 class Pilot:
     """Drives the whole team through one episode's decisions."""
 
-    def __init__(self, config: EnvConfig):
+    def __init__(self, config: EnvConfig, is_alive: Array | None = None):
+        """is_alive: (robots,) bool, by default all."""
         self._config, self._action = config, config.action
         self._finder = PathFinder()
         count = config.robots
         self._drivers = [Driver(config.dynamics, self._finder) for _ in range(count)]
         self._scout = Scout(config, self._finder)
-        self.is_deciding = np.ones(count, bool)
+        self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()
         """(robots,) whose action counts in the next step; the others are still busy with their last one."""
         self._stay_until = np.zeros(count, np.int64)
         self._terrains: dict[tuple[float, GridMap], Terrain] = {}
@@ -132,14 +133,18 @@ class Pilot:
             [driver.command(belief, self._terrain) for driver, belief in zip(self._drivers, beliefs, strict=True)]
         )
 
-    def is_decision_due(self) -> bool:
-        """Whether the step is over; then `is_deciding` says for whom."""
+    def is_decision_due(self, is_alive: Array) -> bool:
+        """Whether the step is over; then `is_deciding` says for whom. Robots that have failed are not waited for.
+
+        is_alive: (robots,) bool.
+        """
         is_free = np.array([driver.status != "driving" for driver in self._drivers])
         is_free &= self._stay_until <= self._ticks
-        late = self._ticks >= self._deadline
-        due = late or (is_free.all() if self._action.timing == "synchronous" else is_free.any())
+        late, awaited = self._ticks >= self._deadline, is_free[is_alive]
+        has_come = awaited.all() if self._action.timing == "synchronous" else awaited.any()
+        due = late or (len(awaited) > 0 and has_come)
         if due:
-            self.is_deciding = np.ones_like(is_free) if late else is_free
+            self.is_deciding = is_alive.copy() if late else is_free & is_alive
         return bool(due)
 
     def _goal_of(self, robot: int, value, belief: Belief) -> tuple[str, Array] | None:
