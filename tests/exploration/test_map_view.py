@@ -5,6 +5,7 @@ import pytest
 
 import twc_env
 from twc_env.exploration import map_view
+from twc_env.geometry import between
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import kinds_of
 
@@ -93,3 +94,29 @@ def test_the_overview_shows_the_map_of_the_present_step(wander):
             assert np.argwhere(seen["overview"][2]).tolist() == [[row, column]]
         pictures.append(observations["robot_0"]["overview"][:2].tobytes())
     assert len(set(pictures)) > 3
+
+
+@pytest.mark.parametrize(("speed_m_s", "time_step_s"), [(3.0, 0.2), (1.0, 0.1), (0.3, 0.1)])
+def test_the_own_path_is_shown_as_far_back_as_the_config_says_at_any_speed(wander, speed_m_s, time_step_s):
+    config = {
+        "slam.mode": "off", "odometry.drift": 0.0, "observation.path_m": 4.0, "observation.map_cells": 256,
+        "observation.map_cell_m": 0.1, "dynamics.speed_max_m_s": speed_m_s, "dynamics.time_step_s": time_step_s,
+    }  # fmt: skip
+    env = twc_env.parallel_env(robots=1, max_cycles=250, config=config)
+    seen = env.reset(seed=1)[0]["robot_0"]
+    places, shown_m = [env.belief("robot_0").pose_map_robot], []
+    while env.agents:
+        seen = env.step({"robot_0": wander(seen["lidar"] * 10, env.episode.steps)})[0]["robot_0"]
+        places.append(here := env.belief("robot_0").pose_map_robot)
+        path = np.array(places)
+        back_m = np.append(np.cumsum(np.linalg.norm(np.diff(path[::-1, :2], axis=0), axis=1))[::-1], 0.0)
+        in_robot = between(np.tile(here, (len(path), 1)), path)[:, :2]
+        cells = np.argwhere(seen["map"][map_view.PATH])[:, ::-1]
+        away_m = np.linalg.norm((cells[:, None] + 0.5 - 128) * 0.1 - in_robot, axis=2)  # (cells, places)
+        is_under = away_m < 0.1
+        assert is_under.any(axis=1).all()
+        shown_m.append(np.where(is_under, back_m, np.inf).min(axis=1).max())  # the way back to the furthest mark
+    step_m = speed_m_s * time_step_s
+    assert back_m[0] > 6.0
+    assert max(shown_m) < 4.0 + 0.6 + step_m  # a path is a little longer than the pieces that are noted
+    assert min(shown_m[-20:]) > 4.0 - 2 * (0.2 + step_m)

@@ -60,8 +60,8 @@ class MapViews(BindsAnew):
     """Pictures of what lies around each robot, with its path, mates and signs."""
 
     def __init__(self, cells: int, cell_m: float, paths_odom: Array, path_counts: Array, mates: Array):
-        """paths_odom (robots, 2, k): rings that hold the latest of `path_counts` places; mates (robots, >= 2, m): where
-        each robot sees them, NaN for none. All three are looked at whenever a picture is drawn.
+        """paths_odom (robots, >= 2, k): rings that hold the latest of `path_counts` places, NaN for none; mates
+        (robots, >= 2, m): where each robot sees them, likewise. All three are looked at whenever a picture is drawn.
         """
         self._shape = len(paths_odom), CHANNELS, cells, cells
         self._kept = paths_odom, path_counts, mates, float(cell_m)
