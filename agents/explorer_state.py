@@ -37,7 +37,7 @@ class ExplorerConfig:
     jam_radius_m: float = 2.0
     """Being stuck again within this distance counts as the same jam ..."""
     jam_count_max: int = 4
-    """... in which a robot gives way longer each time, up to this factor."""
+    """... in which a robot backs off longer each time, up to this factor."""
     tries: int = 2
     """The team is not finished while a goal that failed less often than this waits for its next try."""
     forget_s: float = 20.0

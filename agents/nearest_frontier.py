@@ -122,7 +122,7 @@ class NearestFrontier:
         again = robot.jam_m is not None and math.hypot(*(robot.jam_m - robot.pose[:2])) < self.explorer.jam_radius_m
         robot.jam_count = robot.jam_count + 1 if again else 1
         robot.jam_m = robot.pose[:2].copy()
-        # Two robots that meet in a door both give way, for random times that grow until they no longer meet.
+        # Two robots that meet in a door both back off, for random times that grow until they no longer meet.
         robot.escape_until = step + int(self._rng.integers(14, 24)) * min(robot.jam_count, self.explorer.jam_count_max)
         robot.escape_bearing = open_bearing(belief.ranges_m, self._rng)
         if robot.follower.has_path:

@@ -2,7 +2,7 @@
 
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads that wait for each other make small matrices slow
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # with several threads, operations on small matrices are slow
 
 import numpy as np
 import pytest
@@ -13,13 +13,13 @@ from twc_env.errors import ConfigError
 from twc_env.geometry import wrap_angle
 from twc_env.world import ocr
 
-# The first call of a kernel compiles it, which no deadline should judge; CI draws the same examples in every run.
+# No deadlines, because the first call of a kernel compiles it; CI draws the same examples in every run.
 settings.register_profile("twc_env", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("twc_env")
 
 
 def wander_by_scan(ranges_m: np.ndarray, step: int = 0, robot: int = 0) -> np.ndarray:
-    """Action (2,) that drives towards open space: a driver that knows its latest scan and nothing else."""
+    """Action (2,) of a reactive policy that drives towards open space, from the latest scan (beams,) [m] only."""
     beams = len(ranges_m)
     bearing = wrap_angle(np.arange(beams) * 2 * np.pi / beams)
     near = np.minimum(ranges_m, 4.0)
@@ -39,7 +39,7 @@ def wander():
 
 @pytest.fixture
 def refusal(capsys):
-    """The one line with which a command refuses its arguments."""
+    """A function that runs a command with invalid arguments; returns its error message, which must be one line."""
 
     def refusal_of(main, arguments) -> str:
         capsys.readouterr()
@@ -53,7 +53,7 @@ def refusal(capsys):
 
 @pytest.fixture(scope="session")
 def kernel_forks(tmp_path_factory):
-    """Processes that compile kernels; numba is made ready once for all of them."""
+    """Runs programs that compile kernels in forked processes; numba is loaded once for all of them."""
     loaded = "from twc_env.kernels import kernel; kernel(lambda x: 2 * x)(1)"
     forks = Forks(loaded, tmp_path_factory.mktemp("forks"), ALONE)
     yield forks

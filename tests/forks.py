@@ -1,5 +1,5 @@
-"""Processes for tests that want one of their own. They are forked off one that has loaded what takes long, which saves
-nine tenths of the time of a new one; what was not loaded there each of them loads for itself."""
+"""Separate processes for tests, forked from a process that has already loaded slow modules. This takes a tenth of the
+time of new processes; each fork imports other modules itself."""
 
 import json
 import os
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ALONE = {"PYTHONPATH": str(Path(__file__).parents[1]), "PYTHONDONTWRITEBYTECODE": "1"}
-"""All that is told to processes that should know nothing else."""
+"""Complete environment of processes that must not depend on that of the tests."""
 SERVER = """
 import atexit, json, os, sys, traceback
 {loaded}
@@ -32,15 +32,15 @@ for line in sys.stdin:
         traceback.print_exc()
     atexit._run_exitfuncs()
     sys.stdout.flush()
-    os._exit(status)  # to take down what was loaded would last longer than most programs
+    os._exit(status)  # a normal exit would take longer than most programs
 """
 
 
 class Forks:
-    """Runs programs, each in a process of its own."""
+    """Runs programs, each in a separate forked process."""
 
     def __init__(self, loaded: str, folder: Path, env: dict[str, str]):
-        """`loaded` is run once, before the processes part; in the folder their words are kept."""
+        """loaded: code that is run once, before the forks; folder: for the output of the programs."""
         code = SERVER.format(loaded=loaded)
         self._said = folder / "said"
         self._server = subprocess.Popen(
@@ -48,7 +48,7 @@ class Forks:
         )
 
     def run(self, code: str, folder: Path) -> tuple[int, str]:
-        """Run a program in a folder: its exit status, 0 where all went well, and what it printed."""
+        """Run a program in a folder; returns its exit status and its output."""
         if not hasattr(os, "fork"):
             pytest.skip("processes cannot be forked here")
         server = self._server
@@ -58,5 +58,5 @@ class Forks:
         return int(server.stdout.readline()), self._said.read_text()
 
     def close(self) -> None:
-        """No more programs."""
+        """End the server process."""
         self._server.communicate()

@@ -12,7 +12,7 @@ from twc_env.exploration import actions as action_blocks
 from twc_env.exploration.environment import ExplorationEnv
 
 
-def test_broken_actions_of_every_kind_are_refused_and_leave_no_mark():
+def test_malformed_actions_of_every_kind_are_rejected_without_side_effects():
     report = fuzz_actions(900, seed=1)
     assert (report.escaped, report.changed) == ([], [])
     assert report.count == 900 == report.refused + report.accepted
@@ -20,7 +20,7 @@ def test_broken_actions_of_every_kind_are_refused_and_leave_no_mark():
     assert report.steps_compared >= 3
 
 
-def test_an_action_for_an_agent_that_is_not_there_is_named():
+def test_the_error_of_an_unknown_agent_names_it():
     env = twc_env.parallel_env(robots=2, max_cycles=5)
     env.reset(seed=0)
     good = {agent: np.zeros(2) for agent in env.agents}
@@ -32,12 +32,12 @@ def test_an_action_for_an_agent_that_is_not_there_is_named():
     assert env.frames_of_step is before
 
 
-def test_the_fuzzer_sees_other_exceptions(monkeypatch):
+def test_the_fuzzer_detects_other_exceptions(monkeypatch):
     monkeypatch.setattr(action_blocks, "check_agents", lambda actions, agents: None)
     assert fuzz_actions(300, seed=1).escaped
 
 
-def test_the_fuzzer_sees_a_mark_that_a_refusal_left(monkeypatch):
+def test_the_fuzzer_detects_side_effects_of_a_rejected_action(monkeypatch):
     honest = ExplorationEnv.step
 
     def careless(self, actions):
@@ -52,7 +52,7 @@ def test_the_fuzzer_sees_a_mark_that_a_refusal_left(monkeypatch):
     assert fuzz_actions(200, seed=1).changed == ["velocity"]
 
 
-def test_the_command_prints_what_came_of_it(tmp_path, capsys):
+def test_the_command_prints_the_results(tmp_path, capsys):
     path = tmp_path / "fuzz.json"
     assert main(["soak", "--actions", "60", "--json", str(path)]) == 0
     assert "60 malformed actions" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Arrows between packages point one way: truth cannot reach the estimate, users need no private name."""
+"""Import rules: packages of estimates cannot import ground truth, and users need no private names."""
 
 import ast
 import json
@@ -26,7 +26,7 @@ LEAVES = {
 RANDOM = {"twc_env.random_streams"}
 FLOORPLAN = {f"twc_env.world.{name}" for name in ("floorplan", "floorplan_file", "floorplan_check", "floor_cells")}
 
-# What the modules below a prefix may import of twc_env besides their own package; the longest prefix counts.
+# What modules may import from twc_env besides their own package, by prefix of their name; the longest prefix counts.
 ALLOWED = {
     "twc_env.errors": set(),
     "twc_env._version": set(),
@@ -96,7 +96,7 @@ MODULES = known_modules()
 
 
 def imports_of(source: str, module: str, is_package: bool = False) -> set[tuple[str, str]]:
-    """All (module, name) that a source imports, wherever it stands in the file; name is "" for `import module`."""
+    """All (module, name) that a source imports anywhere in the file; name is "" for `import module`."""
     found = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
@@ -116,7 +116,7 @@ def imports_of(source: str, module: str, is_package: bool = False) -> set[tuple[
 
 
 def wrong_arrows(source: str, module: str, is_package: bool = False) -> list[str]:
-    """What a module of twc_env imports although the architecture forbids it."""
+    """Forbidden imports of a module of twc_env."""
     rule = max((prefix for prefix in ALLOWED if is_below(module, prefix)), key=len)
     own = set() if rule == "twc_env" else {rule}
     wrong = []
@@ -131,10 +131,10 @@ def wrong_arrows(source: str, module: str, is_package: bool = False) -> list[str
 
 
 def private_uses(source: str, module: str, may_import: tuple[str, ...] = ()) -> list[str]:
-    """What a user of twc_env (agents, training, a notebook) takes from it that is not public."""
+    """Private names of twc_env that a user (agents, training, a notebook) imports or accesses."""
     wrong = []
     imported = imports_of(source, module)
-    if (COMPUTED, "") in imported:  # a table of names: judge every text that looks like one
+    if (COMPUTED, "") in imported:  # a table of names: check every string that looks like a module name
         texts = {node.value for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Constant)}
         names = {text.split(":")[0] for text in texts if isinstance(text, str) and re.fullmatch(r"[\w.]+(:\w+)?", text)}
         imported = (imported - {(COMPUTED, "")}) | {(name, "") for name in names if "." in name}
@@ -161,7 +161,7 @@ def private_uses(source: str, module: str, may_import: tuple[str, ...] = ()) -> 
 
 
 @pytest.mark.parametrize("module", [name for name in MODULES if is_below(name, "twc_env")])
-def test_a_module_of_twc_env_imports_only_what_its_place_allows(module):
+def test_modules_import_only_what_their_package_allows(module):
     path = MODULES[module]
     assert wrong_arrows(path.read_text(), module, path.name == "__init__.py") == []
 
@@ -201,11 +201,11 @@ def test_notebooks_use_public_names_only(path):
         ("twc_env.exploration.environment", "import agents"),
     ],
 )
-def test_the_checker_sees_a_planted_wrong_arrow(module, source):
+def test_the_checker_finds_a_forbidden_import(module, source):
     assert wrong_arrows(source, module) != []
 
 
-def test_the_checker_lets_right_arrows_pass():
+def test_the_checker_accepts_allowed_imports():
     assert (
         wrong_arrows("import numpy\nfrom twc_env.geometry import compose\nfrom . import keyframe", "twc_env.slam.team")
         == []
@@ -228,10 +228,10 @@ def test_the_checker_lets_right_arrows_pass():
         "import importlib\nTABLE = {'x': 'twc_env.world.world:World'}\nimportlib.import_module(TABLE['x'])",
     ],
 )
-def test_the_checker_sees_a_planted_private_use(source):
+def test_the_checker_finds_a_private_use(source):
     assert private_uses(source, "agents.example", ("agents",)) != []
 
 
-def test_the_checker_lets_public_uses_pass():
+def test_the_checker_accepts_public_uses():
     source = "import twc_env\nfrom twc_env.messages import Belief\nenv = twc_env.parallel_env(map='twin-01')"
     assert private_uses(source, "agents.example", ("agents",)) == []

@@ -96,7 +96,7 @@ def test_mpe2_runs_three_agents():
     assert bench_peers.Mpe2Runs(3).once(0).steps == 3
 
 
-def test_an_episode_is_timed_step_by_step_and_judged():
+def test_an_episode_is_timed_step_by_step_and_evaluated():
     runs = OurRuns(EnvConfig(robots=2, max_cycles=15), load_map("twin-01"))
     run = runs.once(1)
     assert run.steps == 15 and run.step_s.shape == (15,)
@@ -104,7 +104,7 @@ def test_an_episode_is_timed_step_by_step_and_judged():
     assert 0.0 <= run.team_ate_m < 1.0
 
 
-def test_cutting_walls_leaves_the_building_as_it_is():
+def test_cutting_walls_does_not_change_the_building():
     plan = load_map("twin-01")
     cut = bench_scaling.cut_walls(plan, 4)
     assert len(cut.walls_m) == len(cut.wall_loss_db) == 4 * len(plan.walls_m)
@@ -140,7 +140,7 @@ def test_worker_processes_of_vector_teams_are_compared_with_none(tmp_path):
     assert limit is None or 1.0 <= limit <= 2.0
 
 
-def test_a_core_that_is_slow_for_a_while_counts_as_much_with_one_worker_as_with_two(monkeypatch):
+def test_a_temporary_slowdown_affects_the_rates_of_one_and_two_workers_equally(monkeypatch):
     seconds = iter([[2.0], [1.0, 2.0], [1.0]] * 2)  # of each task: the first alone, both, the second alone
     monkeypatch.setattr(bench_probes, "_ROUNDS", 1)
     monkeypatch.setattr(bench_probes, "_start", lambda *_: None)
@@ -151,7 +151,7 @@ def test_a_core_that_is_slow_for_a_while_counts_as_much_with_one_worker_as_with_
     assert bench_probes.two_workers("twin-01", 4, print) == {"workers2_speedup": 2.0, "two_cores_ceiling": 2.0}
 
 
-def test_a_worker_that_dies_is_an_error_and_leaves_no_other_behind(monkeypatch):
+def test_a_dead_worker_is_an_error_and_ends_the_other(monkeypatch):
     started = []
 
     def start(*arguments):
@@ -168,7 +168,7 @@ def test_a_worker_that_dies_is_an_error_and_leaves_no_other_behind(monkeypatch):
     assert all(worker.wait(timeout=10) for worker in started)
 
 
-def test_bench_says_that_its_robots_are_driven_by_velocity(capsys):
+def test_bench_rejects_actions_other_than_velocity(capsys):
     assert main(["bench", "--set", "action.kind=waypoint"]) == 2
     assert "needs action.kind = 'velocity'; got 'waypoint'" in capsys.readouterr().err
 

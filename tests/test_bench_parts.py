@@ -8,7 +8,7 @@ from twc_env.config import EnvConfig
 from twc_env.exploration.environment import ExplorationEnv
 
 
-def test_time_spent_inside_another_part_counts_there():
+def test_time_in_a_nested_part_counts_for_that_part():
     now = [0.0]
     watch = Stopwatch(clock=lambda: now[0])
 
@@ -27,7 +27,7 @@ def test_time_spent_inside_another_part_counts_there():
     assert watch.calls == {"inner": 2, "outer": 1}
 
 
-def test_the_parts_add_up_to_the_whole_step_and_the_functions_are_put_back():
+def test_parts_sum_to_the_whole_step_and_functions_are_restored():
     from twc_env.world.world import World
 
     before = World.tick
@@ -48,8 +48,8 @@ def test_the_table_is_printed_with_unusual_settings(setting, tmp_path):
     assert json.loads(path.read_text())["world: motion and sensors"] > 0.0
 
 
-def test_what_a_step_uses_has_few_attributes():
-    """CPython keeps up to 29 with an object itself; of more it makes a dict, through which each is looked up."""
+def test_objects_used_in_every_step_have_few_attributes():
+    """CPython stores up to 29 attributes in the object itself; with more it uses a slower dict."""
     env = ExplorationEnv(robots=2, max_cycles=2)
     env.reset(seed=0)
     used = env, env.episode, env.episode.world, env.engine, env.engine.team, env.engine.team._graph

@@ -19,7 +19,7 @@ sys.meta_path.insert(0, Interrupt())
 
 
 def interrupted(tmp_path, module: str, *command: str) -> subprocess.CompletedProcess:
-    """Run a command that gets Ctrl-C when it begins to read a module."""
+    """Run a command that is interrupted when it imports a certain module."""
     (tmp_path / "sitecustomize.py").write_text(SITE)
     path = os.pathsep.join([str(tmp_path), os.getcwd(), os.environ.get("PYTHONPATH", "")])
     env = os.environ | {"PYTHONPATH": path, "INTERRUPT_AT": module}
@@ -29,13 +29,13 @@ def interrupted(tmp_path, module: str, *command: str) -> subprocess.CompletedPro
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent by a signal of POSIX")
 @pytest.mark.parametrize("module", ["numpy", "gymnasium", "pettingzoo", "twc_env.command_line"])
 @pytest.mark.parametrize("package", ["twc_env", "agents", "training"])
-def test_ctrl_c_while_a_command_is_being_read_is_one_line(tmp_path, package, module):
+def test_ctrl_c_during_import_prints_one_line(tmp_path, package, module):
     done = interrupted(tmp_path, module, "-m", package, "--help")
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent by a signal of POSIX")
-def test_programs_that_use_twc_env_get_their_interrupts(tmp_path):
+def test_other_programs_get_a_keyboard_interrupt(tmp_path):
     (tmp_path / "stranger").mkdir()
     (tmp_path / "stranger" / "__init__.py").write_text("import twc_env\n")
     program = "import twc_env\ntry:\n    import colorsys\nexcept KeyboardInterrupt:\n    print('tidied up')\n"

@@ -1,4 +1,4 @@
-"""Finished parts are taken again, but never those of other settings or of other code."""
+"""Finished parts are reused, but never those of other settings or other code."""
 
 import math
 
@@ -11,7 +11,7 @@ from twc_env.finished_parts import FinishedParts, code_digest
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A package that can be imported, and a way to forget its digest."""
+    """The folder of a package that can be imported; its digest is not cached."""
     folder = tmp_path / "toy_package"
     (folder / "sub").mkdir(parents=True)
     (folder / "__init__.py").write_text("")
@@ -26,18 +26,18 @@ def refuse():
     raise AssertionError("was run again")
 
 
-def test_a_part_is_run_once_and_read_back_alike(tmp_path):
+def test_a_part_is_computed_once_and_read_back_equal(tmp_path):
     first = FinishedParts(tmp_path, "table", {"a": 1}).once("x", lambda: {"n": (1, math.nan)})
     assert first == FinishedParts(tmp_path, "table", {"a": 1}).once("x", refuse) == {"n": [1, None]}
 
 
-def test_other_settings_and_keys_start_anew(tmp_path):
+def test_other_settings_and_keys_are_computed_separately(tmp_path):
     FinishedParts(tmp_path, "table", {"a": 1}).once("x", lambda: 1)
     assert FinishedParts(tmp_path, "table", {"a": 2}).once("x", lambda: 2) == 2
     assert FinishedParts(tmp_path, "table", {"a": 1}).once("y", lambda: 3) == 3
 
 
-def test_a_torn_part_is_run_again(tmp_path):
+def test_an_incomplete_part_is_computed_again(tmp_path):
     parts = FinishedParts(tmp_path, "table", {})
     parts.once("x", lambda: 1)
     (torn,) = parts.folder.iterdir()
@@ -47,7 +47,7 @@ def test_a_torn_part_is_run_again(tmp_path):
 
 
 @pytest.mark.parametrize("changed", ["__init__.py", "sub/table.json", "sub/new.py"])
-def test_parts_of_other_code_are_not_taken_and_that_is_said(tmp_path, package, changed):
+def test_parts_of_other_code_are_not_reused_and_reported(tmp_path, package, changed):
     old = FinishedParts(tmp_path / "out", "table", {}, ("toy_package",))
     old.once("x", lambda: 1)
     assert old.remark is None
@@ -58,14 +58,14 @@ def test_parts_of_other_code_are_not_taken_and_that_is_said(tmp_path, package, c
     assert new.once("x", lambda: 2) == 2
 
 
-def test_what_decides_nothing_changes_no_digest(package):
+def test_other_files_than_python_do_not_change_the_digest(package):
     before = code_digest("toy_package")
     (package / "notes.txt").write_text("x")
     code_digest.cache_clear()
     assert code_digest("toy_package") == before != code_digest()
 
 
-def test_bundled_maps_belong_to_the_code(tmp_path, package, monkeypatch):
+def test_the_digest_of_the_code_includes_bundled_maps(tmp_path, package, monkeypatch):
     before = code_digest()
     (tmp_path / "maps").mkdir()
     monkeypatch.setattr(finished_parts, "bundled_folder", lambda: tmp_path / "maps")
@@ -73,12 +73,12 @@ def test_bundled_maps_belong_to_the_code(tmp_path, package, monkeypatch):
     assert code_digest() != before
 
 
-def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+def test_the_error_of_an_unwritable_folder_names_it(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="cannot write to the folder"):
         FinishedParts(tmp_path / "file", "table", {}).once("x", lambda: 1)
 
 
-def test_a_package_that_is_not_there_is_named():
+def test_the_error_of_a_missing_package_names_it():
     with pytest.raises(DataError, match="no package 'twc_envy'"):
         code_digest("twc_envy")

@@ -21,12 +21,12 @@ def as_matrix(pose):
     return np.array([[c, -s, pose[0]], [s, c, pose[1]], [0, 0, 1]])
 
 
-def test_a_step_ahead_after_a_quarter_turn_goes_along_y():
+def test_a_step_ahead_after_a_rotation_by_90_degrees_is_along_y():
     assert_same_pose(geometry.compose([1, 0, np.pi / 2], [2, 0, 0]), np.array([1, 2, np.pi / 2]))
 
 
 @given(st.floats(-1000, 1000))
-def test_wrapped_angles_lie_in_one_turn_and_point_the_same_way(angle):
+def test_wrapped_angles_are_in_one_turn_and_equivalent(angle):
     wrapped = geometry.wrap_angle(angle)
     assert -np.pi <= wrapped < np.pi
     assert np.cos(wrapped) == pytest.approx(np.cos(angle), abs=1e-9)
@@ -56,7 +56,7 @@ def test_between_undoes_compose(a, b):
 
 
 @given(poses, poses, clouds)
-def test_points_move_through_two_frames_as_through_the_composed_one(a, b, points):
+def test_transforming_points_twice_equals_the_composed_transform(a, b, points):
     twice = geometry.transform_points(a, geometry.transform_points(b, points))
     assert geometry.transform_points(geometry.compose(a, b), points) == pytest.approx(twice, abs=1e-9)
 
@@ -81,11 +81,11 @@ def test_no_nearby_motion_fits_noisy_points_better_than_the_rigid_alignment(pose
     assert all(cost(best) <= cost(best + step) + 1e-9 for step in rng.normal(0, 0.01, (20, 3)))
 
 
-def test_one_point_fixes_no_rotation_so_none_is_made():
+def test_the_alignment_of_one_point_has_no_rotation():
     assert geometry.align_rigidly([[1, 1]], [[3, 4]]) == pytest.approx([2, 3, 0])
 
 
-def test_points_are_taken_as_far_as_possible_from_those_before():
+def test_farthest_first_takes_the_point_farthest_from_all_chosen_ones():
     points = np.array([[0.0, 0.0], [1.0, 0.0], [4.0, 0.0], [10.0, 0.0]])
     assert geometry.farthest_first(points, 3) == [0, 3, 2]
     assert geometry.farthest_first(points, 9, first=2) == [2, 3, 0, 1]
@@ -99,7 +99,7 @@ def test_pose_functions_broadcast_over_leading_axes(pose):
     assert_same_pose(many[1, 2], geometry.compose(pose + 1.0, pose))
 
 
-def test_poses_along_motions_are_these_put_one_after_the_other():
+def test_poses_along_motions_compose_the_motions():
     motions = np.random.default_rng(0).normal(0.0, 2.0, (20, 3))
     pose = np.zeros(3)
     for motion, found in zip(motions, geometry.poses_along(motions)[1:], strict=True):
@@ -108,7 +108,7 @@ def test_poses_along_motions_are_these_put_one_after_the_other():
     assert geometry.poses_along(motions[:0]).tolist() == [[0.0, 0.0, 0.0]]
 
 
-def test_points_along_a_path_lie_at_lengths_from_its_beginning():
+def test_points_along_a_path_are_at_the_given_path_lengths():
     corners = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 14.0]])
     assert geometry.travelled_m(corners).tolist() == [0.0, 5.0, 15.0]
     assert geometry.points_along(corners, np.array([0.0, 2.5, 10.0, 99.0])).tolist() == [

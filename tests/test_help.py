@@ -1,4 +1,4 @@
-"""Every --help teaches: what each option means, its default, and an example that the parser takes."""
+"""Help texts of all commands: the meaning of each option, its default, and examples that can be parsed."""
 
 import argparse
 import shlex
@@ -31,7 +31,7 @@ def options(parser):
 
 
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
-def test_every_option_says_what_it_means_and_its_default(parser):
+def test_the_help_of_every_option_explains_it_and_states_its_default(parser):
     for option in options(parser):
         name = (option.option_strings or [option.dest])[0]
         assert option.help, f"{name} is not explained"
@@ -43,20 +43,20 @@ def test_every_option_says_what_it_means_and_its_default(parser):
 
 
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
-def test_defaults_and_paths_are_written_alike_everywhere(parser):
+def test_defaults_and_paths_have_one_form_in_all_help_texts(parser):
     for option in options(parser):
         name = (option.option_strings or [option.dest])[0]
         assert "(default " not in option.help, f"{name} writes (default X), others (default: X)"
         assert option.type is not Path or option.metavar, f"{name} does not say whether it is a file or a folder"
 
 
-def test_who_names_no_command_is_told_where_they_stand(capsys):
+def test_a_missing_command_is_an_error_that_refers_to_the_help(capsys):
     with pytest.raises(SystemExit):
         twc_env.__main__.main([])
     assert "python -m twc_env --help says more" in capsys.readouterr().err
 
 
-def test_an_option_that_a_command_has_not_is_answered_with_those_it_has(capsys):
+def test_an_unknown_option_is_an_error_with_the_usage_of_the_command(capsys):
     with pytest.raises(SystemExit):
         twc_env.__main__.main(["reproduce", "solver", "--walks", "1"])
     told = capsys.readouterr().err
@@ -64,7 +64,7 @@ def test_an_option_that_a_command_has_not_is_answered_with_those_it_has(capsys):
 
 
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
-def test_every_command_gives_examples_that_are_taken(parser):
+def test_the_examples_of_every_command_can_be_parsed(parser):
     examples = [line.split("   ")[0] for line in parser.format_help().splitlines() if line.startswith("  python -m ")]
     assert examples
     for example in examples:
@@ -72,7 +72,7 @@ def test_every_command_gives_examples_that_are_taken(parser):
         PROGRAMS[name]._parser().parse_args(arguments)
 
 
-def test_paragraphs_are_filled_and_examples_stay():
+def test_paragraphs_are_filled_and_examples_are_kept():
     parser = argparse.ArgumentParser(
         formatter_class=lambda prog: Paragraphs(prog, width=32),
         description="One two three four five six seven eight.\n\nNine\nten:\n  an example that is longer than a line",
@@ -81,18 +81,18 @@ def test_paragraphs_are_filled_and_examples_stay():
     assert "One two three four five six\nseven eight.\n\nNine ten:\n  an example that is longer than a line\n" in text
 
 
-def test_the_teams_are_told_apart_where_one_is_asked_for():
+def test_the_help_of_agents_lists_every_team():
     text = agents.__main__._parser().format_help()
     assert all(f"\n  {name}  " in text for name in [*policy_names(), "FILE.py:CLASS"])
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_every_program_tells_its_version(name, capsys):
+def test_every_program_prints_its_version(name, capsys):
     with pytest.raises(SystemExit) as stop:
         PROGRAMS[name].main(["--version"])
     assert (stop.value.code, capsys.readouterr().out) == (0, f"twc_env {twc_env.__version__}\n")
 
 
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
-def test_set_says_where_all_settings_stand(parser):
+def test_the_help_of_set_names_the_settings_command(parser):
     assert all("twc_env settings" in a.help for a in options(parser) if a.option_strings == ["--set"])

@@ -5,7 +5,7 @@ import pytest
 
 HEAVY = ("torch", "pygame", "matplotlib", "PIL", "stable_baselines3", "pandas", "IPython")
 WARM_IMPORT_MAX_S = 0.6
-"""CPU time: a busy machine must not fail it."""
+"""CPU time, which hardly depends on the load of the machine."""
 
 TIMED = "import time; t = time.process_time(); import twc_env; print(time.process_time() - t)"
 
@@ -14,12 +14,12 @@ def run(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
 
 
-def test_importing_twc_env_loads_nothing_heavy():
+def test_importing_twc_env_loads_no_heavy_dependency():
     loaded = run(f"import sys, twc_env; print([name for name in {HEAVY!r} if name in sys.modules])")
     assert loaded.strip() == "[]"
 
 
-def test_what_the_package_offers_can_be_found_before_anything_is_loaded():
+def test_dir_lists_the_public_names_before_they_are_loaded():
     assert "ExplorationEnv" in run("import twc_env; print(dir(twc_env))")
 
 
@@ -29,12 +29,12 @@ def test_an_environment_needs_no_slow_part_of_scipy_to_start():
     assert run(code).strip() == "[]"
 
 
-def test_a_warm_import_of_twc_env_takes_less_than_its_limit():
+def test_a_warm_import_takes_less_than_its_limit():
     best_s = min(float(run(TIMED)) for _ in range(5))
     print(f"import twc_env: {best_s:.2f} s of CPU time warm, best of 5")
     assert best_s < WARM_IMPORT_MAX_S
 
 
 @pytest.mark.parametrize("name", ["config", "messages", "geometry"])
-def test_a_public_module_is_importable_by_itself(name):
+def test_every_public_module_can_be_imported_alone(name):
     assert run(f"import twc_env.{name}; print(twc_env.{name}.__name__)").strip() == f"twc_env.{name}"

@@ -1,4 +1,4 @@
-"""Kernels stand on disk whole, once, and only where Python calls them."""
+"""Cache files of kernels: atomic, compiled once, and only for kernels that Python calls."""
 
 import contextlib
 import os
@@ -59,7 +59,7 @@ event.register("numba:compile", Nap())
 
 @pytest.fixture
 def folder(tmp_path):
-    """With a module of two kernels, one of which calls the other."""
+    """A folder with a module of two kernels, one of which calls the other."""
     (tmp_path / "kernels.py").write_text(KERNELS)
     return tmp_path
 
@@ -81,7 +81,7 @@ def hits_and_misses(folder, code=CALL):
 
 
 def begin(folder, code):
-    """A process that is new, and goes on meanwhile."""
+    """Start a process without waiting for its end."""
     return subprocess.Popen([sys.executable, "-c", code], cwd=folder, env=ALONE, stdout=subprocess.PIPE, text=True)
 
 
@@ -89,18 +89,18 @@ def files(folder, ending="nbc"):
     return sorted(path.name.split("-")[0] for path in (folder / "__pycache__").glob(f"*.{ending}"))
 
 
-def test_a_kernel_that_kernels_call_is_a_part_of_them_until_python_calls_it(folder):
+def test_a_kernel_called_by_kernels_is_a_part_until_python_calls_it(folder):
     assert hits_and_misses(folder) == (0, 1)
     assert files(folder) == ["kernels.total"]
     assert hits_and_misses(folder, f"{CALL}; assert kernels.doubled(4) == 8") == (1, 0)
     assert files(folder) == ["kernels.doubled", "kernels.total"]
 
 
-def test_a_part_becomes_whole_when_python_calls_it_and_raises_what_it_raises():
+def test_a_part_called_by_python_becomes_a_kernel_and_raises_its_errors():
     part = kernel(lambda x: 1 / x if x > 0 else -x)
     whole = kernel(lambda x: part(x) + 1)
     for made in (part, whole):
-        made._cache.disable()  # what an earlier run has left is whole
+        made._cache.disable()  # cache files of earlier runs would be complete
     assert whole(2.0) == 1.5
     (found,) = part.overloads.values()
     assert isinstance(found.entry_point, Part)
@@ -110,7 +110,7 @@ def test_a_part_becomes_whole_when_python_calls_it_and_raises_what_it_raises():
     assert whole(4.0) == 1.25
 
 
-def test_of_what_a_kernel_needs_it_alone_becomes_machine_code(monkeypatch):
+def test_only_the_kernel_itself_becomes_machine_code(monkeypatch):
     made: list[str] = []
     add = JITCPUCodegen._add_module
 
@@ -126,7 +126,7 @@ def test_of_what_a_kernel_needs_it_alone_becomes_machine_code(monkeypatch):
     assert len(made) == 1
 
 
-def test_numba_is_as_before_once_a_kernel_is_compiled_or_not():
+def test_numba_is_restored_after_a_compilation_or_an_error():
     whole = kernel(lambda x: np.zeros(3)[x] + max(x, 1))
     for made, numbers in ((whole, 2), (kernel(lambda x: x + "no such sum"), 2)):
         made._cache.disable()
@@ -154,7 +154,7 @@ for call in (lambda: kernels.total(-3, 2), lambda: kernels.doubled(-3)):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
-def test_of_processes_that_need_a_kernel_at_once_one_compiles_and_the_others_wait(folder):
+def test_of_concurrent_processes_one_compiles_a_kernel_and_the_others_wait(folder):
     processes = [begin(folder, SLOW.format(nap_s=1.0)) for _ in range(3)]
     ends = [tuple(map(int, process.communicate()[0].split()[-2:])) for process in processes]
     assert sorted(ends) == [(0, 1), (1, 0), (1, 0)]
@@ -162,7 +162,7 @@ def test_of_processes_that_need_a_kernel_at_once_one_compiles_and_the_others_wai
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
-def test_who_dies_while_compiling_leaves_nothing_behind_and_keeps_nobody_waiting(folder):
+def test_a_process_killed_while_compiling_leaves_no_file_and_no_lock(folder):
     process = begin(folder, SLOW.format(nap_s=600.0))
     assert process.stdout.readline() == "compiling\n"
     process.kill()
@@ -171,7 +171,7 @@ def test_who_dies_while_compiling_leaves_nothing_behind_and_keeps_nobody_waiting
     assert hits_and_misses(folder) == (0, 1)
 
 
-def test_a_file_that_is_broken_is_made_anew(folder):
+def test_a_corrupt_cache_file_is_replaced(folder):
     assert hits_and_misses(folder) == (0, 1)
     (path,) = (folder / "__pycache__").glob("*.nbc")
     path.write_bytes(path.read_bytes()[:100])
@@ -179,14 +179,14 @@ def test_a_file_that_is_broken_is_made_anew(folder):
     assert hits_and_misses(folder) == (1, 0)
 
 
-def test_files_of_an_earlier_state_of_the_source_go(folder):
+def test_cache_files_of_earlier_sources_are_deleted(folder):
     assert hits_and_misses(folder) == (0, 1)
     (folder / "kernels.py").write_text(KERNELS + "\n")
     assert hits_and_misses(folder) == (0, 1)
     assert files(folder) == ["kernels.total"]
 
 
-def test_where_no_folder_can_be_written_to_kernels_are_compiled_all_the_same(monkeypatch):
+def test_without_a_writable_folder_kernels_are_compiled_in_memory(monkeypatch):
     def refuse(_function):
         raise RuntimeError("no locator available")
 
@@ -216,12 +216,12 @@ print(kernels.total.stats.cache_path)
 
 
 def read_only(folder, writable="nothing", **names):
-    """Hits, misses and the folder that files are put into, where nothing else can be written to."""
+    """Cache hits, misses and the cache folder of a process that can write to this folder only."""
     hits, misses, place = said(folder, NOWHERE.format(writable=str(writable), names=names))
     return int(hits), int(misses), place
 
 
-def test_what_stands_in_a_folder_that_can_only_be_read_is_read(folder, tmp_path):
+def test_cache_files_in_a_read_only_folder_are_loaded(folder, tmp_path):
     assert read_only(folder) == (0, 1, "None")
     assert hits_and_misses(folder) == (0, 1)
     assert read_only(folder) == (1, 0, "None")
@@ -236,7 +236,7 @@ def test_what_stands_in_a_folder_that_can_only_be_read_is_read(folder, tmp_path)
     assert read_only(folder, home, HOME=str(home))[:2] == (1, 0)
 
 
-def test_who_names_a_folder_for_kernels_gets_them_from_there_alone(folder, tmp_path):
+def test_with_numba_cache_dir_kernels_are_loaded_from_there_only(folder, tmp_path):
     named = {"NUMBA_CACHE_DIR": str(tmp_path / "named")}
     assert hits_and_misses(folder) == (0, 1)
     assert read_only(folder, **named) == (0, 1, "None")
@@ -244,13 +244,13 @@ def test_who_names_a_folder_for_kernels_gets_them_from_there_alone(folder, tmp_p
     assert read_only(folder, **named) == (1, 0, "None")
 
 
-def test_kernels_with_bounds_checks_are_others(folder):
+def test_kernels_with_bounds_checks_have_separate_files(folder):
     checked = "import numba; numba.config.BOUNDSCHECK = 1\n" + CALL
     assert hits_and_misses(folder) == (0, 1)
     assert [hits_and_misses(folder, code) for code in (checked, checked, CALL)] == [(0, 1), (1, 0), (1, 0)]
 
 
-def test_a_full_disk_keeps_no_half_of_a_file(folder):
+def test_a_full_disk_leaves_no_partial_file(folder):
     full = """
 import os, kernels
 def refuse(*paths): raise OSError(28, "no room")
@@ -263,7 +263,7 @@ print(0, 0)
     assert hits_and_misses(folder) == (0, 1)
 
 
-def test_where_there_are_no_locks_each_process_compiles_for_itself(monkeypatch, tmp_path):
+def test_without_locks_each_process_compiles_for_itself(monkeypatch, tmp_path):
     naps: list[float] = []
     monkeypatch.setattr(file_lock.time, "sleep", naps.append)
     monkeypatch.setattr(FileLock, "take", lambda _self: None)
@@ -272,7 +272,7 @@ def test_where_there_are_no_locks_each_process_compiles_for_itself(monkeypatch, 
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
-def test_nobody_waits_for_ever(monkeypatch, tmp_path):
+def test_waiting_for_a_lock_is_limited(monkeypatch, tmp_path):
     clock = iter(range(0, 10_000, 50))
     monkeypatch.setattr(file_lock.time, "monotonic", lambda: next(clock))
     monkeypatch.setattr(file_lock.time, "sleep", lambda _seconds: None)
@@ -297,7 +297,7 @@ def test_a_lock_has_one_holder_at_a_time(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
-def test_a_lock_that_is_given_up_while_another_takes_it_has_one_holder(tmp_path, monkeypatch):
+def test_a_lock_released_while_another_takes_it_has_one_holder(tmp_path, monkeypatch):
     first, second, third = (FileLock(tmp_path / "lock") for _ in range(3))
     assert first.take()
     opened = os.open
@@ -314,7 +314,7 @@ def test_a_lock_that_is_given_up_while_another_takes_it_has_one_holder(tmp_path,
 @pytest.mark.parametrize(
     ("version", "is_known"), [("0.62.1", True), ("0.68.1", True), ("0.61.2", False), ("1.0", False)]
 )
-def test_with_another_numba_kernels_are_numbas_own_and_none_stands_on_disk(monkeypatch, version, is_known):
+def test_with_an_unsupported_numba_kernels_are_plain_njit_functions_without_cache(monkeypatch, version, is_known):
     monkeypatch.setattr(numba, "__version__", version)
     twice = kernel(lambda x: 2 * x)
     assert isinstance(twice, kernel_compiler.KernelDispatcher) == is_known

@@ -1,4 +1,4 @@
-"""A compiled kernel on disk is out of date as soon as anything that it is made of changes."""
+"""Kernels: invalidation of cache files by changes of imports; borrowing and bound kernels."""
 
 import copy
 import pickle
@@ -39,7 +39,7 @@ def scaled(x):
 """
 
 
-def test_a_kernel_is_compiled_anew_when_a_kernel_or_a_constant_of_another_file_changes(tmp_path, kernel_forks):
+def test_a_kernel_is_recompiled_when_an_imported_kernel_or_constant_changes(tmp_path, kernel_forks):
     (tmp_path / "upper.py").write_text(UPPER)
     code = "import upper; print(upper.total(3), len(upper.total.stats.cache_hits))"
 
@@ -55,7 +55,7 @@ def test_a_kernel_is_compiled_anew_when_a_kernel_or_a_constant_of_another_file_c
     assert value_and_hits("5 * x", 4) == (19, 0)
 
 
-def test_a_kernel_may_not_reach_into_a_module_of_the_package():
+def test_a_kernel_must_import_names_not_modules_of_the_package():
     def reaching(x):
         return geometry.wrap_angle(x)
 
@@ -74,7 +74,7 @@ def filled(out, value):
         made[i] = out[i] = value
 
 
-def test_a_borrowing_kernel_fills_what_it_is_given_and_refuses_to_make_arrays():
+def test_a_borrowing_kernel_fills_its_arguments_and_cannot_return_arrays():
     out = np.zeros(3)
     borrowing_kernel(fill)(out, 2.0)
     assert out.tolist() == [2.0, 2.0, 2.0]
@@ -82,7 +82,7 @@ def test_a_borrowing_kernel_fills_what_it_is_given_and_refuses_to_make_arrays():
         borrowing_kernel(filled)(out, 2.0)
 
 
-def test_kernels_that_a_borrowing_kernel_calls_may_make_arrays_for_themselves():
+def test_kernels_called_by_a_borrowing_kernel_may_allocate_arrays():
     inner = kernel(length_of_a_copy)
     outer = borrowing_kernel(lambda out: inner(out))
     assert outer(np.zeros(3)) == 3
@@ -92,7 +92,7 @@ def length_of_a_copy(values):
     return len(values.copy())
 
 
-def test_no_step_leaves_arrays_behind_in_compiled_code():
+def test_no_step_leaks_arrays_in_compiled_code():
     from numba.core.runtime import _nrt_python, rtsys
 
     env = ExplorationEnv(map="gen:office:100:1", robots=2, max_cycles=600)
@@ -107,7 +107,7 @@ def test_no_step_leaves_arrays_behind_in_compiled_code():
             stood.append(stats.mi_alloc - stats.mi_free)
     finally:
         _nrt_python.memsys_disable_stats()
-    assert len(set(stood[1:])) == 1  # after the first, what is kept from episode to episode is there
+    assert len(set(stood[1:])) == 1  # the first episode also creates what is kept between episodes
 
 
 def scaled_sum(held, shift, out):
@@ -117,7 +117,7 @@ def scaled_sum(held, shift, out):
     out[0] = total + shift
 
 
-def test_a_bound_kernel_borrows_what_is_packed_and_leaves_no_trace_of_it():
+def test_a_bound_kernel_does_not_leak_references_to_lent_arrays():
     numbers, out = np.arange(4.0), np.zeros(1)
     holders = sys.getrefcount(numbers)
     call = bound(borrowing_kernel(scaled_sum), Lent((numbers, 2.0)), 1, out)
@@ -142,7 +142,7 @@ def seen_by_kernel(held, out):
     out[7], out[8], out[9] = frozen[1], small, columns[1, 2]
 
 
-def test_parts_of_all_kinds_are_found_where_they_are():
+def test_parts_of_all_types_are_laid_out_correctly():
     frozen, matrix, out = np.arange(3.0), np.arange(6, dtype=np.int32).reshape(2, 3), np.zeros(10)
     frozen.flags.writeable = False
     held = Lent(
@@ -160,7 +160,7 @@ def test_parts_of_all_kinds_are_found_where_they_are():
     assert out.tolist() == [1.0, 0.0, -7.0, 2.5, 243.0, 3205.0, 40.0, 1.0, 0.5, 5.0]
 
 
-def test_what_is_lent_cannot_be_copied():
+def test_a_lent_cannot_be_copied():
     for copied in (copy.deepcopy, pickle.dumps):
         with pytest.raises(TypeError, match="make it anew"):
             copied(Lent((np.zeros(3),)))
@@ -174,7 +174,7 @@ def total_of(numbers, factor):
     return total
 
 
-def test_what_is_bound_again_is_called_as_what_it_is_then():
+def test_a_rebound_kernel_uses_its_new_first_argument():
     numbers, compiled = np.arange(6.0).reshape(2, 3), borrowing_kernel(total_of)
     read_only = numbers.view()
     read_only.flags.writeable = False

@@ -29,7 +29,7 @@ def test_bench_writes_one_flat_object_with_both_speeds(tmp_path, capsys):
     assert "slam_env_steps_per_s" in capsys.readouterr().out
 
 
-def test_bench_takes_any_setting(tmp_path):
+def test_bench_accepts_any_setting(tmp_path):
     path = tmp_path / "bench.json"
     arguments = ["bench", "--steps", "5", "--episodes", "1", "--robots", "1", "--set", "lidar.beam_count=90"]
     assert main([*arguments, "--json", str(path)]) == 0
@@ -52,7 +52,7 @@ def test_bad_input_ends_with_one_line_and_status_2(arguments, message, refusal):
 @pytest.mark.parametrize(
     "arguments", ["soak --steps 0", "bench --episodes 0", "bench --robots x", "record --out r --steps 0"]
 )
-def test_counts_that_make_no_run_are_refused_by_the_command_line(arguments, capsys):
+def test_counts_below_one_are_rejected_by_the_command_line(arguments, capsys):
     with pytest.raises(SystemExit):
         main(arguments.split())
     assert "must be a whole number of at least 1; got" in capsys.readouterr().err
@@ -76,11 +76,11 @@ def test_replay_finds_the_same_poses_as_the_episode(kind, tmp_path, wander, caps
     assert {"map.pgm", "map.yaml", "pose_graph.g2o"} <= written
 
 
-def test_a_replay_does_not_mind_how_robots_number_their_frames(tmp_path):
-    """One of them is far ahead, and falls silent."""
+def test_a_replay_does_not_depend_on_the_frame_numbers_of_robots(tmp_path):
+    """The frame numbers of one robot are far ahead, and its frames end early."""
     assert main(["record", "--map", "twin-01", "--seed", "1", "--steps", "800", "--out", str(tmp_path)]) == 0
     config, steps = read_frame_log(tmp_path / "frames.npz")
-    config = override(config, {"max_cycles": 100_000})  # it goes on: the mapper has not cleared its desk
+    config = override(config, {"max_cycles": 100_000})  # not the last step: the mapper's backlog is not processed
     kept = [[frame for frame in frames if frame.robot or frame.step < 300] for frames in steps]
     numbered = [[replace(frame, step=frame.step + 10_000 * (frame.robot == 0)) for frame in frames] for frames in kept]
     found = []
@@ -91,7 +91,7 @@ def test_a_replay_does_not_mind_how_robots_number_their_frames(tmp_path):
     assert found[0] == found[1]
 
 
-def test_a_frame_log_is_known_by_what_it_holds(tmp_path, capsys):
+def test_a_frame_log_is_recognised_by_its_content(tmp_path, capsys):
     assert main(["record", "--steps", "5", "--out", str(tmp_path)]) == 0
     (tmp_path / "frames.npz").rename(tmp_path / "monday.frames")
     assert main(["replay", str(tmp_path / "monday.frames")]) == 0
@@ -106,7 +106,7 @@ def test_a_frame_log_is_known_by_what_it_holds(tmp_path, capsys):
         ("filterpy", ["--filter", "compiled"], "compiled"),
     ],
 )
-def test_replay_filters_as_the_log_does_unless_told_otherwise(recorded_with, arguments, used, tmp_path):
+def test_replay_uses_the_filter_of_the_log_unless_overridden(recorded_with, arguments, used, tmp_path):
     settings = {"map": "twin-01", "robots": 1, "slam.odometry_filter.backend": recorded_with}
     env = twc_env.parallel_env(config=settings)
     env.reset(seed=0)
@@ -128,7 +128,7 @@ def test_a_recording_replays_to_the_same_estimates_and_is_scored_against_its_own
     assert 0.0 < json.loads(found[0])["team_ate_m"] < 0.1
 
 
-def test_the_frame_log_holds_no_true_pose(tmp_path):
+def test_the_frame_log_contains_no_true_pose(tmp_path):
     out = tmp_path / "log"
     assert main(["record", "--steps", "20", "--robots", "1", "--out", str(out)]) == 0
     _, _, true_poses = read_truth_log(out / "truth.npz")
@@ -139,7 +139,7 @@ def test_the_frame_log_holds_no_true_pose(tmp_path):
                 assert not np.isclose(log[name][5:], true_poses[5:, 0, :1]).all(axis=0).any()
 
 
-def test_a_replay_says_that_a_log_does_not_hold_what_an_oracle_told(tmp_path, capsys):
+def test_a_replay_reports_that_the_oracle_is_ignored(tmp_path, capsys):
     record = ["record", "--robots", "2", "--steps", "3", "--out", str(tmp_path)]
     for oracle, said in (("starts", "slam.oracle = 'starts'"), ("none", "")):
         assert main([*record, "--set", f"slam.oracle={oracle}"]) == 0
@@ -150,14 +150,14 @@ def test_a_replay_says_that_a_log_does_not_hold_what_an_oracle_told(tmp_path, ca
 
 
 @pytest.mark.parametrize("topology", ["central", "peer"])
-def test_a_replay_says_whose_groups_it_prints_where_each_robot_has_a_mapper(topology, tmp_path, capsys):
+def test_a_replay_of_peers_reports_whose_groups_it_prints(topology, tmp_path, capsys):
     main(["record", "--set", f"link.topology={topology}", "--steps", "3", "--out", str(tmp_path)])
     capsys.readouterr()
     main(["replay", str(tmp_path / "frames.npz")])
     assert ("are those of robot 0" in capsys.readouterr().err) is (topology == "peer")
 
 
-def test_maps_of_a_replay_are_named_as_those_of_the_episode_the_largest_group_first(tmp_path):
+def test_maps_of_a_replay_are_named_like_those_of_the_episode_largest_group_first(tmp_path):
     run, again = tmp_path / "run", tmp_path / "again"
     assert agents(["explore", "--steps", "200", "--no-pictures", "--out", str(run)]) == 0
     assert main(["replay", str(run), "--out", str(again)]) == 0
@@ -166,7 +166,7 @@ def test_maps_of_a_replay_are_named_as_those_of_the_episode_the_largest_group_fi
     assert all((run / name).read_bytes() == (again / name).read_bytes() for name in names)
 
 
-def test_a_robot_that_was_never_heard_of_has_neither_map_nor_path(tmp_path):
+def test_a_robot_that_was_never_received_has_neither_map_nor_path(tmp_path):
     never = ["--set", "failure.robots=1", "--set", "failure.robots_step=0"]
     assert main(["record", "--robots", "2", "--steps", "3", *never, "--out", str(tmp_path)]) == 0
     assert main(["replay", str(tmp_path), "--out", str(tmp_path / "maps")]) == 0
@@ -175,14 +175,14 @@ def test_a_robot_that_was_never_heard_of_has_neither_map_nor_path(tmp_path):
     assert written == {"map.pgm", "map.yaml", "pose_graph.g2o"} | paths
 
 
-def test_truth_of_another_run_is_refused(tmp_path, capsys):
+def test_truth_of_another_run_is_rejected(tmp_path, capsys):
     for name, steps in (("a", "10"), ("b", "12")):
         assert main(["record", "--steps", steps, "--robots", "1", "--out", str(tmp_path / name)]) == 0
     assert main(["replay", str(tmp_path / "a/frames.npz"), "--truth", str(tmp_path / "b/truth.npz")]) == 2
     assert "give the pair of one run" in capsys.readouterr().err
 
 
-def test_a_replay_with_another_scanner_or_without_a_place_to_write_is_one_line(tmp_path, refusal):
+def test_replay_errors_of_another_scanner_or_an_unwritable_folder_are_one_line(tmp_path, refusal):
     assert main(["record", "--robots", "1", "--steps", "3", "--out", str(tmp_path / "log")]) == 0
     (tmp_path / "file").write_text("")
     for extra, message in (
@@ -193,7 +193,7 @@ def test_a_replay_with_another_scanner_or_without_a_place_to_write_is_one_line(t
         assert message in refusal(main, ["replay", str(tmp_path / "log"), *extra])
 
 
-def test_ctrl_c_ends_a_command_with_one_word(monkeypatch, capsys):
+def test_ctrl_c_ends_a_command_with_one_line(monkeypatch, capsys):
     def interrupt(*_):
         raise KeyboardInterrupt
 
@@ -202,14 +202,14 @@ def test_ctrl_c_ends_a_command_with_one_word(monkeypatch, capsys):
     assert capsys.readouterr().err == "interrupted\n"
 
 
-def test_a_reader_that_leaves_early_is_no_error():
+def test_a_reader_that_closes_the_output_early_is_no_error():
     command = f"{sys.executable} -m twc_env maps list | head -n 1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True)
     assert done.stdout.startswith("map ") and done.stderr == ""
 
 
 @pytest.mark.parametrize("closed", ["1>&-", "2>&-", "1>&- 2>&-"])
-def test_a_command_whose_output_is_closed_does_its_work(tmp_path, closed):
+def test_a_command_with_closed_output_still_does_its_work(tmp_path, closed):
     arguments = f"explore --robots 1 --steps 2 --no-pictures --out {tmp_path / 'run'} {closed}"
     done = subprocess.run(f"{sys.executable} -m agents {arguments}", shell=True, capture_output=True, text=True)
     assert done.returncode == 0 and "Traceback" not in done.stderr
@@ -217,7 +217,7 @@ def test_a_command_whose_output_is_closed_does_its_work(tmp_path, closed):
 
 
 @pytest.mark.parametrize("buffering", ["", "1"], ids=["buffered", "unbuffered"])
-def test_every_command_ends_quietly_when_its_reader_leaves(buffering):
+def test_every_command_ends_silently_when_its_reader_closes_the_output(buffering):
     program = "import sys; from twc_env.command_line import exit_status; "
     program += "sys.exit(exit_status(lambda: print(chr(10).join(map(str, range(int(sys.argv[1]))))) or 0))"
     for lines in ("9", "99999"):
@@ -232,7 +232,7 @@ def test_every_command_ends_quietly_when_its_reader_leaves(buffering):
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a disk is filled by a device of Linux")
-def test_a_full_disk_is_one_line_wherever_the_output_goes(tmp_path):
+def test_a_full_disk_is_an_error_of_one_line_for_every_output(tmp_path):
     (tmp_path / "truth.npz").symlink_to("/dev/full")
     record = ["record", "--steps", "3", "--robots", "1", "--out", str(tmp_path)]
     for arguments, place in ((["maps", "list"], "/dev/full"), (record, os.devnull)):
@@ -245,7 +245,7 @@ def test_a_full_disk_is_one_line_wherever_the_output_goes(tmp_path):
         assert last == "error: cannot write: No space left on device; make room, or choose another place"
 
 
-def test_names_that_the_terminal_cannot_show_are_spelt_out(tmp_path):
+def test_characters_that_the_terminal_cannot_show_are_escaped(tmp_path):
     plan = json.loads((bundled_folder() / "twin-01.json").read_text())
     (tmp_path / "plan.json").write_text(json.dumps({**plan, "name": "Büro 階"}))
     command = [sys.executable, "-m", "twc_env", "maps", "list", str(tmp_path / "plan.json")]
@@ -255,7 +255,7 @@ def test_names_that_the_terminal_cannot_show_are_spelt_out(tmp_path):
         assert shown.encode(encoding) in done.stdout
 
 
-def test_an_interrupted_table_says_that_it_can_go_on(monkeypatch, tmp_path, capsys):
+def test_an_interrupted_table_reports_that_it_can_continue(monkeypatch, tmp_path, capsys):
     def interrupt(*_):
         raise KeyboardInterrupt
 
@@ -265,7 +265,8 @@ def test_an_interrupted_table_says_that_it_can_go_on(monkeypatch, tmp_path, caps
 
 
 def write_laser_log(path, seed, place="twin-01"):
-    """Drive one robot through a building and keep the half circle ahead as CARMEN does; stamps and true poses."""
+    """Drive one robot through a building and write the front half of its scans as a CARMEN log; returns times [s] and
+    true poses."""
     settings = {"lidar.beam_count": 360, "lidar.range_max_m": 20.0, "odometry.platform": "skid-steer", "robots": 1}
     env = twc_env.parallel_env(map=place, max_cycles=800, config={**settings, "slam.mode": "off"})
     env.reset(seed=seed)
@@ -284,7 +285,7 @@ def write_laser_log(path, seed, place="twin-01"):
     return stamps_s, np.array(true)
 
 
-def test_a_log_of_ones_own_laser_is_mapped_and_written_as_others_read_it(tmp_path, capsys):
+def test_a_carmen_log_is_mapped_and_exported_to_standard_formats(tmp_path, capsys):
     stamps_s, true = write_laser_log(tmp_path / "mine.log", 1)
     assert main(["replay", str(tmp_path / "mine.log"), "--out", str(tmp_path / "out")]) == 0
     assert "groups" in capsys.readouterr().out

@@ -5,7 +5,7 @@ from twc_env.errors import MapError
 from twc_env.map_fuzz import fuzz_maps
 
 
-def test_mutated_files_are_refused_with_one_line_or_still_sound():
+def test_mutated_files_are_rejected_in_one_line_or_valid():
     report = fuzz_maps(330, seed=7)
     assert report.escaped == []
     assert report.count == 330
@@ -14,21 +14,21 @@ def test_mutated_files_are_refused_with_one_line_or_still_sound():
     assert report.slowest_s < map_fuzz.SECONDS_MAX
 
 
-def test_equal_seeds_mutate_equally():
+def test_equal_seeds_give_equal_mutations():
     first, second, third = (fuzz_maps(40, seed) for seed in (1, 1, 2))
     assert (first.refused, first.loaded) == (second.refused, second.loaded)
     assert first.count == third.count == 40
 
 
 class OfTwoLines(MapError):
-    """What `TwcError` puts into one line."""
+    """An error whose message has two lines; `TwcError` itself would join them."""
 
     def __str__(self):
         return "two\nlines"
 
 
 @pytest.mark.parametrize("error", [ValueError("bad"), OfTwoLines(), RecursionError("deep")])
-def test_the_fuzzer_sees_what_it_looks_for(monkeypatch, error):
+def test_the_fuzzer_detects_injected_faults(monkeypatch, error):
     def broken(path, calls=[]):  # noqa: B006
         if "mutated" in str(path):
             raise error

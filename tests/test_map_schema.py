@@ -16,7 +16,7 @@ SOUND = json.loads((ROOT / "maps" / "sfw-e2.json").read_text())
 
 
 def with_value(path: str, value: object) -> dict:
-    """The sound map with one value replaced, by a path such as "signs.0.text"; ... removes it."""
+    """The valid map with the value at a path such as "signs.0.text" replaced, or removed if it is `...`."""
     values = copy.deepcopy(SOUND)
     *way, last = [int(part) if part.isdigit() else part for part in path.split(".")]
     holder = values
@@ -29,7 +29,7 @@ def with_value(path: str, value: object) -> dict:
     return values
 
 
-def test_the_schema_is_one():
+def test_the_schema_is_a_valid_json_schema():
     jsonschema.Draft202012Validator.check_schema(schema())
 
 
@@ -56,7 +56,7 @@ def test_every_map_file_follows_the_schema(path):
         ("access_points.0.macs", [5]), ("access_points.0.name", ...), ("pose_building_home", [1, 2]),
     ],
 )  # fmt: skip
-def test_schema_and_reader_refuse_the_same_mistakes(path, value):
+def test_schema_and_reader_reject_the_same_mistakes(path, value):
     values = with_value(path, value)
     assert not VALIDATOR.is_valid(values)
     with pytest.raises(MapError):

@@ -31,13 +31,13 @@ def house(tmp_path):
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5])
-def test_seeds_that_are_no_whole_numbers_from_0_on_are_refused(house, seed):
+def test_seeds_other_than_non_negative_integers_are_rejected(house, seed):
     with pytest.raises(ConfigError, match=f"seed must be a whole number of at least 0; got {seed}"):
         load_map(house, seed)
 
 
 @pytest.mark.parametrize("name", map_names())
-def test_each_bundled_map_is_sound_and_named_like_its_file(name):
+def test_each_bundled_map_is_valid_and_named_like_its_file(name):
     plan = load_map(name)
     assert plan.name == name
     assert plan.floor_area_m2 > 15
@@ -79,12 +79,12 @@ def test_rooms_of_twin_01_are_congruent():
         ("GEN:office:800:7", "gen:office:800:7"),
     ],
 )
-def test_names_in_another_case_are_answered_with_the_right_one(written, meant):
+def test_the_error_of_a_name_in_another_case_suggests_the_correct_one(written, meant):
     with pytest.raises(MapError, match=f"did you mean '{meant}'"):
         load_map(written)
 
 
-def test_an_unknown_name_is_answered_with_the_nearest_and_the_list():
+def test_the_error_of_an_unknown_name_suggests_the_nearest_and_lists_all():
     with pytest.raises(MapError) as caught:
         load_map("twin-1")
     message = str(caught.value)
@@ -94,7 +94,7 @@ def test_an_unknown_name_is_answered_with_the_nearest_and_the_list():
     assert "\n" not in message
 
 
-def test_a_folder_is_no_map_and_its_maps_are_named(tmp_path):
+def test_the_error_of_a_folder_lists_the_maps_in_it(tmp_path):
     with pytest.raises(MapError, match="is a folder: name a map file in it; it holds none"):
         load_map(tmp_path)
     for name in ("b.pgm", "a.yaml", "notes.txt"):
@@ -116,7 +116,7 @@ def test_a_changed_file_is_read_again(tmp_path):
     assert load_map(path).digest != first.digest
 
 
-def test_a_file_whose_picture_has_changed_is_read_again(tmp_path):
+def test_a_file_with_a_changed_picture_is_read_again(tmp_path):
     widths_m = []
     for columns in (40, 60):
         log_odds = np.where(np.arange(80) < columns, -1, 1) * np.ones((50, 1), np.int16)
@@ -127,7 +127,7 @@ def test_a_file_whose_picture_has_changed_is_read_again(tmp_path):
     assert widths_m == pytest.approx([4.0, 6.0])
 
 
-def test_a_picture_that_is_a_map_is_not_read_again_for_others_beside_it(tmp_path):
+def test_other_files_in_the_folder_do_not_invalidate_a_picture_map(tmp_path):
     walls = np.pad(np.full((50, 40), 255, np.uint8), 1)
     Image.fromarray(walls).save(tmp_path / "plan.png")
     first = load_map(tmp_path / "plan.png")
@@ -135,17 +135,17 @@ def test_a_picture_that_is_a_map_is_not_read_again_for_others_beside_it(tmp_path
     assert load_map(tmp_path / "plan.png") is first
 
 
-def test_a_picture_beside_a_map_that_is_gone_keeps_nobody_from_reading_it(tmp_path):
+def test_a_dangling_picture_link_does_not_prevent_reading_a_map(tmp_path):
     path = write_ros_map(GridMap(np.full((50, 40), -1, np.int16), np.zeros(2), 0.1), tmp_path, "plan")
     (tmp_path / "other.pgm").symlink_to(tmp_path / "gone.pgm")
     assert np.ptp(load_map(path).walls_m[..., 0]) == pytest.approx(4.0)
 
 
-def test_house_expo_files_are_known_by_their_keys(house):
+def test_house_expo_files_are_recognised_by_their_keys(house):
     assert load_map(house).rooms[0].name == "Kitchen"
 
 
-def test_furnishing_follows_the_seed(house):
+def test_generated_signs_and_access_points_follow_the_seed(house):
     assert load_map(house, seed=1).digest == load_map(str(house), seed=1).digest
     assert load_map(house, seed=1).digest != load_map(house, seed=2).digest
 
@@ -161,7 +161,7 @@ def test_furnishing_follows_the_seed(house):
         ("plain", "", "unknown map format ''"),
     ],
 )
-def test_files_that_are_no_map_are_refused(tmp_path, name, content, expected):
+def test_files_that_are_not_maps_are_rejected(tmp_path, name, content, expected):
     path = tmp_path / name
     path.write_text(content)
     with pytest.raises(MapError, match=expected):
@@ -174,19 +174,19 @@ def test_only_geojson_has_levels(house):
 
 
 @pytest.mark.parametrize("name", ["house.json.gz", "HOUSE.JSON.GZ"])
-def test_packed_files_are_read(tmp_path, name):
+def test_gzipped_files_are_read(tmp_path, name):
     (tmp_path / name).write_bytes(gzip.compress(json.dumps(HOUSE).encode()))
     assert load_map(tmp_path / name).rooms[0].name == "Kitchen"
 
 
-def test_a_packed_file_that_is_cut_off_is_refused(tmp_path):
+def test_a_truncated_gzipped_file_is_rejected(tmp_path):
     path = tmp_path / "house.json.gz"
     path.write_bytes(gzip.compress(json.dumps(HOUSE).encode())[:-9])
     with pytest.raises(MapError, match="cannot read the map"):
         load_map(path)
 
 
-def test_a_small_file_that_unpacks_to_a_huge_one_is_refused(tmp_path, monkeypatch):
+def test_a_decompression_bomb_is_rejected(tmp_path, monkeypatch):
     monkeypatch.setattr(floorplan_file, "FILE_BYTES_MAX", 1_000_000)
     path = tmp_path / "bomb.json.gz"
     path.write_bytes(gzip.compress(b" " * 2_000_000))

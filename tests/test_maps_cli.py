@@ -28,7 +28,7 @@ def test_without_a_command_the_maps_are_listed(capsys):
     assert "twin-01" in capsys.readouterr().out
 
 
-def test_list_describes_the_maps_it_is_given(capsys):
+def test_list_describes_the_given_maps(capsys):
     assert run("list", "sfw-e4", "gen:mall:300:1") == 0
     out = capsys.readouterr().out
     assert "52 m2" in out and "gen:mall:300:1" in out and "twin-01" not in out
@@ -46,7 +46,7 @@ def test_show_writes_a_picture_with_and_without_signal(tmp_path, capsys):
     assert "written: " in capsys.readouterr().out
 
 
-def test_a_picture_without_a_suffix_is_a_png_and_its_name_is_said(tmp_path, capsys):
+def test_a_picture_without_suffix_is_a_png_and_its_path_is_printed(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     assert run("show", "sfw-e5", "--no-signal", "--out", tmp_path / "plan") == 0
     assert [path.name for path in tmp_path.iterdir()] == ["plan.png"]
@@ -55,7 +55,7 @@ def test_a_picture_without_a_suffix_is_a_png_and_its_name_is_said(tmp_path, caps
     assert "it is a folder; name a file in it" in capsys.readouterr().err
 
 
-def test_texts_of_signs_lie_before_their_faces_and_not_on_each_other():
+def test_sign_texts_are_in_front_of_their_signs_and_do_not_overlap():
     pytest.importorskip("matplotlib")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -74,7 +74,7 @@ def test_texts_of_signs_lie_before_their_faces_and_not_on_each_other():
     assert exit_text.get_window_extent().x1 <= 400 and exit_text.get_rotation() == 0.0
 
 
-def test_names_of_rooms_do_not_lie_on_each_other():
+def test_room_names_do_not_overlap():
     pytest.importorskip("matplotlib")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -90,7 +90,7 @@ def test_names_of_rooms_do_not_lie_on_each_other():
     assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
 
 
-def test_dollars_in_names_are_no_formulas(tmp_path):
+def test_dollar_signs_in_names_are_not_parsed_as_formulas(tmp_path):
     pytest.importorskip("matplotlib")
     plan = load_map("sfw-e1")
     signs = [dataclasses.replace(sign, text="$A_$") for sign in plan.signs]
@@ -104,18 +104,18 @@ def test_dollars_in_names_are_no_formulas(tmp_path):
     assert (tmp_path / "run" / "map.png").is_file()
 
 
-def test_generate_writes_the_building_of_that_name(tmp_path):
+def test_generate_writes_the_building_of_the_generated_name(tmp_path):
     path = tmp_path / "ward.json"
     assert run("generate", "ward", 250, "--seed", 4, "--out", path) == 0
     assert load_map(path).digest == load_map("gen:ward:250:4").digest
 
 
-def test_generate_counts_seeds_on(tmp_path):
+def test_generate_uses_consecutive_seeds(tmp_path):
     assert run("generate", "office", 150, "--seed", 2, "--count", 3, "--out", tmp_path / "o.json") == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["o-2.json", "o-3.json", "o-4.json"]
 
 
-def test_a_map_goes_out_as_ros_map_and_comes_in_again(tmp_path):
+def test_an_exported_ros_map_can_be_imported(tmp_path):
     assert run("export", "twin-01", tmp_path / "twin.yaml") == 0
     assert (tmp_path / "twin.pgm").is_file()
     assert run("import", tmp_path / "twin.yaml", "--seed", 3, "--out", tmp_path / "again.json") == 0
@@ -132,7 +132,7 @@ def test_pictures_are_imported_at_their_resolution(tmp_path):
     ] == pytest.approx(load_map("twin-01").bounds_m[2:] - load_map("twin-01").bounds_m[:2], abs=0.2)
 
 
-def test_check_tells_sound_maps_from_others(tmp_path, capsys):
+def test_check_distinguishes_valid_from_invalid_maps(tmp_path, capsys):
     assert run("check", "twin-01", "gen:ring:200:0", "--json", tmp_path / "a.json") == 0
     findings = json.loads((tmp_path / "a.json").read_text())
     assert findings["faults"] == [] and findings["floor_m2"]["twin-01"] == pytest.approx(236.9, abs=0.5)
@@ -189,7 +189,7 @@ def test_mistakes_end_with_one_line_and_status_2(arguments, message, refusal, tm
         ("check --fuzz 2 --seed -3", 0),
     ],
 )
-def test_numbers_that_cannot_be_meant_are_refused(arguments, least, capsys):
+def test_numbers_out_of_range_are_rejected(arguments, least, capsys):
     with pytest.raises(SystemExit) as stopped:
         run(*arguments.split())
     assert stopped.value.code == 2
@@ -197,14 +197,14 @@ def test_numbers_that_cannot_be_meant_are_refused(arguments, least, capsys):
 
 
 @pytest.mark.parametrize("command", [[], ["list"], ["show"], ["generate"], ["import"], ["export"], ["check"]])
-def test_help_teaches_how_maps_are_named(command, capsys):
+def test_help_explains_the_names_of_maps(command, capsys):
     with pytest.raises(SystemExit) as stopped:
         run(*command, "--help")
     assert stopped.value.code == 0
     assert "gen:office:800:7" in capsys.readouterr().out
 
 
-def test_folders_that_a_map_or_picture_is_to_lie_in_are_made(tmp_path):
+def test_folders_of_maps_and_pictures_are_created(tmp_path):
     assert run("generate", "office", "300", "--out", tmp_path / "new" / "a.json") == 0
     assert run("import", tmp_path / "new" / "a.json", "--out", tmp_path / "brought" / "in" / "a.json") == 0
     assert run("export", "sfw-e1", tmp_path / "given" / "a.yaml") == 0
@@ -215,14 +215,14 @@ def test_folders_that_a_map_or_picture_is_to_lie_in_are_made(tmp_path):
     assert (tmp_path / "drawn" / "a.png").exists()
 
 
-def test_a_fault_of_a_map_is_said_once(capsys):
+def test_a_fault_of_a_map_is_printed_once(capsys):
     assert run("check", "none", "sfw-e1", "gone") == 2
     said = capsys.readouterr()
     assert said.out.count("no map named 'none'") == said.out.count("no map named 'gone'") == 1
     assert said.err == "error: 2 checks failed\n"
 
 
-def test_repeated_layouts_and_faults_of_mutated_files_are_said(monkeypatch, capsys):
+def test_repeated_layouts_and_faults_of_mutated_files_are_printed(monkeypatch, capsys):
     monkeypatch.setattr("twc_env.map_fuzz.SECONDS_MAX", 0.0)
     assert run("check", "--fuzz", "3") == 2
     assert "more than 0 s" in capsys.readouterr().out

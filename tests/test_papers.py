@@ -1,4 +1,4 @@
-"""What docs/papers.md says of the code holds, and what the code names of it stands there."""
+"""docs/papers.md and the code agree: items, modules, settings, tables and maps that they name exist."""
 
 import re
 from pathlib import Path
@@ -19,7 +19,7 @@ ITEMS = {
 QUOTED = set(re.findall(r"`([^`]+)`", TEXT))
 
 
-def test_every_item_that_the_code_names_stands_in_the_document():
+def test_every_item_named_in_the_code_is_in_the_document():
     named = {}
     for path in [*(ROOT / "twc_env").rglob("*.py"), *(ROOT / "agents").glob("*.py")]:
         for words in re.findall(r"papers\.md ((?:[TKRX]\d+[a-z]?(?:, |-| and )?)+)", path.read_text()):
@@ -29,26 +29,26 @@ def test_every_item_that_the_code_names_stands_in_the_document():
 
 
 @pytest.mark.parametrize("name", sorted(q for q in QUOTED if re.match(r"(slam|world|metrics|reproduce)\.\w+$", q)))
-def test_a_module_that_the_document_names_is_there(name):
+def test_every_module_named_in_the_document_exists(name):
     package, module = name.split(".")
     own = (ROOT / "twc_env" / package / f"{module}.py").exists()
     assert own or f'"{module}"' in (ROOT / "twc_env" / package / "__init__.py").read_text() or is_setting(name)
 
 
 @pytest.mark.parametrize("name", sorted(q for q in QUOTED if " = " in q and "." in q))
-def test_a_setting_that_the_document_names_can_be_made(name):
+def test_every_setting_in_the_document_is_valid(name):
     key, value = name.split(" = ")
     assert override(EnvConfig(), {key: value.strip('"')})
 
 
-def test_tables_and_maps_that_the_document_names_are_there():
+def test_tables_and_maps_named_in_the_document_exist():
     tables = {q.split()[0] for q in QUOTED if re.match(r"(twc|sfw|radio|real)-[a-z]", q)}
     known = {*TABLES, *map_names(), "radio-survey"}
     assert {name for name in tables if name not in known} == set()
 
 
 def is_setting(name: str) -> bool:
-    """Whether it is a dotted key of the config."""
+    """Whether the name is a dotted key of the config."""
     at: object = EnvConfig()
     for part in name.split("."):
         if not hasattr(at, part):

@@ -14,12 +14,12 @@ def test_the_same_name_gives_the_same_numbers():
     assert draw(7, "lidar", 1) == draw(7, "lidar", 1)
 
 
-def test_seed_source_and_robot_each_give_another_stream():
+def test_seed_source_and_robot_each_select_another_stream():
     streams = [draw(7, "lidar", 0), draw(8, "lidar", 0), draw(7, "odometry", 0), draw(7, "lidar", 1)]
     assert len({tuple(stream) for stream in streams}) == 4
 
 
-def test_drawing_from_one_stream_leaves_the_others_alone():
+def test_drawing_from_one_stream_does_not_advance_the_others():
     random_stream(3, "radio").random(1000)
     assert draw(3, "odometry") == draw(3, "odometry")
 

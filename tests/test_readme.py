@@ -36,7 +36,7 @@ def test_lines_outside_tables_have_120_columns_at_most(name):
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_links_lead_to_files_and_headings_that_are_there(name):
+def test_links_lead_to_existing_files_and_headings(name):
     text = (ROOT / name).read_text()
     for target in re.findall(r"\]\(([^)]+)\)", text):
         if "://" in target:
@@ -48,13 +48,13 @@ def test_links_lead_to_files_and_headings_that_are_there(name):
 
 
 def headings(text: str) -> set[str]:
-    """What links call the headings of a text."""
+    """Anchors of the headings of a text."""
     return {
         re.sub(r"[^\w -]", "", line.lower()).replace(" ", "-") for line in re.findall(r"^#+ (.+)$", text, re.MULTILINE)
     }
 
 
-def test_every_setting_that_a_document_names_is_there():
+def test_every_setting_named_in_a_document_exists():
     config = EnvConfig()
     sections = "|".join(field.name for field in fields(config) if is_dataclass(getattr(config, field.name)))
     for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
@@ -65,7 +65,7 @@ def test_every_setting_that_a_document_names_is_there():
             assert is_code or is_setting or name == "radio.preset", f"{path.name} names {name}"
 
 
-def test_what_contributing_says_to_stand_in_a_file_stands_there():
+def test_names_that_contributing_locates_in_files_are_there():
     text = (ROOT / "CONTRIBUTING.md").read_text()
     for file in re.findall(r"`([a-z_/]+/[a-z_0-9]*\.?[a-z]*)`", text):
         assert (ROOT / file).exists() or (ROOT / "twc_env" / file).exists(), file
@@ -89,7 +89,7 @@ def test_the_docs_define_every_figure_of_a_report_and_no_other():
     assert sorted(defined) == sorted({*report, *report["closures"]} - {"closures"})
 
 
-def test_tables_from_real_data_say_what_they_read_and_that_is_there():
+def test_tables_from_real_data_name_their_files_which_exist():
     page = (ROOT / "docs" / "real_data.md").read_text()
     needy = [name for name in TABLES if hasattr(table_module(name), "data_folder")]
     assert [name for name in needy if f"`{name}`" not in page] == []

@@ -45,14 +45,14 @@ def data_of(page) -> dict:
     return json.loads(text[start : text.index("</script>", start)])
 
 
-def test_watching_changes_nothing():
+def test_a_trace_does_not_affect_the_episode():
     env, _, seen = play(watched=True)
     other, _, unwatched = play(watched=False)
     assert seen == unwatched
     assert env.result().figures == other.result().figures
 
 
-def test_the_last_moment_of_the_page_has_the_figures_of_the_report(run):
+def test_the_last_moment_of_the_page_equals_the_report(run):
     data = data_of(write_page(run, run / "page.html"))
     last, report = data["moments"][-1], data["report"]
     assert last["step"] == STEPS == report["steps"]
@@ -94,7 +94,7 @@ def test_the_command_writes_the_page_into_the_run_folder(run, capsys):
     assert "replay.html" in capsys.readouterr().out
 
 
-def test_a_trace_or_report_that_lacks_something_is_named(run, tmp_path):
+def test_the_error_of_an_incomplete_trace_or_report_names_it(run, tmp_path):
     with np.load(run / "trace.npz") as data:
         trace = {key: data[key] for key in data.files}
     for missing in TRACE_KEYS:
@@ -109,7 +109,7 @@ def test_a_trace_or_report_that_lacks_something_is_named(run, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["trace.npz", "report.json"])
-def test_a_missing_or_broken_file_of_the_run_is_named(run, tmp_path, name):
+def test_the_error_of_a_missing_or_corrupt_file_names_it(run, tmp_path, name):
     for other in ("trace.npz", "report.json"):
         shutil.copy(run / other, tmp_path / other)
     (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:40])
@@ -135,7 +135,7 @@ def test_a_missing_or_broken_file_of_the_run_is_named(run, tmp_path, name):
     ],
     ids=lambda change: "-".join(change),
 )
-def test_a_trace_that_contradicts_itself_is_named_in_one_line(run, tmp_path, change):
+def test_the_error_of_an_inconsistent_trace_names_it_in_one_line(run, tmp_path, change):
     with np.load(run / "trace.npz") as data:
         np.savez(tmp_path / "trace.npz", **{**data, **change})
     shutil.copy(run / "report.json", tmp_path)
@@ -145,7 +145,7 @@ def test_a_trace_that_contradicts_itself_is_named_in_one_line(run, tmp_path, cha
 
 
 def with_odd_names(run, folder):
-    """A copy of a run whose names would change the page if they were taken for a part of it."""
+    """A copy of a run with markup in its names, which would change the page if it were not escaped."""
     names = ["<!-- <script>", "</script><script>alert(1)</script>", "__TITLE__", "&lt;", "\u2028\\n"]
     with np.load(run / "trace.npz") as data:
         np.savez(folder / "trace.npz", **{**data, "sign_texts": np.array(json.dumps(names))})
@@ -154,7 +154,7 @@ def with_odd_names(run, folder):
     return names
 
 
-def test_names_are_no_part_of_the_page(run, tmp_path):
+def test_names_are_escaped_in_the_page(run, tmp_path):
     names = with_odd_names(run, tmp_path)
     plain, odd = write_page(run, tmp_path / "plain.html"), write_page(tmp_path, tmp_path / "odd.html")
     assert data_of(odd)["sign_texts"] == names
@@ -179,7 +179,7 @@ def browser():
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_a_browser_loads_plays_scrubs_and_shows_the_numbers_of_the_report(run, browser):
+def test_a_browser_loads_and_plays_the_page_and_shows_the_figures_of_the_report(run, browser):
     from selenium.webdriver.support.ui import WebDriverWait
 
     wait = WebDriverWait(browser, 30)
@@ -210,7 +210,7 @@ def test_a_browser_loads_plays_scrubs_and_shows_the_numbers_of_the_report(run, b
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_a_browser_shows_names_that_look_like_a_page(run, tmp_path, browser):
+def test_a_browser_shows_names_that_contain_markup(run, tmp_path, browser):
     from selenium.webdriver.support.ui import WebDriverWait
 
     with_odd_names(run, tmp_path)
@@ -219,7 +219,7 @@ def test_a_browser_shows_names_that_look_like_a_page(run, tmp_path, browser):
     assert browser.find_element("tag name", "h1").text.startswith("<i> on __DATA__ <b>.json")
 
 
-def test_the_recording_holds_every_step_and_the_figures_of_the_report(run, capsys):
+def test_the_recording_contains_every_step_and_the_figures_of_the_report(run, capsys):
     chunk = pytest.importorskip("rerun.chunk", reason="needs rerun-sdk (extra 'rerun')")
     assert main(["replay", str(run), "--rerun"]) == 0
     assert "replay.rrd" in capsys.readouterr().out
@@ -255,7 +255,7 @@ def test_without_rerun_the_error_names_the_extra(run, tmp_path, monkeypatch):
         write_rerun(run, tmp_path / "x.rrd")
 
 
-def test_rerun_names_a_broken_run_or_an_unwritable_place(run, tmp_path):
+def test_the_error_of_rerun_names_a_corrupt_run_or_an_unwritable_path(run, tmp_path):
     pytest.importorskip("rerun", reason="needs rerun-sdk (extra 'rerun')")
     shutil.copy(run / "report.json", tmp_path)
     with pytest.raises(DataError, match=r"trace\.npz"):
@@ -269,7 +269,7 @@ def test_rerun_names_a_broken_run_or_an_unwritable_place(run, tmp_path):
 
 
 @pytest.mark.parametrize("what", ["--html", "--rerun"])
-def test_missing_folders_are_made(what, run, tmp_path):
+def test_missing_folders_are_created(what, run, tmp_path):
     if what == "--rerun":
         pytest.importorskip("rerun")
     path = tmp_path / "new" / "deep" / "replay"
@@ -278,7 +278,7 @@ def test_missing_folders_are_made(what, run, tmp_path):
 
 
 @pytest.mark.parametrize("what", ["--html", "--rerun"])
-def test_a_run_folder_that_is_not_there_is_named(what, tmp_path, capsys):
+def test_the_error_of_a_missing_run_folder_names_it(what, tmp_path, capsys):
     assert main(["replay", str(tmp_path / "gone"), what]) == 2
     assert f"there is no run folder {tmp_path / 'gone'}: " in capsys.readouterr().err
     assert main(["replay", str(tmp_path / "gone")]) == 2

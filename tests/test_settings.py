@@ -1,4 +1,4 @@
-"""`python -m twc_env settings` prints a config file that says what every setting means."""
+"""`python -m twc_env settings` prints a config file that describes every setting."""
 
 import dataclasses
 
@@ -13,12 +13,12 @@ from twc_env.tasks import task_config
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_the_printed_settings_read_back_as_they_are(task, tmp_path):
+def test_the_printed_settings_can_be_read_back(task, tmp_path):
     (tmp_path / "settings.toml").write_text(as_toml(task_config(task)))
     assert load(tmp_path / "settings.toml") == task_config(task)
 
 
-def test_every_setting_stands_there_once_with_its_range_and_what_is_said_of_it():
+def test_every_setting_is_printed_once_with_range_and_description():
     lines = as_toml(EnvConfig()).splitlines()
 
     def count(section) -> int:
@@ -31,7 +31,7 @@ def test_every_setting_stands_there_once_with_its_range_and_what_is_said_of_it()
     assert max(map(len, lines)) <= 200
 
 
-def test_what_differs_from_its_default_is_marked(tmp_path, capsys):
+def test_values_other_than_the_default_are_marked(tmp_path, capsys):
     assert main(["settings", "slam.merging", "--set", "slam.merging.undo=false"]) == 0
     printed = capsys.readouterr().out
     assert "undo = false                          # true or false; default true" in printed
@@ -42,7 +42,7 @@ def test_what_differs_from_its_default_is_marked(tmp_path, capsys):
     assert capsys.readouterr().out == printed
 
 
-def test_an_unknown_section_is_refused_with_the_nearest(capsys):
+def test_the_error_of_an_unknown_section_suggests_the_nearest(capsys):
     with pytest.raises(
         ConfigError, match=r"no section 'slam\.mergin' among the settings; did you mean 'slam\.merging'"
     ):
@@ -51,7 +51,7 @@ def test_an_unknown_section_is_refused_with_the_nearest(capsys):
     assert "not with both" in capsys.readouterr().err
 
 
-def test_a_changed_setting_reads_back(tmp_path):
+def test_a_changed_setting_can_be_read_back(tmp_path):
     config = override(EnvConfig(), {"map": 'odd "name" with \\ in it', "radio.preset": "lte"})
     (tmp_path / "settings.toml").write_text(as_toml(config))
     assert load(tmp_path / "settings.toml") == config

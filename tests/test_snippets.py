@@ -17,7 +17,7 @@ LIBRARY = (ROOT / "docs" / "library.md").read_text()
 
 
 def snippets(text: str) -> dict[str, str]:
-    """Heading to code."""
+    """Code of the snippets by heading."""
     found = re.findall(r"^### ([^\n]+)\n(?:(?!^### ).)*?```python\n(.*?)```", text, flags=re.DOTALL | re.MULTILINE)
     return dict(found)
 
@@ -34,7 +34,7 @@ NEEDS = {
 
 @pytest.fixture(scope="module")
 def forks(tmp_path_factory):
-    """Libraries of others are loaded once, for all snippets."""
+    """Loads third-party libraries once for all snippets."""
     loaded = "\n".join(f"import {name}" for name in LIBRARIES if importlib.util.find_spec(name.split(".")[0]))
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     forks = Forks(loaded, tmp_path_factory.mktemp("forks"), {**os.environ, "PYTHONPATH": path})
@@ -51,7 +51,7 @@ def test_a_snippet_runs(heading, forks, tmp_path):
     assert status == 0, said
 
 
-def test_the_page_names_every_tool_and_every_task():
+def test_the_library_page_names_every_tool_and_task():
     assert {*NEEDS, "Gymnasium, vectorised", "Copying and snapshots"} == snippets(TEXT).keys()
     assert len(snippets(LIBRARY)) == LIBRARY.count("\n### ") == LIBRARY.count("```python")
     assert set(re.findall(r"`(twc/[\w-]+)`", README)) == set(twc_env.TASKS)

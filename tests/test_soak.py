@@ -19,7 +19,7 @@ def test_a_short_soak_changes_buildings_and_reports_memory(tmp_path, monkeypatch
     assert "memory_growth_mb" in capsys.readouterr().out
 
 
-def test_growth_is_seen():
+def test_memory_growth_is_detected():
     rows = [(k, 100.0 + k) for k in range(1, 101)]
     figures = soaking._figures(rows, 1, 1, 1.0)
     assert figures["memory_growth_mb"] > 40
@@ -37,7 +37,7 @@ def test_an_exception_names_the_episode_it_came_from(monkeypatch):
     assert "seed 7" in caught.value.__notes__[0]
 
 
-def test_a_log_has_a_line_each_minute_of_how_far_a_soak_is(monkeypatch, capsys):
+def test_progress_is_logged_once_per_minute(monkeypatch, capsys):
     monkeypatch.setattr(soaking, "EPISODE_STEPS", 12)
     clock = iter(range(0, 10_000, 25))
     monkeypatch.setitem(command_line._progress, "logged_s", 0.0)

@@ -23,18 +23,18 @@ PINNED = {
 
 
 @pytest.mark.parametrize("task", twc_env.TASKS)
-def test_every_task_has_its_pinned_configuration(task):
+def test_every_task_has_its_pinned_config_digest(task):
     assert digest(twc_env.task_config(task)) == PINNED[task]
 
 
-def test_tasks_differ_but_for_the_first_two():
+def test_all_tasks_but_the_first_two_differ():
     assert digest(twc_env.EnvConfig()) == PINNED["twc/Explore-v0"]
     assert PINNED["twc/Explore-v0"] == PINNED["twc/ExploreTwin01-v0"], "the default map is twin-01"
     assert len(set(PINNED.values())) + 1 == len(twc_env.TASKS) == len(PINNED)
 
 
 @pytest.mark.parametrize("task", twc_env.TASKS)
-def test_every_task_can_be_made_by_its_id_and_changed(task):
+def test_every_task_can_be_made_by_its_id_and_overridden(task):
     parallel = pettingzoo.make("parallel", task, max_cycles=3)
     assert parallel.config.max_cycles == 3
     for key, value in twc_env.TASKS[task].items():
@@ -47,12 +47,12 @@ def test_every_task_can_be_made_by_its_id_and_changed(task):
     assert single.observation_space["lidar"].shape == (36,)
 
 
-def test_a_misspelt_task_is_refused_with_the_nearest_one():
+def test_the_error_of_a_misspelt_task_suggests_the_nearest():
     with pytest.raises(ConfigError, match="did you mean 'twc/ExploreHard-v0'"):
         twc_env.parallel_env(task="twc/ExploreHard-v1")
 
 
-def test_the_hard_task_can_be_played():
+def test_the_hard_task_can_be_run():
     env = twc_env.parallel_env(task="twc/ExploreHard-v0", max_cycles=30)
     env.reset(seed=0)
     while env.agents:
@@ -60,7 +60,7 @@ def test_the_hard_task_can_be_played():
     assert env.result().figures["robots"] == 4
 
 
-def test_a_whole_configuration_that_is_not_the_tasks_is_refused_rather_than_the_task_forgotten():
+def test_a_config_that_contradicts_the_task_is_rejected():
     hard = twc_env.task_config("twc/ExploreHard-v0")
     for config in (hard, override(hard, {"lidar.beam_count": 60})):
         assert twc_env.parallel_env(task="twc/ExploreHard-v0", config=config).config == config
@@ -69,6 +69,6 @@ def test_a_whole_configuration_that_is_not_the_tasks_is_refused_rather_than_the_
 
 
 @pytest.mark.parametrize("task", [3, ("twc/Explore-v0",)])
-def test_a_task_that_is_no_name_is_refused(task):
+def test_a_task_that_is_not_a_string_is_rejected(task):
     with pytest.raises(ConfigError, match="unknown task"):
         twc_env.parallel_env(task=task)

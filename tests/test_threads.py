@@ -8,7 +8,7 @@ from twc_env.threads import THREADS, single_threaded
 
 
 @pytest.mark.parametrize("before", [None, "4"])
-def test_processes_started_inside_have_one_thread_and_the_environment_is_put_back(monkeypatch, before):
+def test_processes_started_inside_have_one_thread_and_the_environment_is_restored(monkeypatch, before):
     for name in THREADS:
         monkeypatch.delenv(name, raising=False) if before is None else monkeypatch.setenv(name, before)
     ask = [sys.executable, "-c", f"import os; print({[*THREADS]} == [n for n in {[*THREADS]} if os.environ[n] == '1'])"]

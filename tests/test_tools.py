@@ -1,4 +1,4 @@
-"""The tools that must accept the environment: each does a few real steps with it."""
+"""Other tools (gymnasium, TorchRL, RLlib, stable-baselines3) accept the environment: each runs a few steps."""
 
 import importlib
 import pickle
@@ -17,7 +17,7 @@ SMALL = {"lidar.beam_count": 60}
 
 
 def needs(*modules: str, extra: str):
-    """The last of some modules, or a skip that names the extra."""
+    """The last of these modules; skips the test if one is not installed."""
     found = [pytest.importorskip(name, reason=f"needs the extra {extra!r}") for name in modules]
     return found[-1]
 
@@ -31,7 +31,7 @@ def make_alone():
 
 
 @pytest.mark.parametrize("mode", [gymnasium.vector.AutoresetMode.NEXT_STEP, gymnasium.vector.AutoresetMode.SAME_STEP])
-def test_gymnasium_makes_a_vector_of_the_single_view_with_the_autoreset_mode_it_declares(mode):
+def test_gymnasium_vectorises_the_single_agent_environment_with_its_declared_autoreset_mode(mode):
     envs = gymnasium.make_vec(
         ID, 2, "sync", vector_kwargs={"autoreset_mode": mode}, max_cycles=8, config=SMALL, map="twin-01"
     )
@@ -50,7 +50,7 @@ def test_gymnasium_makes_a_vector_of_the_single_view_with_the_autoreset_mode_it_
     envs.close()
 
 
-def test_wrappers_are_told_how_long_an_episode_of_the_single_view_lasts():
+def test_the_spec_of_the_single_agent_environment_has_the_episode_length():
     env = gymnasium.wrappers.TimeAwareObservation(make_alone(), flatten=False, normalize_time=True)
     env.reset(seed=3)
     truncated, shares = False, []
@@ -61,7 +61,7 @@ def test_wrappers_are_told_how_long_an_episode_of_the_single_view_lasts():
     assert gymnasium.make(ID, max_episode_steps=5, config=SMALL).spec.max_episode_steps == 5
 
 
-def test_the_single_view_says_what_may_be_chosen_through_all_wrappers():
+def test_action_masks_of_the_single_agent_environment_pass_through_wrappers():
     env = gymnasium.make(ID, max_cycles=400, config={**SMALL, "action.kind": "frontier"})
     observation, _ = env.reset(seed=0)
     for _ in range(2):
@@ -74,7 +74,7 @@ def test_the_single_view_says_what_may_be_chosen_through_all_wrappers():
         alone.get_wrapper_attr("action_masks")()
 
 
-def test_gymnasium_runs_the_single_view_in_processes_as_it_does_in_one():
+def test_gymnasium_gives_equal_results_with_and_without_worker_processes():
     played = []
     for kind in (gymnasium.vector.SyncVectorEnv, partial(gymnasium.vector.AsyncVectorEnv, context="spawn")):
         envs = kind([make_alone], autoreset_mode=gymnasium.vector.AutoresetMode.NEXT_STEP)
@@ -87,7 +87,7 @@ def test_gymnasium_runs_the_single_view_in_processes_as_it_does_in_one():
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning", "ignore::FutureWarning")
-def test_torchrl_rolls_a_team_out():
+def test_torchrl_collects_a_rollout_of_a_team():
     needs("torch", "tensordict", extra="torchrl")
     wrapper = needs("torchrl.envs.libs.pettingzoo", extra="torchrl").PettingZooWrapper
     check = importlib.import_module("torchrl.envs.utils").check_env_specs
@@ -107,7 +107,7 @@ def test_torchrl_rolls_a_team_out():
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning", "ignore::FutureWarning")
-def test_torchrl_chooses_among_frontiers_that_the_mask_allows():
+def test_torchrl_samples_frontiers_within_the_mask():
     needs("torch", "tensordict", extra="torchrl")
     wrapper = needs("torchrl.envs.libs.pettingzoo", extra="torchrl").PettingZooWrapper
     team = twc_env.parallel_env(robots=2, max_cycles=100, config={**SMALL, "action.kind": "frontier"})
@@ -119,7 +119,7 @@ def test_torchrl_chooses_among_frontiers_that_the_mask_allows():
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning", "ignore::FutureWarning")
-def test_torchrl_makes_the_single_view_by_its_id():
+def test_torchrl_makes_the_single_agent_environment_by_its_id():
     needs("torch", "tensordict", extra="torchrl")
     env = needs("torchrl.envs.libs.gym", extra="torchrl").GymEnv(ID, max_cycles=8, config=SMALL)
     assert env.rollout(20).batch_size == (8,)
@@ -127,7 +127,7 @@ def test_torchrl_makes_the_single_view_by_its_id():
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_rllib_plays_a_team():
+def test_rllib_runs_a_team():
     needs("ray", "ray.rllib", extra="ray")
     wrapper = needs("ray.rllib.env.wrappers.pettingzoo_env", extra="ray").ParallelPettingZooEnv
     env = wrapper(twc_env.parallel_env(robots=2, max_cycles=8, config=SMALL))
@@ -162,7 +162,7 @@ def test_the_default_cnn_of_stable_baselines3_takes_images_of_36_cells_and_no_sm
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_gymnasium_records_a_video_of_the_single_view(tmp_path):
+def test_gymnasium_records_a_video_of_the_single_agent_environment(tmp_path):
     needs("moviepy", extra="moviepy of gymnasium[other]")
     env = gymnasium.wrappers.RecordVideo(
         gymnasium.make(ID, max_cycles=8, config=SMALL, render_mode="rgb_array"), str(tmp_path), disable_logger=True
@@ -174,7 +174,7 @@ def test_gymnasium_records_a_video_of_the_single_view(tmp_path):
     assert [path.suffix for path in tmp_path.glob("*.mp4")] == [".mp4"]
 
 
-def test_a_team_is_filmed_one_file_for_each_episode(tmp_path):
+def test_one_gif_is_written_per_episode(tmp_path):
     image = pytest.importorskip("PIL.Image", reason="needs the extra 'viz'")
     from twc_env.video import RecordEpisodes
 
@@ -191,7 +191,7 @@ def test_a_team_is_filmed_one_file_for_each_episode(tmp_path):
         assert film.info["duration"] == 200  # two time steps of a tenth of a second
 
 
-def test_actions_that_last_are_filmed_time_step_by_time_step(tmp_path):
+def test_long_actions_are_recorded_at_every_time_step(tmp_path):
     image = pytest.importorskip("PIL.Image", reason="needs the extra 'viz'")
     from twc_env.video import RecordEpisodes
 
@@ -206,7 +206,7 @@ def test_actions_that_last_are_filmed_time_step_by_time_step(tmp_path):
         assert film.n_frames == 11
 
 
-def test_who_closes_a_film_keeps_no_more_pictures(tmp_path, monkeypatch):
+def test_a_closed_recorder_records_no_more_frames(tmp_path, monkeypatch):
     pytest.importorskip("PIL", reason="needs the extra 'viz'")
     from twc_env import video
 
@@ -223,7 +223,7 @@ def test_who_closes_a_film_keeps_no_more_pictures(tmp_path, monkeypatch):
     assert before > 0 and len(filmed) == before
 
 
-def test_under_each_picture_of_a_film_stands_how_the_team_does(tmp_path, monkeypatch):
+def test_captions_state_the_progress_of_the_team(tmp_path, monkeypatch):
     pytest.importorskip("PIL", reason="needs the extra 'viz'")
     from twc_env import video
 
@@ -236,7 +236,7 @@ def test_under_each_picture_of_a_film_stands_how_the_team_does(tmp_path, monkeyp
         captions.append(caption)
         heights.append((picture.shape[0] * frame.width / picture.shape[1], frame.height))
         strip = np.asarray(frame.convert("L"))[-2 * video.TEXT_PX :]
-        assert strip.min() < 80 and strip[:, -8:].min() == 255  # ink, and none cut off at the right
+        assert strip.min() < 80 and strip[:, -8:].min() == 255  # text is visible and not cut off at the right
         return frame
 
     monkeypatch.setattr(video, "film_frame", seen)
@@ -253,7 +253,7 @@ def test_under_each_picture_of_a_film_stands_how_the_team_does(tmp_path, monkeyp
     assert all(height > round(picture) for picture, height in heights)
 
 
-def test_a_long_caption_under_a_narrow_picture_is_made_small_enough():
+def test_a_long_caption_is_scaled_to_a_narrow_picture():
     pytest.importorskip("PIL", reason="needs the extra 'viz'")
     from twc_env.video import film_frame
 
@@ -262,7 +262,7 @@ def test_a_long_caption_under_a_narrow_picture_is_made_small_enough():
     assert strip.min() < 80 and strip[:, -4:].min() == 255
 
 
-def test_filming_needs_pictures_and_changes_nothing(tmp_path, same_last=("lidar", "map")):
+def test_recording_needs_rgb_array_and_does_not_affect_the_episode(tmp_path, same_last=("lidar", "map")):
     from twc_env.video import RecordEpisodes
 
     with pytest.raises(ConfigError, match="rgb_array"):

@@ -21,7 +21,7 @@ def installed(tmp_path_factory):
     return folder / "site"
 
 
-def test_the_wheel_holds_twc_env_and_nothing_else_at_the_top(installed):
+def test_the_wheel_contains_only_twc_env_at_the_top(installed):
     names = {path.name for path in installed.iterdir()}
     assert {name for name in names if not name.endswith(".dist-info")} == {"twc_env"}
 
@@ -32,7 +32,7 @@ def test_every_bundled_map_is_in_the_wheel(installed):
     assert maps == {path.name for path in (installed / "twc_env" / "maps").glob("*.json")}
 
 
-def test_a_map_is_found_by_name_from_an_installed_wheel(installed, tmp_path):
+def test_maps_can_be_loaded_by_name_from_an_installed_wheel(installed, tmp_path):
     code = "import twc_env; print(twc_env.__file__); print(twc_env.load_map('twin-01').name)"
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -47,7 +47,7 @@ def test_a_map_is_found_by_name_from_an_installed_wheel(installed, tmp_path):
     assert name == "twin-01"
 
 
-def test_the_wheel_carries_the_version_of_the_package(installed):
+def test_the_wheel_has_the_version_of_the_package(installed):
     import twc_env
 
     (metadata,) = installed.glob("*.dist-info/METADATA")

@@ -36,7 +36,7 @@ def _leave(value):
     os._exit(1)
 
 
-def test_every_part_is_done_once_whatever_the_order():
+def test_every_part_is_done_once_in_any_order():
     assert dict(in_processes(_square, [0, 1, 2, 4, 5], 2)) == {0: 0, 1: 1, 2: 4, 3: 16, 4: 25}
 
 
@@ -45,7 +45,7 @@ def test_an_error_of_a_part_reaches_the_caller():
         list(in_processes(_square, [3, 1], 2))
 
 
-def test_a_process_that_died_is_one_line():
+def test_the_error_of_a_dead_worker_process_is_one_line():
     with pytest.raises(DataError, match="a worker process has died"):
         list(in_processes(_leave, [1, 2], 2))
 
@@ -59,19 +59,19 @@ def _start(script: str, folder, *arguments: str) -> subprocess.Popen:
 
 
 def _send(running: subprocess.Popen, end: signal.Signals) -> None:
-    """Ctrl-C goes to all processes of a terminal, other signals to one."""
+    """SIGINT is sent to all processes, as by a terminal; other signals to one."""
     os.killpg(running.pid, end) if end == signal.SIGINT else running.send_signal(end)
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL, signal.SIGTERM])
-def test_processes_end_with_the_one_that_started_them_however_it_ends(tmp_path, end):
+def test_worker_processes_end_with_their_parent_however_it_ends(tmp_path, end):
     parts = [tmp_path / "a", tmp_path / "b"]
     with _start(SCRIPT, tmp_path, *map(str, parts)) as running:
         while not all(part.exists() for part in parts):
             assert running.poll() is None
             time.sleep(0.05)
         _send(running, end)
-        said, _ = running.communicate(timeout=30)  # ends when all have closed what they print to
+        said, _ = running.communicate(timeout=30)  # returns when all processes have closed standard output
     if end == signal.SIGINT:
         assert (running.returncode, said) == (0, "interrupted\n")
     else:
@@ -95,7 +95,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
-def test_environments_in_processes_end_without_a_word_with_the_one_that_plays(tmp_path, end):
+def test_workers_of_vector_teams_end_silently_with_their_parent(tmp_path, end):
     with _start(TEAMS, tmp_path) as running:
         said = []
         while not said or said[-1] != "playing\n":

@@ -94,7 +94,7 @@ def evaluate(
     """One episode per seed and policy, each seed in its own held-out building; optionally with films of the trained
     team.
 
-    A run folder stands for the model in it. Raises DataError when the model or the settings of its run cannot be read,
+    model_path: a model file or a run folder. Raises DataError if the model or the settings of its run cannot be read,
     or films cannot be written.
     """
     torch.set_num_threads(1)

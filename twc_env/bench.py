@@ -107,7 +107,7 @@ class OurRuns:
         actions = record_actions(self._scout, seed)
         self._env.reset(seed=seed)
         step, step_s = self._env.step, np.empty(len(actions))
-        gc.collect()  # else a run now and then pays for what others have left
+        gc.collect()  # otherwise a run may include the collection of earlier objects
         cpu, wall = time.process_time(), time.perf_counter()
         before = wall
         for k, action in enumerate(actions):

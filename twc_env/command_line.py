@@ -39,7 +39,7 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
     output early, and characters that a terminal cannot show are escaped. `remark` is printed on interruption.
     """
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed by who started the command
+        if getattr(sys, name) is None:  # closed by the parent process
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace" if sys.stdout.errors == "strict" else sys.stdout.errors)
@@ -89,7 +89,7 @@ def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None
 
 
 def _silence() -> None:
-    """Discard further output: nobody reads it."""
+    """Discard further output, because its reader has closed it."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

@@ -45,7 +45,7 @@ class Lent(int):
         return lent
 
     def __reduce__(self):
-        raise TypeError("what is lent to kernels stands at a place in memory: make it anew instead of copying it")
+        raise TypeError("a Lent holds memory addresses: make it anew instead of copying or pickling it")
 
 
 _LAYOUTS: dict[Any, tuple[Struct, LentType]] = {}
@@ -115,7 +115,7 @@ def _unbox_lent(_kind, value, context):
 
 @intrinsic
 def parts_of(_context, lent):
-    """The parts of a `Lent`, in a borrowing kernel, which does not count references."""
+    """The parts of a `Lent`; only in a borrowing kernel, because references are not counted."""
 
     def generate(context, builder, _signature, arguments):
         kind_in_memory = context.get_value_type(lent.parts)

@@ -160,14 +160,14 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     seen = 1 + max(frame.robot for frames in steps for frame in frames)
     engine = CooperativeSlam(config, contacts[0].heard.shape[1] if contacts else seen)
     first = next(frames[0].step - k for k, frames in enumerate(steps) if frames)
-    for step, frames in enumerate(steps, first):  # each robot may number its own in its own way
+    for step, frames in enumerate(steps, first):  # steps in the frames may differ between robots
         if frames:
             engine.track(frames)
         engine.absorb(step, contacts[step - first] if contacts else None)
         odom_poses.append(engine.poses_odom)
         show_count(step - first + 1, len(steps), " steps", every=50)
     last = max([step, *(frame.step for frame in steps[-1])])
-    if last >= config.max_cycles or not _is_frame_log(logs[0]):  # played to its end, where the mapper clears its desk
+    if last >= config.max_cycles or not _is_frame_log(logs[0]):  # a complete episode: the backlog is processed
         engine.finish()
     team = engine.team
     figures = {
@@ -195,7 +195,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
 def _read_logs(
     logs: Sequence[Path],
 ) -> tuple[EnvConfig, Sequence[Sequence[SensorFrame]], list[Contacts], Sequence[float]]:
-    """Settings, frames step by step, who heard whom, and when each robot's time 0 was, of a frame log or laser logs."""
+    """Settings, frames per step, contacts per step ([] for laser logs), and start time [s] of each robot's clock."""
     from twc_env.config import from_dict
     from twc_env.datasets import frame_log, scan_log
 
@@ -210,7 +210,7 @@ def _read_logs(
 
 
 def _is_frame_log(log: Path) -> bool:
-    """Whether a file is one of ours, whatever its name; one that is broken goes by it."""
+    """Whether a file is a frame log: a zip archive, or anything named .npz."""
     return log.suffix == ".npz" or zipfile.is_zipfile(log)
 
 
@@ -240,12 +240,12 @@ def _write_paths(
     odom_poses: np.ndarray,
     begun_s: Sequence[float],
 ) -> None:
-    """Where robots were at the times of their frames: in the map that each sees, and by odometry from its start."""
+    """Write each robot's trajectory at the times of its frames: in its group's map, and by odometry from its start."""
     from twc_env.datasets.tum import write_tum
     from twc_env.exploration.team_alignment import TeamPaths
     from twc_env.geometry import compose
 
-    rows, last = [], -1  # of odom_poses, for each step; one that the log leaves out has that of the step before
+    rows, last = [], -1  # row of odom_poses for each step; a step missing in the log has the previous row
     for row, frames in enumerate(steps):
         step = frames[0].step if frames else last + 1
         rows += [row - 1] * (step - last - 1) + [row]

@@ -92,7 +92,7 @@ def _read(path: Path, what: str, report: FuzzReport) -> None:
 
 
 def _samples(folder: Path) -> list[Path]:
-    """One valid file of every format; companion files (pictures, floor_info.json) also lie beside the mutated ones."""
+    """One valid file of every format, with companion files (pictures, floor_info.json), which are not mutated."""
     plan = generate("office", 100, 0)
     (folder / "mutated").mkdir()
     write_floorplan(plan, folder / "native.json")

@@ -158,11 +158,11 @@ class LoopCandidate:
     mac_similarity: float = float("nan")
     rssi_similarity: float = float("nan")
     log_odds: float = float("nan")
-    """Of `fused`: how sure it is that this is one place."""
+    """Of `fused`: log-odds that this is one place."""
 
     @property
     def is_read_alike(self) -> bool:
-        """Whether nothing sets the two texts apart: they agree to the letter, or likeness of texts was not asked."""
+        """Whether the two texts are equal, or were not compared."""
         return not self.text_similarity < 1.0
 
 
@@ -260,7 +260,8 @@ class Belief:
     """(3,)."""
     grid: GridMap
     mates: dict[int, Array] = field(default_factory=dict)
-    """Other robots of the group -> (3,) estimated pose in the same map frame, as of the last contact."""
+    """Other robots of the group -> (3,) estimated pose in the same map frame: current with a central mapper, as of the
+    newest keyframe received with one mapper per robot."""
     signs: tuple[KnownSign, ...] = ()
     ranges_m: Array | None = None
     """(beams,) the robot's latest scan."""
@@ -274,7 +275,10 @@ class Belief:
     since_closure_m: float = 0.0
     """Path length since that closure, or since the start."""
     contact_steps: dict[int, int] = field(default_factory=dict)
-    """Other robot -> step of its newest keyframe received; -1: none yet."""
+    """Other robot -> step of the last contact with it: when the mapper whose map this robot uses last received a
+    transmission of the other robot itself. With a central mapper that is the same step for all robots; with one mapper
+    per robot only direct contact counts, not what others forward. -1: none yet. A robot in contact has the current step
+    even if it stands still and has nothing new to send."""
     radio_map: GridMap | None = None
     """Map estimated from signal strength, in the group's map frame: probably free < 0, probably wall > 0. None:
     disabled (`slam.k_visibility`), or nothing heard yet."""

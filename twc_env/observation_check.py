@@ -27,6 +27,7 @@ _SETTINGS = {
     **{f"observation.{name}": True for name in BLOCKS},
     "slam.k_visibility.enabled": True,
     "action.decision_max_s": 2.0,
+    "link.loss_probability": 0.1,  # otherwise `team` stays constant until robots share a map
     "max_cycles": EPISODE_STEPS,
 }
 

@@ -69,7 +69,7 @@ def _misuse(options: argparse.Namespace) -> None:
             f"{len(thrown.escaped)} raised something else; {thrown.steps_compared} steps equal to those of a team "
             "without them" + (f", but for {thrown.changed}" if thrown.changed else "")
         )
-        faults += thrown.escaped[:5] + [f"refused actions of kind {kind} left a mark" for kind in thrown.changed]
+        faults += thrown.escaped[:5] + [f"rejected {kind} actions changed the episode" for kind in thrown.changed]
         figures["actions"] = {name: getattr(thrown, name) for name in thrown.__slots__}
     if options.observations is not None:
         seen = check_observations(options.observations, options.seed, show_count)

@@ -180,7 +180,7 @@ class KnownSigns(_Team[KnownSign]):
 
 
 NOBODY = -2
-"""Stands for no robot, or for no step of contact."""
+"""Stands for no robot, or for no step of contact: before the first step, and without an engine."""
 
 
 def nobody(robots: int) -> tuple[Array, Array, Array]:

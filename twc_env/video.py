@@ -1,4 +1,4 @@
-"""Films of a team, one animated GIF per episode; needs Pillow (extra `viz`).
+"""Record a team as animated GIFs, one per episode; needs Pillow (extra `viz`).
 
     env = RecordEpisodes(twc_env.parallel_env(render_mode="rgb_array"), "films")
 

@@ -43,7 +43,7 @@ def in_processes(work: Callable[[Any], Any], parts: Sequence, count: int) -> Ite
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent process dies; it gets no signal then."""
+    """End this process when its parent process dies, which sends it no signal."""
     parent = multiprocessing.parent_process()
 
     def wait() -> None:

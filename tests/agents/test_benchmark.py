@@ -1,4 +1,4 @@
-"""Benchmarks resume where they stopped, and their tables say what was measured."""
+"""Benchmarks: resuming, summaries and tables."""
 
 import json
 import shutil
@@ -31,7 +31,7 @@ def some_report(seed=0, **changes):
         ({"coverage_correct": 0.89}, False),
     ],
 )
-def test_a_seed_passes_only_when_every_criterion_holds(changes, verdict):
+def test_a_seed_passes_only_if_every_criterion_holds(changes, verdict):
     assert benchmark.passes(some_report(**changes)) == verdict
 
 
@@ -41,26 +41,26 @@ def test_seeds_are_numbers_and_ranges():
 
 
 @pytest.mark.parametrize("text", ["", "a", "3-1", "-2", "1;2", "²"])
-def test_other_seeds_are_refused(text):
+def test_invalid_seeds_are_rejected(text):
     with pytest.raises(ConfigError, match="seeds must be"):
         parse_seeds(text)
 
 
 @pytest.mark.parametrize("command", ["explore", "benchmark", "compare --buildings 1", "radio-survey"])
-def test_a_folder_that_cannot_be_written_is_refused_before_the_first_episode(command, tmp_path, refusal, monkeypatch):
+def test_an_unwritable_folder_is_rejected_before_the_first_episode(command, tmp_path, refusal, monkeypatch):
     monkeypatch.setattr("twc_env.parallel_env", None)
     (tmp_path / "file").write_text("")
     assert "cannot write to the folder" in refusal(main, [*command.split(), "--out", str(tmp_path / "file")])
 
 
 @pytest.mark.parametrize("arguments", ["benchmark --jobs 0", "compare --buildings 0", "explore --steps 0"])
-def test_counts_that_make_no_run_are_refused(arguments, capsys):
+def test_counts_below_one_are_rejected(arguments, capsys):
     with pytest.raises(SystemExit):
         main(arguments.split())
     assert "must be a whole number of at least 1; got '0'" in capsys.readouterr().err
 
 
-def test_the_summary_is_mean_deviation_and_extremes():
+def test_the_summary_has_mean_standard_deviation_and_extremes():
     summary = benchmark.summary_of([some_report(seed) for seed in range(4)])
     ate = summary["figures"]["team_ate_m"]
     assert ate["mean"] == pytest.approx(0.225)
@@ -79,7 +79,7 @@ def test_the_table_has_a_row_per_seed_and_counts_the_passes():
     assert len({line.index("0.950") for line in lines[2:5]}) == 1
 
 
-def test_a_finished_run_is_not_run_again_but_one_with_other_settings_is(tmp_path, capsys):
+def test_only_a_finished_run_with_equal_settings_is_reused(tmp_path, capsys):
     arguments = ["benchmark", "--maps", "twin-01", "--seeds", "0-1", "--robots", "2", "--no-pictures"]
     arguments += ["--out", str(tmp_path), "--json", str(tmp_path / "all.json"), "--steps"]
     assert main([*arguments, "30"]) == 0
@@ -96,7 +96,7 @@ def test_a_finished_run_is_not_run_again_but_one_with_other_settings_is(tmp_path
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
 
 
-def test_a_run_without_the_pictures_that_are_now_asked_for_is_run_again(tmp_path, capsys):
+def test_a_run_without_requested_pictures_is_run_again(tmp_path, capsys):
     pytest.importorskip("matplotlib", reason="pictures need the viz extra")
     arguments = f"benchmark --maps twin-01 --seeds 0 --robots 1 --steps 3 --out {tmp_path}".split()
     picture = tmp_path / "twin-01" / "seed-0" / "map.png"
@@ -107,7 +107,7 @@ def test_a_run_without_the_pictures_that_are_now_asked_for_is_run_again(tmp_path
     assert "(reused)" in capsys.readouterr().err
 
 
-def test_files_of_one_name_in_two_folders_have_a_run_each(tmp_path, monkeypatch, capsys):
+def test_maps_of_equal_name_in_two_folders_have_separate_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for folder, name in (("a", "sfw-e1"), ("b", "sfw-e2")):
         (tmp_path / folder).mkdir()
@@ -120,7 +120,7 @@ def test_files_of_one_name_in_two_folders_have_a_run_each(tmp_path, monkeypatch,
     }
 
 
-def test_a_run_of_other_code_or_another_plan_is_run_again_and_that_is_said(tmp_path, monkeypatch, capsys):
+def test_a_run_of_other_code_or_another_plan_is_run_again_and_reported(tmp_path, monkeypatch, capsys):
     plan = json.loads((bundled_folder() / "twin-01.json").read_text())
     map_file = tmp_path / "mine.json"
     map_file.write_text(json.dumps(plan))
@@ -138,7 +138,7 @@ def test_a_run_of_other_code_or_another_plan_is_run_again_and_that_is_said(tmp_p
     assert "1 finished runs used other code or another floor plan" in capsys.readouterr().err
 
 
-def test_a_place_for_figures_that_cannot_be_written_is_refused_before_any_episode(tmp_path, capsys):
+def test_an_unwritable_path_for_json_is_rejected_before_any_episode(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     arguments = ["benchmark", "--json", str(tmp_path / "file" / "a.json"), "--out", str(tmp_path / "out")]
     assert main(arguments) == 2
@@ -146,7 +146,7 @@ def test_a_place_for_figures_that_cannot_be_written_is_refused_before_any_episod
     assert not (tmp_path / "out").exists()
 
 
-def test_a_broken_report_counts_as_not_run(tmp_path):
+def test_a_corrupt_report_is_not_reused(tmp_path):
     job = benchmark.Job(EnvConfig(), "random", 0, tmp_path)
     assert benchmark.report_of(job) is None
     (tmp_path / "report.json").write_text("{")
@@ -155,7 +155,7 @@ def test_a_broken_report_counts_as_not_run(tmp_path):
     assert benchmark.report_of(job) is None
 
 
-def test_two_processes_give_the_reports_of_one(tmp_path):
+def test_two_processes_give_the_same_reports_as_one(tmp_path):
     config = EnvConfig(map="twin-01", robots=2, max_cycles=15)
     reports = []
     for processes in (1, 2):
@@ -167,7 +167,7 @@ def test_two_processes_give_the_reports_of_one(tmp_path):
     assert reports[0] == reports[1]
 
 
-def test_runs_are_listed_by_seed_however_they_came(tmp_path):
+def test_runs_are_listed_by_seed_in_any_order_of_completion(tmp_path):
     command = f"benchmark --maps twin-01 --steps 12 --no-pictures --out {tmp_path}"
     main(f"{command} --seeds 1".split())
     main(f"{command} --seeds 0-2".split())

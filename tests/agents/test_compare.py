@@ -1,4 +1,4 @@
-"""Teams are compared in pairs, and what is finished is not run again."""
+"""Paired comparison of teams, with reuse of finished episodes."""
 
 import json
 
@@ -36,7 +36,7 @@ def test_pairs_are_resumed_and_compared_with_the_first_agent(tmp_path, monkeypat
     assert "10.5 (10.0 to 11.0)" in compare.table_of(again)
 
 
-def test_episodes_of_other_code_are_run_again_and_that_is_said(tmp_path, monkeypatch):
+def test_episodes_of_other_code_are_run_again_and_reported(tmp_path, monkeypatch):
     calls, told = [], []
     monkeypatch.setattr(compare, "explore", lambda config, agent, seed: calls.append(agent) or outcome(50.0))
     compare.compare(SMALL, ["test/0000"], ["voronoi"], tmp_path)
@@ -46,20 +46,20 @@ def test_episodes_of_other_code_are_run_again_and_that_is_said(tmp_path, monkeyp
     assert "1 finished parts were computed by other code" in told[0]
 
 
-def test_an_episode_is_covered_on_the_way_by_what_its_rewards_sum_up_to():
+def test_coverage_over_time_is_the_sum_of_rewards():
     found = compare.explore(SMALL, "nearest-frontier", 0)
     assert 0.0 < found.coverage_mean < found.coverage
     assert not found.is_reached
     assert found.goal_s == pytest.approx(6.0)
 
 
-def test_teams_that_would_not_take_velocities_are_refused_before_the_first_episode(tmp_path, capsys):
+def test_actions_other_than_velocity_are_rejected_before_the_first_episode(tmp_path, capsys):
     assert main(["compare", "--set", "action.kind=frontier", "--buildings", "1", "--out", str(tmp_path / "out")]) == 2
     assert "need action.kind = 'velocity'; got 'frontier'" in capsys.readouterr().err
     assert not list(tmp_path.glob("out/**/*.json"))
 
 
-def test_what_is_covered_does_not_depend_on_what_is_paid_for():
+def test_coverage_does_not_depend_on_the_reward_weights():
     plain = compare.explore(SMALL, "random", 0)
     assert plain.coverage_mean > 0
     paid = override(SMALL, {"reward.coverage": 3.0, "reward.time": -5.0, "reward.sharing": "individual"})

@@ -1,4 +1,4 @@
-"""The command line drives an episode, leaves a complete run folder, and explains itself when it cannot."""
+"""The command `explore`: episode, run folder, and error messages."""
 
 import json
 import subprocess
@@ -37,7 +37,7 @@ def run_folder(tmp_path_factory):
     return folder
 
 
-def test_a_run_folder_holds_everything_promised(run_folder):
+def test_a_run_folder_contains_all_documented_files(run_folder):
     pytest.importorskip("matplotlib", reason="pictures need the viz extra")
     names = {str(path.relative_to(run_folder / "run")) for path in (run_folder / "run").rglob("*") if path.is_file()}
     assert names >= {
@@ -46,7 +46,7 @@ def test_a_run_folder_holds_everything_promised(run_folder):
     }  # fmt: skip
 
 
-def test_the_report_has_every_documented_key_and_no_number_that_json_cannot_hold(run_folder):
+def test_the_report_has_every_documented_key_and_is_valid_json(run_folder):
     text = (run_folder / "run" / "report.json").read_text()
     report = json.loads(text)
     assert set(report) >= DOCUMENTED
@@ -55,7 +55,7 @@ def test_the_report_has_every_documented_key_and_no_number_that_json_cannot_hold
     assert json.loads((run_folder / "extra.json").read_text()) == report
 
 
-def test_the_config_on_disk_is_the_one_the_report_names(run_folder):
+def test_the_config_on_disk_has_the_digest_in_the_report(run_folder):
     config = from_dict(json.loads((run_folder / "run" / "config.json").read_text()))
     assert config.robots == 2
     assert digest(config) == json.loads((run_folder / "run" / "report.json").read_text())["config_digest"]
@@ -68,7 +68,7 @@ def test_trajectories_have_one_pose_per_step_and_the_graph_its_keyframes(run_fol
     assert len(read_g2o(run_folder / "run" / "pose_graph.g2o")["nodes"]) >= 4
 
 
-def test_the_picture_shows_more_than_paper(run_folder):
+def test_the_picture_is_not_blank(run_folder):
     image_module = pytest.importorskip("PIL.Image", reason="pictures need the viz extra")
     with image_module.open(run_folder / "run" / "map.png") as image:
         colours = np.unique(np.asarray(image.convert("RGB")).reshape(-1, 3), axis=0)
@@ -107,7 +107,7 @@ def test_paths_are_drawn_by_the_map_they_are_in_where_each_robot_has_its_own():
     assert placed_in_building(result)[0, :, :2] == pytest.approx(np.array([[8.0, 9.0], [6.0, 0.0], [0.0, 8.0]]))
 
 
-def test_a_team_in_several_maps_says_why(tmp_path, capsys):
+def test_a_team_in_several_maps_reports_the_reason(tmp_path, capsys):
     arguments = f"explore --map sfw-e4 --robots 2 --steps 60 --no-pictures --out {tmp_path}".split()
     assert main([*arguments, "--set", "building.sign_share=0", "--set", "radio.wifi=false"]) == 0
     assert "why the robots do not all share one map:\n  " in capsys.readouterr().out
@@ -115,7 +115,7 @@ def test_a_team_in_several_maps_says_why(tmp_path, capsys):
     assert "why not" not in capsys.readouterr().out
 
 
-def test_many_closures_that_were_refused_leave_the_paths_to_be_seen(tmp_path, monkeypatch):
+def test_many_rejected_closures_do_not_hide_the_paths(tmp_path, monkeypatch):
     axes_module = pytest.importorskip("matplotlib.axes", reason="pictures need the viz extra")
     from agents import picture
 
@@ -145,12 +145,12 @@ def test_many_closures_that_were_refused_leave_the_paths_to_be_seen(tmp_path, mo
         ("benchmark --seeds 3-1", "seeds must be"),
     ],
 )
-def test_wrong_input_is_one_line_and_exit_code_two(arguments, message, refusal, tmp_path):
+def test_invalid_input_is_an_error_of_one_line_with_exit_code_two(arguments, message, refusal, tmp_path):
     assert message in refusal(main, [*arguments.split(), "--out", str(tmp_path / "run")])
     assert not (tmp_path / "run").exists()
 
 
-def test_a_run_folder_is_enough_to_have_the_same_episode_again(tmp_path):
+def test_a_run_folder_is_enough_to_repeat_the_episode(tmp_path):
     first, again = tmp_path / "first", tmp_path / "again"
     settings = ["--map", "sfw-e4", "--robots", "2", "--steps", "40", "--set", "odometry.drift=2"]
     assert main(["explore", *settings, "--seed", "3", "--no-pictures", "--out", str(first)]) == 0
@@ -160,13 +160,13 @@ def test_a_run_folder_is_enough_to_have_the_same_episode_again(tmp_path):
 
 
 @pytest.mark.parametrize("was_killed", [False, True])
-def test_a_run_takes_away_what_an_earlier_one_left_in_its_folder(tmp_path, was_killed):
+def test_a_run_deletes_the_files_of_an_earlier_run(tmp_path, was_killed):
     arguments = ["explore", "--no-gif", "--out", str(tmp_path)]
     assert main([*arguments, "--steps", "12", "--robots", "4"]) == 0
     assert (tmp_path / "map_4.yaml").exists() and (tmp_path / "trajectories/robot_3_true.tum").exists()
     for name in ("notes.txt", "replay.html", "trajectories/mine.tum"):
         (tmp_path / name).write_text("")
-    if was_killed:  # while it wrote: the report comes last
+    if was_killed:  # while writing: the report is written last
         (tmp_path / "report.json").unlink()
     assert main([*arguments, "--steps", "5", "--robots", "1", "--no-pictures"]) == 0
     left = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
@@ -176,7 +176,7 @@ def test_a_run_takes_away_what_an_earlier_one_left_in_its_folder(tmp_path, was_k
     }  # fmt: skip
 
 
-def test_nobody_else_writes_to_a_folder_while_a_run_does(tmp_path, monkeypatch):
+def test_a_run_locks_its_folder_while_it_writes(tmp_path, monkeypatch):
     folder, write_files, refused = tmp_path / "run", explore_module._write_files, []
 
     def write_and_look(*arguments):
@@ -192,13 +192,13 @@ def test_nobody_else_writes_to_a_folder_while_a_run_does(tmp_path, monkeypatch):
         pass
 
 
-def test_a_folder_without_a_report_is_no_run_and_keeps_its_files(tmp_path):
+def test_a_folder_without_a_report_keeps_its_files(tmp_path):
     (tmp_path / "map_2.yaml").write_text("mine")
     assert main(["explore", "--steps", "3", "--robots", "1", "--no-pictures", "--out", str(tmp_path)]) == 0
     assert (tmp_path / "map_2.yaml").read_text() == "mine"
 
 
-def test_figures_for_the_terminal_are_added_to_what_stands_in_a_file(tmp_path):
+def test_results_for_the_terminal_are_also_written_to_the_file(tmp_path):
     figures = tmp_path / "all.txt"
     figures.write_text("before\n")
     command = [sys.executable, "-m", "agents", "explore", "--steps", "2", "--robots", "1", "--no-pictures"]
@@ -208,21 +208,21 @@ def test_figures_for_the_terminal_are_added_to_what_stands_in_a_file(tmp_path):
     assert first == "before" and json.loads(rest)["steps"] == 2
 
 
-def test_robots_that_never_work_leave_a_whole_run(tmp_path):
+def test_robots_that_fail_at_the_start_give_a_complete_run(tmp_path):
     broken = ["--set", "failure.robots=2", "--set", "failure.robots_step=0"]
     assert main(["explore", "--robots", "2", "--steps", "5", *broken, "--no-gif", "--out", str(tmp_path)]) == 0
     assert json.loads((tmp_path / "report.json").read_text())["coverage_correct"] == 0.0
     assert (tmp_path / "map.png").exists() and not (tmp_path / "frames.npz").exists()
 
 
-def test_a_standard_task_is_a_config(tmp_path):
+def test_a_standard_task_can_be_passed_as_config(tmp_path):
     chosen = ["--map", "sfw-e4", "--steps", "5", "--no-pictures", "--out", str(tmp_path)]
     assert main(["explore", "--config", "twc/ExploreHard-v0", *chosen]) == 0
     written = from_dict(json.loads((tmp_path / "config.json").read_text()))
     assert written == override(task_config("twc/ExploreHard-v0"), {"map": "sfw-e4", "max_cycles": 5})
 
 
-def test_runs_of_other_settings_do_not_replace_each_other(tmp_path, monkeypatch):
+def test_runs_with_different_settings_have_different_folders(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for settings in ([], ["--set", "odometry.drift=2"], ["--config", "twc/ExploreHard-v0"], ["--robots", "2"]):
         assert main(["explore", "--map", "sfw-e4", "--steps", "3", "--no-pictures", *settings]) == 0
@@ -232,7 +232,7 @@ def test_runs_of_other_settings_do_not_replace_each_other(tmp_path, monkeypatch)
     assert {folder.name for folder in folders} == {f"sfw-e4-nearest-frontier-seed0-{digest}" for digest in digests}
 
 
-def test_missing_drawing_libraries_are_named_before_the_episode(monkeypatch, capsys, tmp_path):
+def test_missing_drawing_libraries_are_reported_before_the_episode(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("agents.picture.find_spec", lambda name: None)
     assert main(["explore", "--steps", "5", "--out", str(tmp_path / "run")]) == 2
     assert "pip install 'twc_env[viz]'" in capsys.readouterr().err
@@ -240,7 +240,7 @@ def test_missing_drawing_libraries_are_named_before_the_episode(monkeypatch, cap
     assert not (tmp_path / "run" / "map.png").exists()
 
 
-def test_an_interrupted_run_writes_what_it_has(monkeypatch, capsys, tmp_path):
+def test_an_interrupted_run_writes_its_results_so_far(monkeypatch, capsys, tmp_path):
     def interrupt(done, *_, **__):
         if done == 12:
             raise KeyboardInterrupt
@@ -251,7 +251,7 @@ def test_an_interrupted_run_writes_what_it_has(monkeypatch, capsys, tmp_path):
     assert "interrupted after 12 steps" in capsys.readouterr().err
 
 
-def test_the_table_is_aligned_and_shows_a_dash_for_what_is_unknown():
+def test_the_table_is_aligned_and_shows_a_dash_for_missing_values():
     report = {"steps": 3, "closures": {"accepted": 0, "proposed": 0, "precision": None}, "env_steps_per_s": None}
     lines = table_of(report).splitlines()
     values = [line.index(value) for line, value in ((lines[0], "3"), (lines[1], "-"))]
@@ -260,7 +260,7 @@ def test_the_table_is_aligned_and_shows_a_dash_for_what_is_unknown():
     assert any(line.startswith("environment speed") and line.endswith(" -") for line in lines)
 
 
-def test_a_film_of_any_length_keeps_a_bounded_number_of_even_frames():
+def test_a_film_of_any_length_has_a_bounded_number_of_evenly_spaced_frames():
     pytest.importorskip("PIL", reason="films need the viz extra")
     film = Film(every=1)
     for step in range(1000):
@@ -270,7 +270,7 @@ def test_a_film_of_any_length_keeps_a_bounded_number_of_even_frames():
     assert len(set(np.diff(film._steps))) == 1
 
 
-def test_a_film_ends_on_the_last_step_wherever_it_falls():
+def test_a_film_always_ends_with_the_last_step():
     pytest.importorskip("PIL", reason="films need the viz extra")
     film = Film(every=2)
     for step in (*range(0, 320, 2), 319):
@@ -278,7 +278,7 @@ def test_a_film_ends_on_the_last_step_wherever_it_falls():
     assert film._steps == [*range(0, 320, 2), 319]
 
 
-def test_on_a_terminal_the_steps_are_counted_in_one_line_and_an_error_begins_the_next(monkeypatch, capsys, tmp_path):
+def test_on_a_terminal_progress_is_one_line_and_an_error_begins_a_new_one(monkeypatch, capsys, tmp_path):
     def run(*arguments):
         arguments[-1](50)
         raise DataError("no room")

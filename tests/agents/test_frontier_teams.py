@@ -1,4 +1,4 @@
-"""Who goes to which frontier, by each way of sharing out the work."""
+"""Allocation of frontiers to robots by each frontier team."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def corridor() -> GridMap:
 
 
 def believed(*x_m: float) -> dict[str, Belief]:
-    """Robots of one group at places along the corridor."""
+    """Beliefs of robots of one group at positions x [m] along the corridor."""
     poses = [np.array([x, 2.0, 0.0]) for x in x_m]
     grid = corridor()
     return {
@@ -32,7 +32,7 @@ def believed(*x_m: float) -> dict[str, Belief]:
 
 
 def penalties(team, beliefs: dict[str, Belief]) -> dict[str, dict[str, float]]:
-    """By robot: metres added to the left and the right end."""
+    """Per robot, the penalty [m] of the frontiers at the left and the right end."""
     team.reset(0, list(beliefs))
     team.act(beliefs)
     terrain = Terrain(next(iter(beliefs.values())).grid, EnvConfig().dynamics.robot_radius_m)
@@ -45,23 +45,23 @@ def penalties(team, beliefs: dict[str, Belief]) -> dict[str, dict[str, float]]:
 
 
 @pytest.mark.parametrize("team", [Assignment, Voronoi, CostUtility])
-def test_a_robot_alone_wants_what_is_near(team):
+def test_a_single_robot_gets_no_penalties(team):
     assert not any(penalties(team(EnvConfig()), believed(8.0))["robot_0"].values())
 
 
-def test_an_assignment_sends_two_robots_to_two_ends_though_both_are_nearer_to_one():
+def test_an_assignment_sends_two_robots_to_different_ends_even_if_both_are_nearer_to_one():
     found = penalties(Assignment(EnvConfig()), believed(6.0, 4.0))
     assert found["robot_0"]["left"] > 0 == found["robot_0"]["right"]
     assert found["robot_1"]["right"] > 0 == found["robot_1"]["left"]
 
 
-def test_a_robot_keeps_to_its_own_side_of_the_voronoi_partition():
+def test_a_robot_stays_on_its_side_of_the_voronoi_partition():
     found = penalties(Voronoi(EnvConfig()), believed(6.0, 16.0))
     assert found["robot_0"]["right"] > 0 == found["robot_0"]["left"]
     assert found["robot_1"]["left"] > 0 == found["robot_1"]["right"]
 
 
-def test_a_frontier_that_a_mate_is_bound_for_has_lost_its_worth():
+def test_the_frontier_goal_of_a_mate_loses_its_utility():
     found = penalties(CostUtility(EnvConfig()), believed(6.0, 16.0))
     assert found["robot_0"]["right"] == pytest.approx(WORTH_M, rel=0.15)
     assert found["robot_0"]["left"] == 0.0

@@ -1,4 +1,4 @@
-"""The team explores, spreads out, gives up what it cannot reach, seeks its mates, and knows when it is done."""
+"""The nearest-frontier team: exploration, spreading out, unreachable goals, tours, and termination."""
 
 import math
 
@@ -14,7 +14,7 @@ CELL_M = 0.1
 
 
 class Maze:
-    """Robots with perfect senses in a building drawn as text; what they have seen is free, wall, or unknown."""
+    """Robots with perfect sensors and localisation in a building drawn as text."""
 
     def __init__(self, rows, starts, merged=True, seed=0):
         picture = np.array([list(row) for row in rows[::-1]])
@@ -113,7 +113,7 @@ def floor_seen(maze):
     return (maze.seen[0][free] < 0).mean()
 
 
-def test_one_robot_explores_both_rooms_and_says_so():
+def test_one_robot_explores_both_rooms_and_reports_the_end():
     maze = Maze(TWO_ROOMS, [(1.5, 1.5, 2.0)])
     assert maze.run(500)
     assert floor_seen(maze) > 0.97
@@ -142,7 +142,7 @@ def test_two_robots_go_to_different_rooms():
     assert maze.bumps == 0
 
 
-def test_what_lies_behind_a_narrow_gap_is_given_up():
+def test_a_frontier_behind_a_narrow_gap_is_given_up():
     rows = [row.replace("#                  #", "#        #         #") for row in TWO_ROOMS]
     maze = Maze(rows, [(1.5, 1.5, 0.0)])
     row = maze.wall.shape[0] // 2
@@ -152,7 +152,7 @@ def test_what_lies_behind_a_narrow_gap_is_given_up():
     assert maze.poses[0][0] < 4.6
 
 
-def test_a_robot_alone_in_its_map_tours_the_signs_and_never_calls_it_done():
+def test_unmerged_robots_tour_the_signs_and_never_finish():
     maze = Maze(TWO_ROOMS, [(1.5, 1.5, 0.0), (8.0, 3.0, 0.0)], merged=False)
     maze.signs = (KnownSign("EXIT", np.array([0.5, 3.5])), KnownSign("LAB", np.array([9.4, 1.0])))
     nearest = np.full((2, 2), np.inf)
@@ -166,7 +166,7 @@ def test_a_robot_alone_in_its_map_tours_the_signs_and_never_calls_it_done():
     assert not maze.policy.finished(maze.beliefs())
 
 
-def test_a_jump_of_the_map_frame_is_followed():
+def test_goals_follow_a_jump_of_the_map_frame():
     maze = Maze(TWO_ROOMS, [(1.5, 1.5, 0.0)])
     for _ in range(40):
         maze.advance()
@@ -181,7 +181,7 @@ def test_a_jump_of_the_map_frame_is_followed():
     assert robot.replan
 
 
-def test_a_robot_that_cannot_move_tries_something_else_and_then_another_goal():
+def test_a_robot_that_cannot_move_excludes_its_goal():
     maze = Maze(TWO_ROOMS, [(1.5, 1.5, 0.0)])
     maze.is_free = lambda robot, x, y: False
     for _ in range(400):
@@ -191,7 +191,7 @@ def test_a_robot_that_cannot_move_tries_something_else_and_then_another_goal():
     assert all(failure.until_step > 0 for failure in robot.failures)
 
 
-def test_an_empty_map_and_no_scan_are_survived():
+def test_an_empty_map_without_scan_gives_valid_actions():
     policy = NearestFrontier(EnvConfig(robots=1), ExplorerConfig())
     policy.reset(0, ["robot_0"])
     for step in range(100):
@@ -200,7 +200,7 @@ def test_an_empty_map_and_no_scan_are_survived():
         assert np.isfinite(action).all()
 
 
-def test_a_robot_that_its_map_shuts_in_squeezes_out():
+def test_a_robot_enclosed_by_its_map_plans_with_a_smaller_radius():
     kind = np.full((60, 100), -20, np.int16)
     kind[[0, -1]] = kind[:, [0, -1]] = 20
     kind[:, 14] = kind[20, :15] = 20
@@ -218,7 +218,7 @@ def test_a_robot_that_its_map_shuts_in_squeezes_out():
     assert policy._robots["robot_0"].goal_kind == ""
 
 
-def test_a_robot_plans_on_its_own_map_though_a_mate_of_its_group_holds_another():
+def test_a_robot_plans_on_its_own_map_even_if_its_mate_holds_another():
     team, agents = NearestFrontier(EnvConfig(robots=2)), ["robot_0", "robot_1"]
     team.reset(0, agents)
     known = [np.zeros((40, 60), np.int16) for _ in agents]

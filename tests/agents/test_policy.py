@@ -14,7 +14,7 @@ def some_beliefs(step=0):
 
 
 def stuck_beliefs(step):
-    """Robots that never get to the frontier that they see: who explores tries ways out at random."""
+    """Robots that never reach a visible frontier, so that exploring policies draw random recovery motions."""
     beliefs = some_beliefs(step)
     for belief in beliefs.values():
         belief.grid.log_odds[:, 30:] = 0
@@ -24,7 +24,7 @@ def stuck_beliefs(step):
 DRAW_NOTHING_WHERE_STUCK = ("radio-walk", "wall-follower")
 
 
-def test_a_misspelt_policy_is_refused_with_the_nearest_name():
+def test_the_error_of_a_misspelt_policy_suggests_the_nearest_name():
     with pytest.raises(ConfigError, match="did you mean 'nearest-frontier'"):
         make_policy("nearest-frontir")
 

@@ -1,4 +1,4 @@
-"""A team policy of one's own is named by its file."""
+"""Custom team policies, named by their file."""
 
 import json
 import pickle
@@ -33,7 +33,7 @@ def mine(tmp_path, monkeypatch):
     return "mine.py:Mine"
 
 
-def test_a_policy_that_only_acts_drives_an_episode_beside_ours(mine, tmp_path, capsys):
+def test_a_custom_policy_with_act_only_can_be_compared_with_ours(mine, tmp_path, capsys):
     arguments = ["compare", "--agents", "random", mine, "--maps", "sfw-e1", "--robots", "1", "--steps", "30"]
     assert main([*arguments, "--jobs", "2", "--json", "figures.json"]) == 0
     found = json.loads((tmp_path / "figures.json").read_text())
@@ -42,7 +42,7 @@ def test_a_policy_that_only_acts_drives_an_episode_beside_ours(mine, tmp_path, c
     assert mine in capsys.readouterr().out
 
 
-def test_files_of_one_name_are_two_and_import_what_lies_beside_them(mine, tmp_path):
+def test_policy_files_of_equal_name_are_separate_and_import_from_their_folders(mine, tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine.py").write_text(MINE)
     (tmp_path / "other" / "beside.py").write_text("SPEED = 0.75\n")
@@ -51,7 +51,7 @@ def test_files_of_one_name_are_two_and_import_what_lies_beside_them(mine, tmp_pa
     assert pickle.dumps(make_policy(mine))
 
 
-def test_a_run_says_which_policy_file_it_was_and_runs_again_once_that_changed(mine, tmp_path, capsys):
+def test_a_report_names_its_policy_file_and_a_changed_file_is_run_again(mine, tmp_path, capsys):
     explore = ["--agent", mine, "--robots", "1", "--steps", "3", "--no-pictures"]
     assert main(["explore", "--map", "sfw-e1", *explore]) == 0
     (folder,) = (tmp_path / "runs").glob("sfw-e1-Mine-seed0*")
@@ -74,6 +74,6 @@ def test_a_run_says_which_policy_file_it_was_and_runs_again_once_that_changed(mi
         ("mine", "or FILE.py:CLASS"),
     ],
 )
-def test_what_is_no_policy_is_refused_with_the_remedy(mine, name, remedy):
+def test_the_error_of_an_invalid_policy_names_the_remedy(mine, name, remedy):
     with pytest.raises(ConfigError, match=remedy):
         make_policy(name, EnvConfig())

@@ -32,7 +32,7 @@ def test_the_wall_to_follow_is_the_nearest_on_the_right_or_ahead():
     assert nearest_wall(None) == (0.0, math.inf)
 
 
-def test_a_follower_beside_its_wall_drives_straight_and_turns_away_when_too_near():
+def test_a_wall_follower_drives_straight_at_its_distance_and_turns_away_when_too_near():
     turns = []
     for distance in (STANDOFF_M, 0.22):
         ranges = np.full(180, 4.0)
@@ -44,7 +44,7 @@ def test_a_follower_beside_its_wall_drives_straight_and_turns_away_when_too_near
     assert abs(turns[0]) < 0.1 < turns[1]
 
 
-def test_rays_tell_doubtful_floor_once_and_nothing_across_many_walls():
+def test_rays_clear_uncertain_floor_once_and_nothing_across_many_walls():
     seen, router = room(), np.array([[0.5, 2.0]])
     radio, nowhere = grid(np.zeros((40, 60), np.int16)), np.zeros((0, 2))
     places = np.array([[1.0, 2.0], [5.0, 2.0]])
@@ -61,7 +61,7 @@ def test_rays_tell_doubtful_floor_once_and_nothing_across_many_walls():
     assert not far.any()
 
 
-def test_the_agent_walks_on_where_rays_would_tell_and_is_done_where_all_is_told():
+def test_the_agent_continues_while_rays_clear_cells_and_finishes_otherwise():
     agent, seen = RadioWalk(EnvConfig()), room()
     for level, is_done in ((0, False), (-30, True)):
         agent.reset(0, ["robot_0"])
@@ -75,7 +75,7 @@ def test_the_agent_walks_on_where_rays_would_tell_and_is_done_where_all_is_told(
         assert np.any(action != 0.0)
 
 
-def test_floor_that_is_told_no_nearer_than_the_robot_gets_is_not_tried_for_again():
+def test_floor_that_cannot_be_cleared_from_its_goal_is_not_tried_again():
     agent, radio, here = RadioWalk(EnvConfig()), grid(np.zeros((40, 60), np.int16)), np.array([1.0, 2.0])
     agent.reset(0, ["robot_0"])
     for _ in range(60):
@@ -86,7 +86,7 @@ def test_floor_that_is_told_no_nearer_than_the_robot_gets_is_not_tried_for_again
     assert agent.finished({"robot_0": belief})
 
 
-def test_walks_are_compared_by_the_path_that_an_iou_takes():
+def test_walks_are_compared_by_the_path_length_to_reach_an_iou():
     along = Walked([0.0, 1.0, 2.0, 4.0], [0.0, 0.2, 0.4, 0.8], [1.0] * 4, [0.5] * 4, True, [0.0, 0.0])
     active = Walked([0.0, 1.0, 2.0, 3.0], [0.0, 0.4, 0.6, 0.7], [1.0] * 4, [0.5] * 4, False, [0.0, 0.0])
     pair = Comparison("m", 0, along, active)
@@ -96,7 +96,7 @@ def test_walks_are_compared_by_the_path_that_an_iou_takes():
     assert radio_survey.median_share([pair.path_share(0.5)]) == (0.5, 0.5, 0.5)
 
 
-def test_a_walk_in_a_known_room_is_longer_the_more_it_must_clear_and_none_clears_more_than_all():
+def test_the_shortest_known_walk_grows_with_the_share_to_clear():
     import twc_env
 
     plan = twc_env.load_map("sfw-e1")
@@ -105,7 +105,7 @@ def test_a_walk_in_a_known_room_is_longer_the_more_it_must_clear_and_none_clears
     assert lengths[2] == math.inf
 
 
-def test_unknown_floor_counts_as_missed_where_walks_are_scored():
+def test_unknown_floor_counts_as_missed_in_the_score():
     import twc_env
 
     plan = twc_env.load_map("sfw-e1")

@@ -18,7 +18,7 @@ from twc_env.datasets.frame_log import (
     write_truth_log,
 )
 from twc_env.errors import DataError, TwcError
-from twc_env.messages import Contacts, WifiScan
+from twc_env.messages import Contacts, SensorFrame, WifiScan
 
 
 @pytest.fixture(scope="module")
@@ -261,3 +261,15 @@ def test_wifi_scans_are_a_table_of_frames_and_addresses(recorded):
         assert np.array_equal(macs[np.isfinite(row)], own[k].wifi.macs)
         assert np.array_equal(row[np.isfinite(row)], own[k].wifi.rssi_dbm)
     assert [len(part) for part in wifi_readings(steps, robot=7)] == [0, 0, 0]
+
+
+def test_readings_repeated_from_an_earlier_scan_are_not_taken_for_readings_at_the_later_place():
+    def heard(step, macs, ages_s):
+        scan = WifiScan(np.array(macs), -50.0 - np.arange(len(macs)) - step, np.array(ages_s))
+        return (SensorFrame(0, step, 100.0 + 2.0 * step, np.zeros(3), 0.0, np.ones(8), scan),)
+
+    steps = [heard(0, [4, 7], [0.3, 0.6]), heard(1, [4, 7], [0.0, 2.6]), heard(2, [4, 7, 9], [2.0, 1.9, 0.0])]
+    at, macs, rssi_dbm = wifi_readings(steps)
+    assert at.tolist() == [0, 1, 2] and macs.tolist() == [4, 7, 9]
+    nan = np.nan
+    assert np.array_equal(rssi_dbm, [[-50.0, -51.0, nan], [-51.0, nan, nan], [nan, -53.0, -54.0]], equal_nan=True)

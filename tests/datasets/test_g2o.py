@@ -28,6 +28,21 @@ def test_a_graph_survives_a_round_trip(tmp_path, name):
     assert read["edges_kind"] == ["odometry", "odometry", "odometry", "closure"]
 
 
+def test_a_graph_in_map_coordinates_keeps_its_micrometres(tmp_path):
+    nodes = np.array([[500000.123456, 5412345.654321, 1.0], [500001.5, 5412346.234567, -3.1]])
+    graph = {"nodes": nodes, "edges_ij": [[0, 1]], "edges_z": nodes[1:], "edges_information": [np.eye(3)]}
+    write_g2o(tmp_path / "graph.g2o", graph)
+    again = read_g2o(tmp_path / "graph.g2o")
+    assert np.abs(again["nodes"] - nodes).max() < 1e-7
+    assert np.abs(again["edges_z"] - nodes[1:]).max() < 1e-7
+
+
+def test_two_graphs_in_one_file_do_not_overwrite_each_other(tmp_path):
+    (tmp_path / "two.g2o").write_text("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 0 5 5 0\n")
+    with pytest.raises(DataError, match=r"two.g2o, line 3: vertex 0 stands elsewhere in a line before"):
+        read_g2o(tmp_path / "two.g2o")
+
+
 def test_the_information_matrix_is_written_as_its_upper_triangle(tmp_path):
     graph = {
         "nodes": np.zeros((2, 3)),

@@ -57,6 +57,7 @@ def test_carmen_may_have_comments_in_any_encoding_indented_lines_and_tabs(tmp_pa
         (LINE, LINE[:20], "it is cut off"),
         (LINE, LINE.replace("3 1.0", "2"), "2 beams, where those before have 3"),
         (LINE, LINE.replace("2.0", "2.x"), "could not convert string to float"),
+        (LINE, " ".join([*LINE.split()[:5], "nan", *LINE.split()[6:]]), "its pose or its time is not finite"),
         (NEWER, NEWER[:60], "it is cut off"),
         (NEWER, ROBOTLASER.format(" 2 0.1", " 9"), "it is cut off"),
         (NEWER, NEWER.replace("-0.5", "-0.4"), "its beams point elsewhere than those before"),

@@ -23,6 +23,12 @@ def test_poses_survive_a_round_trip(tmp_path, name):
     assert np.allclose(read_poses, poses, atol=1e-6)
 
 
+def test_poses_in_map_coordinates_keep_their_micrometres(tmp_path):
+    poses = np.array([[500000.123456, 5412345.654321, 1.0], [500001.5, 5412346.234567, -3.1]])
+    write_tum(tmp_path / "path.tum", np.array([0.0, 0.1]), poses)
+    assert np.abs(read_tum(tmp_path / "path.tum")[1] - poses).max() < 2e-8
+
+
 def test_a_gz_name_is_really_packed(tmp_path):
     write_tum(tmp_path / "a.tum.gz", *some_poses())
     assert gzip.decompress((tmp_path / "a.tum.gz").read_bytes()).startswith(b"0 ")

@@ -1,4 +1,4 @@
-"""Small teams that wander, and what they left behind."""
+"""Short episodes with random-like motion, and their logs."""
 
 from dataclasses import dataclass, field
 
@@ -12,7 +12,7 @@ from twc_env.slam.robot_sightings import RobotSightings, Sightings
 
 @dataclass
 class Log:
-    """All that came out of an environment, step by step; entry 0 is that of `reset`."""
+    """Outputs of an environment per step; entry 0 of observations and infos is that of `reset`."""
 
     env: twc_env.ExplorationEnv
     actions: list[dict] = field(default_factory=list)
@@ -24,7 +24,7 @@ class Log:
 
 @pytest.fixture(scope="session")
 def explore(wander):
-    """Run a team for some steps; it starts where the map says, close enough to meet."""
+    """Run a team for some steps from the start poses of the map, which are close enough for robots to meet."""
 
     def run(steps: int, seed: int = 0, env: twc_env.ExplorationEnv | None = None, **arguments) -> Log:
         env = twc_env.parallel_env(**{"map": "twin-01", "robots": 3, **arguments}) if env is None else env
@@ -51,7 +51,7 @@ def explore(wander):
 
 @pytest.fixture
 def wrong_merges(monkeypatch):
-    """The first closure between two robots is believed at once, and laid down at a wrong place; ends the lies."""
+    """Makes the engine merge two robots at their first closure, with a wrong relative pose; call it to end that."""
 
     def agree(targets, *_):
         return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool), (9, 9, 9))
@@ -66,7 +66,7 @@ def wrong_merges(monkeypatch):
 
 
 def same_observation(a: dict, b: dict) -> bool:
-    """Whether two observations of one agent are equal to the last bit."""
+    """Whether two observations of one agent are bit-identical."""
     return a.keys() == b.keys() and all(np.array_equal(a[key], b[key]) for key in a)
 
 
@@ -77,7 +77,7 @@ def same():
 
 @pytest.fixture(scope="session")
 def same_steps():
-    """Whether steps (observations, rewards, ...) of two episodes are equal to the last bit."""
+    """A function: whether the steps (observations, rewards, ...) of two episodes are bit-identical."""
     return lambda a, b: all(
         all(same_observation(x[0][agent], y[0][agent]) for agent in x[0]) and x[1:] == y[1:]
         for x, y in zip(a, b, strict=True)

@@ -31,12 +31,12 @@ BAD = {
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1))
-def test_an_action_is_a_share_of_the_maxima(forward, turn):
+def test_an_action_is_a_fraction_of_the_maximum_speeds(forward, turn):
     commands = Velocities(LIMITS, 2).decode({"robot_0": (forward, turn), "robot_1": FINE}, AGENTS)
     assert commands == pytest.approx(np.array([[1.2 * forward, 2.0 * turn], [0.6, -1.0]]))
 
 
-def test_rounding_beyond_one_is_forgiven_and_cut():
+def test_values_beyond_one_by_rounding_are_clipped():
     commands = Velocities(LIMITS, 1).decode({"robot_0": (1 + 5e-7, -1 - 5e-7)}, ["robot_0"])
     assert commands.tolist() == [[1.2, -2.0]]
 
@@ -49,7 +49,7 @@ def test_every_action_of_the_space_is_accepted():
 
 
 @pytest.mark.parametrize("bad", BAD.values(), ids=BAD.keys())
-def test_a_bad_action_is_refused_in_one_line_that_names_agent_value_and_remedy(bad):
+def test_the_error_of_an_invalid_action_names_agent_value_and_remedy_in_one_line(bad):
     with pytest.raises(ActionError) as caught:
         Velocities(LIMITS, 2).decode({"robot_0": FINE, "robot_1": bad}, AGENTS)
     text = str(caught.value)
@@ -60,12 +60,12 @@ def test_a_bad_action_is_refused_in_one_line_that_names_agent_value_and_remedy(b
     assert any(word in text for word in ("must be", "clip"))
 
 
-def test_the_first_bad_action_of_several_is_named():
+def test_the_first_of_several_invalid_actions_is_named():
     with pytest.raises(ActionError, match="'robot_0'"):
         Velocities(LIMITS, 2).decode({"robot_0": np.array([3.0, 0.0]), "robot_1": np.array([np.nan, 0.0])}, AGENTS)
 
 
-def test_a_missing_agent_is_named_with_all_that_are_needed():
+def test_the_error_of_a_missing_agent_lists_all_required_agents():
     with pytest.raises(ActionError) as caught:
         check_agents({"robot_0": FINE, "robot_7": FINE}, AGENTS)
     text = str(caught.value)
@@ -75,7 +75,7 @@ def test_a_missing_agent_is_named_with_all_that_are_needed():
 
 
 @pytest.mark.parametrize("bad", [BAD["NaN"], BAD["too fast"], BAD["a bare number"]], ids=["NaN", "range", "shape"])
-def test_a_refused_action_leaves_the_episode_as_it_was(bad, same):
+def test_an_invalid_action_does_not_change_the_episode(bad, same):
     tried, untouched = (twc_env.parallel_env(robots=2, max_cycles=20) for _ in range(2))
     for env in (tried, untouched):
         env.reset(seed=0)
@@ -86,7 +86,7 @@ def test_a_refused_action_leaves_the_episode_as_it_was(bad, same):
         assert all(same(a[0][agent], b[0][agent]) for agent in AGENTS)
 
 
-def test_both_other_views_refuse_bad_actions_too():
+def test_the_single_agent_and_aec_environments_reject_invalid_actions():
     import gymnasium
 
     single = gymnasium.make("twc/Explore-v0", disable_env_checker=True)
@@ -100,7 +100,7 @@ def test_both_other_views_refuse_bad_actions_too():
 
 
 @pytest.mark.parametrize("bad", [np.zeros((3, 2)), np.array([1, 2], "M8[s]"), "a\nb"], ids=["rows", "dates", "text"])
-def test_values_of_many_lines_are_named_in_one(bad):
+def test_multi_line_values_are_reported_in_one_line(bad):
     env = twc_env.parallel_env(map="twin-01", robots=1)
     env.reset(seed=0)
     for actions in ({"robot_0": bad}, bad):

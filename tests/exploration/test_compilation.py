@@ -24,7 +24,7 @@ def function_of(module: str):
     return njit(add)
 
 
-def test_the_first_kernel_of_this_package_that_is_compiled_is_announced_once(caplog):
+def test_the_first_compilation_of_a_kernel_of_this_package_is_logged_once(caplog):
     from numba.core import event
 
     listener = _Announcer()
@@ -37,12 +37,12 @@ def test_the_first_kernel_of_this_package_that_is_compiled_is_announced_once(cap
             function_of("twc_env.world.lidar")(1, 2)
     finally:
         event.unregister("numba:compile", listener)
-    # Another environment of this process may have spoken up already, or may do so now.
+    # The announcer of another environment in this process may also have logged it.
     assert 1 <= len(caplog.records) <= 2
     assert all("first use" in record.message for record in caplog.records)
 
 
-def test_the_announcement_does_not_promise_files_where_none_can_be_kept(monkeypatch):
+def test_the_log_message_promises_cache_files_only_if_they_can_be_written(monkeypatch):
     for place, version, expected in (
         ("/", "0.68.1", "read them from disk"),
         (None, "0.68.1", "name a folder in NUMBA_CACHE_DIR"),
@@ -53,7 +53,7 @@ def test_the_announcement_does_not_promise_files_where_none_can_be_kept(monkeypa
         assert expected in compilation._what_of_later_starts()
 
 
-def test_environments_ask_for_it_once_per_process():
+def test_the_announcer_is_registered_once_per_process():
     announce_compilation()
     before = announce_compilation.cache_info().misses
     announce_compilation()
@@ -61,7 +61,7 @@ def test_environments_ask_for_it_once_per_process():
 
 
 @pytest.mark.parametrize("collects", [True, False])
-def test_nobody_looks_for_garbage_while_kernels_are_compiled(collects):
+def test_garbage_collection_is_off_during_compilation(collects):
     listener, kernel = _Announcer(), SimpleNamespace(data={"dispatcher": function_of("another.package")})
     before, seen = gc.isenabled(), []
     (gc.enable if collects else gc.disable)()
@@ -75,7 +75,7 @@ def test_nobody_looks_for_garbage_while_kernels_are_compiled(collects):
 
 
 class FakeProcess:
-    """Notes what is asked of it; at work until it is killed."""
+    """Records calls; runs until it is killed."""
 
     def __init__(self, command, **settings):
         self.command, self.events = command, []
@@ -92,7 +92,7 @@ class FakeProcess:
 
 @pytest.fixture
 def started(monkeypatch, tmp_path):
-    """The processes that were started; there are two cores and no helper of another process."""
+    """The processes that were started, with two cores and no helper of another process."""
     processes = []
     monkeypatch.setattr(
         compilation.subprocess, "Popen", lambda *a, **k: processes.append(FakeProcess(*a, **k)) or processes[-1]
@@ -109,7 +109,7 @@ def first_start() -> FirstStart:
     return start
 
 
-def test_a_process_that_must_compile_calls_one_helper_and_ends_it_with_itself(started):
+def test_a_process_that_must_compile_starts_one_helper_and_kills_it_once(started):
     start = first_start()
     assert not start.is_helped
     start.prepare()
@@ -123,7 +123,7 @@ def test_a_process_that_must_compile_calls_one_helper_and_ends_it_with_itself(st
     assert not start.is_helped
 
 
-def test_a_copy_of_the_process_leaves_the_helper_alone(started):
+def test_a_forked_process_does_not_kill_the_helper(started):
     start = first_start()
     start.prepare()
     start._owner = -1  # as after a fork
@@ -143,7 +143,7 @@ def test_the_announcer_prepares_for_kernels_of_this_package_only():
 
 
 @pytest.mark.parametrize("lacking", ["engine", "core", "right"])
-def test_no_helper_is_called_without_need(started, monkeypatch, lacking):
+def test_no_helper_is_started_without_engine_second_core_or_permission(started, monkeypatch, lacking):
     start = first_start()
     start.is_engine_wanted, start.may_call = lacking != "engine", lacking != "right"
     monkeypatch.setattr(compilation, "core_count", lambda: 1 if lacking == "core" else 2)
@@ -151,7 +151,7 @@ def test_no_helper_is_called_without_need(started, monkeypatch, lacking):
     assert not started
 
 
-def test_an_engine_that_is_wanted_later_gets_its_helper_then(started):
+def test_the_helper_is_started_once_an_engine_is_needed(started):
     start = FirstStart()
     start.prepare()
     start.is_engine_wanted = True
@@ -160,7 +160,7 @@ def test_an_engine_that_is_wanted_later_gets_its_helper_then(started):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
-def test_of_processes_that_start_at_once_one_calls_a_helper(started):
+def test_of_concurrent_processes_only_one_starts_a_helper(started):
     lock = compilation.helpers_lock()
     assert lock.take()
     first_start().prepare()
@@ -171,20 +171,20 @@ def test_of_processes_that_start_at_once_one_calls_a_helper(started):
 
 
 @pytest.mark.parametrize("is_worker", [False, True])
-def test_where_nobody_can_tell_only_workers_call_no_helper(started, monkeypatch, tmp_path, is_worker):
+def test_if_locks_fail_all_but_worker_processes_start_a_helper(started, monkeypatch, tmp_path, is_worker):
     monkeypatch.setattr(compilation.multiprocessing, "parent_process", lambda: object() if is_worker else None)
     monkeypatch.setattr(compilation, "helpers_lock", lambda: FileLock(tmp_path / "no such folder" / "helper.lock"))
     first_start().prepare()
     assert len(started) == (0 if is_worker else 1)
 
 
-def test_without_a_folder_that_a_helper_could_fill_none_is_called(started, monkeypatch):
+def test_no_helper_is_started_without_a_cache_folder(started, monkeypatch):
     monkeypatch.setattr(compilation, "helpers_lock", lambda: None)
     first_start().prepare()
     assert not started
 
 
-def test_a_helper_that_cannot_be_started_is_done_without(started, monkeypatch):
+def test_failure_to_start_a_helper_is_ignored(started, monkeypatch):
     def refuse(*_arguments, **_settings):
         raise OSError
 
@@ -202,7 +202,7 @@ import twc_env
 from twc_env.exploration import compilation
 from twc_env.slam import warm_up
 
-compilation.core_count = lambda: 1  # nobody helps: what is counted is what the first step needs
+compilation.core_count = lambda: 1  # no helper: only kernels that the first step needs are compiled
 
 def signatures():
     return {
@@ -233,7 +233,7 @@ def test_the_helper_compiles_every_kernel_of_the_engine_that_the_first_step_need
 ROOT = Path(__file__).parents[2]
 
 
-def test_the_helper_doubts_enough_closures_for_all_that_judges_them_to_be_compiled():
+def test_the_helper_rejects_enough_closures_to_compile_all_kernels_of_the_robust_back_end():
     found = warm_up.reject_false_closures()
-    assert len(found.rejections) > robust_backend.FEW_REFUSED  # fewer are not weighed from the start
+    assert len(found.rejections) > robust_backend.FEW_REFUSED  # fewer do not use all kernels
     assert not found.accepted[-warm_up.FALSE :].any() and found.accepted[: -warm_up.FALSE].all()

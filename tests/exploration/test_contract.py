@@ -33,24 +33,24 @@ def test_pettingzoo_accepts_the_turn_based_environment(robots):
     api_test(twc_env.env(robots=robots, max_cycles=40), num_cycles=60)
 
 
-def test_pettingzoo_finds_equal_seeds_equal():
+def test_pettingzoo_seed_tests_pass():
     seed_test(lambda: twc_env.env(max_cycles=30), num_cycles=30)
     parallel_seed_test(lambda: twc_env.parallel_env(max_cycles=30), num_cycles=30)
 
 
-def test_pettingzoo_finds_the_episode_as_long_as_asked_for():
+def test_pettingzoo_max_cycles_test_passes():
     max_cycles_test(twc_env)
 
 
-def test_pettingzoo_accepts_the_state():
+def test_pettingzoo_state_test_passes():
     state_test(twc_env.env(max_cycles=30), twc_env.parallel_env(max_cycles=30), num_cycles=20)
 
 
-def test_gymnasium_accepts_the_view_of_one_robot():
+def test_gymnasium_accepts_the_single_agent_environment():
     check_env(gymnasium.make(ID, max_cycles=40).unwrapped, skip_render_check=True)
 
 
-def test_stable_baselines_accepts_the_view_of_one_robot():
+def test_stable_baselines_accepts_the_single_agent_environment():
     checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra 'train'")
     checker.check_env(gymnasium.make(ID, max_cycles=40).unwrapped, warn=False, skip_render_check=True)
 
@@ -66,7 +66,7 @@ def test_both_registries_make_the_environment_by_its_id():
     parallel_api_test(parallel, num_cycles=10)
 
 
-def test_the_single_view_shows_what_the_team_of_one_sees(same):
+def test_the_single_agent_environment_equals_a_team_of_one(same):
     single = gymnasium.make(ID, robots=1, max_cycles=20)
     team = twc_env.parallel_env(robots=1, max_cycles=20)
     action = np.array([0.7, 0.2], np.float32)
@@ -79,7 +79,7 @@ def test_the_single_view_shows_what_the_team_of_one_sees(same):
     assert truncated
 
 
-def test_the_single_view_takes_and_refuses_the_seeds_that_the_team_does(same):
+def test_the_single_agent_environment_accepts_numpy_seeds_and_rejects_invalid_ones(same):
     single = gymnasium.make("twc/Explore-v0", max_cycles=5)
     assert same(single.reset(seed=np.int64(4))[0], single.reset(seed=4)[0])
     for seed in (-1, np.int64(-1), 0.5):
@@ -95,13 +95,13 @@ def test_the_single_view_takes_and_refuses_the_seeds_that_the_team_does(same):
         ({"beams": 90}, "unexpected keyword argument 'beams'; .* settings go into config"),
     ],
 )
-def test_the_single_view_says_what_to_do_instead_of_arguments_it_has_not(arguments, remedy):
+def test_the_error_of_the_single_agent_environment_for_unknown_arguments_names_the_remedy(arguments, remedy):
     with pytest.raises(twc_env.ConfigError, match=remedy):
         gymnasium.make(ID, **arguments)
 
 
 @pytest.mark.parametrize("make", [twc_env.parallel_env, twc_env.env, partial(pettingzoo.make, "parallel", ID)])
-def test_an_argument_that_there_is_not_is_answered_with_the_nearest(make):
+def test_the_error_of_an_unknown_argument_suggests_the_nearest(make):
     with pytest.raises(twc_env.ConfigError, match=r"argument 'robot'; known are map, .* did you mean robots"):
         make(robot=3)
     with pytest.raises(twc_env.ConfigError, match="settings go into config"):
@@ -122,7 +122,7 @@ def test_spaces_are_the_same_objects_for_every_agent_and_call():
         assert len({id(space(agent)) for agent in env.possible_agents for _ in range(2)}) == 1
 
 
-def test_all_agents_live_until_the_last_step_and_leave_together():
+def test_all_agents_are_truncated_together_at_the_last_step():
     env = twc_env.parallel_env(robots=2, max_cycles=6)
     env.reset(seed=0)
     for step in range(6):
@@ -135,7 +135,7 @@ def test_all_agents_live_until_the_last_step_and_leave_together():
     assert env.agents == []
 
 
-def test_a_step_after_the_end_says_what_to_do():
+def test_a_step_after_the_end_raises_an_error_that_names_reset():
     env = twc_env.parallel_env(robots=1, max_cycles=1)
     env.reset(seed=0)
     env.step(still(env))
@@ -152,12 +152,12 @@ def test_a_step_after_the_end_says_what_to_do():
         lambda env: env.episode, lambda env: env.engine, lambda env: env.np_random,
     ],
 )  # fmt: skip
-def test_what_an_episode_holds_is_not_there_before_the_first_reset(use):
+def test_access_to_the_episode_before_the_first_reset_raises(use):
     with pytest.raises(twc_env.TwcError, match="call reset"):
         use(twc_env.parallel_env(robots=1))
 
 
-def test_an_episode_can_be_left_early_and_begun_again(same):
+def test_an_unfinished_episode_can_be_reset(same):
     env = twc_env.parallel_env(robots=2, max_cycles=50)
     first, _ = env.reset(seed=1)
     for _ in range(7):
@@ -172,7 +172,7 @@ def test_an_episode_can_be_left_early_and_begun_again(same):
 @pytest.mark.parametrize(
     "config", [{}, {"action.kind": "frontier", "observation.overview": True}, {"slam.mode": "off"}]
 )
-def test_what_an_episode_took_is_free_for_the_next_one_without_a_search_for_garbage(config):
+def test_a_reset_frees_the_last_episode_without_garbage_collection(config):
     env = twc_env.parallel_env(map="gen:office:100:1", max_cycles=20, config=config)
     env.reset(seed=0)
     env.step({agent: env.action_space(agent).sample() for agent in env.agents})
@@ -186,7 +186,7 @@ def test_what_an_episode_took_is_free_for_the_next_one_without_a_search_for_garb
         (gc.enable if collects else gc.disable)()
 
 
-def test_without_a_seed_episodes_differ_and_follow_from_the_first(same):
+def test_without_a_seed_episodes_follow_deterministically_from_the_first(same):
     env, twin = twc_env.parallel_env(robots=1), twc_env.parallel_env(robots=1)
     first, second = env.reset(seed=5)[0], env.reset()[0]
     assert not same(first["robot_0"], second["robot_0"])
@@ -195,19 +195,19 @@ def test_without_a_seed_episodes_differ_and_follow_from_the_first(same):
 
 
 @pytest.mark.parametrize("options", [None, {}, {"unknown": 1}, {"starts": "map"}, {"starts": "random"}])
-def test_options_that_mean_nothing_here_are_tolerated(options):
+def test_unknown_reset_options_are_ignored(options):
     observations, infos = twc_env.parallel_env(robots=2).reset(seed=0, options=options)
     assert list(observations) == list(infos) == ["robot_0", "robot_1"]
 
 
-def test_robots_start_where_the_options_put_them():
+def test_robots_start_at_the_poses_in_the_options():
     env = twc_env.parallel_env(robots=2)
     starts = [(9.0, 1.2, 0.5), (9.8, 1.2, -1.0)]
     env.reset(seed=0, options={"starts": starts})
     assert np.allclose(env.episode.record.true_poses[0], starts)
 
 
-def test_the_building_of_one_episode_changes_no_setting_of_later_ones(same):
+def test_the_building_of_one_episode_does_not_affect_later_ones(same):
     env = twc_env.parallel_env(robots=1)
     settings, (first, _) = env.config, env.reset(seed=3)
     for split in ("train", "validation", "test"):
@@ -219,13 +219,13 @@ def test_the_building_of_one_episode_changes_no_setting_of_later_ones(same):
 
 
 @pytest.mark.parametrize("config", ["mine.toml", Path("mine.toml")])
-def test_a_config_by_file_name_is_answered_with_who_reads_it(config):
+def test_the_error_of_a_file_name_as_config_names_load(config):
     with pytest.raises(twc_env.ConfigError, match=r"twc_env\.config\.load reads a file"):
         twc_env.parallel_env(config=config)
 
 
 @pytest.mark.parametrize("starts", ["anywhere", ["map"], [[1, 2, 3]], [[1, 2, 3], [4]], None, [[0, 0, np.nan]] * 2])
-def test_starts_that_are_no_starts_are_refused(starts):
+def test_invalid_starts_are_rejected(starts):
     with pytest.raises(twc_env.ConfigError, match="starts must be"):
         twc_env.parallel_env(robots=2).reset(seed=0, options={"starts": starts})
 
@@ -233,13 +233,13 @@ def test_starts_that_are_no_starts_are_refused(starts):
 @pytest.mark.parametrize(
     "options", ["x", 5, [], {"split": ["train"]}, {"split": None}, {"map": "a", "split": "train"}, {"maps": "a"}]
 )
-def test_options_that_cannot_be_meant_are_refused(options):
+def test_invalid_reset_options_are_rejected(options):
     with pytest.raises(twc_env.TwcError, match=r"options|split"):
         twc_env.parallel_env(robots=2).reset(seed=0, options=options)
 
 
 @pytest.mark.parametrize("options", [{"map": "twin-02", "starts": "anywhere"}, {"map": "nowhere"}])
-def test_after_a_reset_that_failed_no_half_begun_episode_goes_on(options, same):
+def test_no_episode_is_running_after_a_failed_reset(options, same):
     env, twin = (twc_env.parallel_env(robots=2, max_cycles=5) for _ in range(2))
     env.reset(seed=0)
     with pytest.raises(twc_env.TwcError):
@@ -252,19 +252,19 @@ def test_after_a_reset_that_failed_no_half_begun_episode_goes_on(options, same):
 
 
 @pytest.mark.parametrize("agent", ["robot_2", 0, None])
-def test_the_belief_of_nobody_is_refused_with_the_team(agent):
+def test_the_error_of_a_belief_of_an_unknown_agent_lists_the_team(agent):
     env = twc_env.parallel_env(robots=2)
     env.reset(seed=0)
     with pytest.raises(twc_env.TwcError, match="the team is robot_0, robot_1"):
         env.belief(agent)
 
 
-def test_settings_that_are_not_named_by_text_are_refused():
+def test_settings_with_non_string_keys_are_rejected():
     with pytest.raises(twc_env.ConfigError, match="named by text"):
         twc_env.parallel_env(config={3: 4})
 
 
-def test_a_render_mode_that_does_not_exist_is_refused():
+def test_an_unknown_render_mode_is_rejected():
     with pytest.raises(twc_env.ConfigError, match="rgb_array"):
         twc_env.parallel_env(render_mode="ascii")
 
@@ -281,12 +281,12 @@ def test_rendering_does_not_change_the_episode(explore, same):
         assert a[1] == b[1]
 
 
-def test_what_is_no_floorplan_is_refused_with_the_remedy():
+def test_the_error_of_an_invalid_floorplan_names_the_remedy():
     with pytest.raises(twc_env.ConfigError, match="must be a Floorplan; got 'twin-01': name a map or a file as `map`"):
         twc_env.parallel_env(floorplan="twin-01")
 
 
-def test_wrappers_draw_from_a_stream_of_the_seed_that_no_episode_draws_from(same):
+def test_np_random_follows_the_seed_and_does_not_affect_the_episode(same):
     env, other = (twc_env.parallel_env(map="twin-01", robots=1, max_cycles=6) for _ in range(2))
     env.reset(seed=3)
     other.reset(seed=3)

@@ -55,7 +55,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def fresh_process(seed: int, hash_seed: str, *before: str) -> tuple[int, int, str]:
-    """Steps, closures and digest of an episode in a process of its own, in which another one may be run before."""
+    """Steps, closures and digest of an episode in a new process; before: run another episode there first."""
     run = subprocess.run(
         [sys.executable, "-c", EPISODE, str(seed), *before],
         cwd=ROOT,
@@ -73,13 +73,13 @@ def episode():
     return fresh_process(0, "1")
 
 
-def test_an_episode_is_the_same_to_the_last_bit_in_another_process_whatever_ran_before_it_there(episode):
+def test_an_episode_is_bit_identical_in_another_process_after_another_episode(episode):
     assert episode[0] == 500
     assert episode[1] > 0, "no closure was tried: the digest would not cover the team's mapper"
     assert fresh_process(0, "2", "another task first") == episode
 
 
-def test_another_seed_gives_another_episode(episode):
+def test_episodes_differ_between_seeds(episode):
     assert fresh_process(1, "1")[2] != episode[2]
 
 
@@ -93,7 +93,7 @@ def test_a_second_episode_of_one_environment_repeats_the_first(explore, same_ste
     assert same_steps(steps_of(explore(60, seed=3, env=first.env)), steps_of(first))
 
 
-def test_the_seed_alone_decides_not_the_seeds_of_the_spaces(explore, same_steps):
+def test_seeds_of_the_spaces_do_not_change_the_episode(explore, same_steps):
     first = explore(30, seed=3)
     for agent in first.env.possible_agents:
         first.env.action_space(agent).seed(99)
@@ -101,7 +101,7 @@ def test_the_seed_alone_decides_not_the_seeds_of_the_spaces(explore, same_steps)
     assert same_steps(steps_of(explore(30, seed=3, env=first.env)), steps_of(first))
 
 
-def test_the_global_random_generators_are_neither_used_nor_moved(explore, same_steps):
+def test_global_random_generators_are_neither_used_nor_advanced(explore, same_steps):
     import random
 
     np.random.seed(1)  # noqa: NPY002

@@ -32,7 +32,7 @@ def result(log):
 
 @pytest.fixture(scope="module")
 def perfect(explore):
-    """One robot whose sensors make no error."""
+    """One robot without odometry drift and range noise."""
     settings = {"odometry.drift": 0.0, "lidar.range_noise_std_m": 0.0}
     return explore(STEPS, robots=1, max_cycles=STEPS, config=settings).env.result()
 
@@ -48,14 +48,14 @@ def test_the_figures_are_plain_finite_values(result, perfect):
         assert set(json.loads(text)) == set(figures)
 
 
-def test_a_share_that_was_never_measured_is_empty_and_not_zero():
+def test_precision_and_recall_without_closures_are_none():
     env = twc_env.parallel_env(robots=1, max_cycles=5)
     env.reset(seed=0)
     closures = env.result().figures["closures"]
     assert closures == {"proposed": 0, "accepted": 0, "correct": 0, "precision": None, "recall": None}
 
 
-def test_what_was_asked_for_stands_in_the_report(log, result):
+def test_the_report_contains_the_config_of_the_episode(log, result):
     figures = result.figures
     assert (figures["map"], figures["robots"], figures["seed"], figures["steps"]) == ("twin-01", 3, 0, STEPS)
     assert figures["sim_time_s"] == pytest.approx(STEPS * 0.1)
@@ -82,7 +82,7 @@ def test_shares_lie_between_zero_and_one(result):
     assert result.figures["coverage_correct"] <= result.figures["coverage_believed"] + 1e-9
 
 
-def test_odometry_alone_is_visibly_worse(result):
+def test_dead_reckoning_is_worse_than_slam(result):
     assert result.figures["odometry_ate_m"] > 2 * result.figures["team_ate_m"]
     assert result.figures["odometry_ate_m"] > 0.2
 
@@ -95,7 +95,7 @@ def test_the_paths_have_one_pose_per_robot_and_step(log, result):
     assert result.true_poses[-1] == pytest.approx(log.env.state().reshape(3, 6)[:, :3], abs=1e-4)
 
 
-def test_every_robot_is_in_one_group_and_every_group_has_a_map(result):
+def test_groups_partition_the_team_and_have_one_map_each(result):
     assert sorted(robot for group in result.groups for robot in group) == [0, 1, 2]
     assert len(result.groups) == len(result.grids) == len(result.pose_building_map)
     assert result.viewers == result.groups, "of a central mapper"
@@ -104,7 +104,7 @@ def test_every_robot_is_in_one_group_and_every_group_has_a_map(result):
     assert result.figures["merged_robots"] == sizes[0]
 
 
-def test_the_alignment_lays_the_estimate_on_the_truth(result):
+def test_the_alignment_maps_estimated_onto_true_paths(result):
     for group, pose in zip(result.groups, result.pose_building_map, strict=True):
         for robot in group:
             aligned = compose(pose, result.estimated_poses[:, robot])
@@ -112,7 +112,7 @@ def test_the_alignment_lays_the_estimate_on_the_truth(result):
             assert np.sqrt((error**2).mean()) < 0.3
 
 
-def test_closures_are_counted_as_they_are_listed(result):
+def test_counts_of_closures_agree_with_the_list(result):
     figures, rows = result.figures["closures"], result.closures
     accepted = [row for row in rows if row["status"] == "accepted"]
     assert figures["proposed"] == len(rows) > 0
@@ -124,7 +124,7 @@ def test_closures_are_counted_as_they_are_listed(result):
         assert (row["reason"] == "") == (row["status"] == "accepted")
 
 
-def test_the_ends_of_a_right_closure_lie_near_each_other_in_the_building(result):
+def test_the_ends_of_a_correct_closure_are_close_in_the_building_frame(result):
     rows = [row for row in result.closures if row["status"] == "accepted" and row["correct"]]
     assert rows
     for row in rows:
@@ -132,7 +132,7 @@ def test_the_ends_of_a_right_closure_lie_near_each_other_in_the_building(result)
         assert result.floorplan.cells().is_free(np.array([row["target_m"], row["source_m"]])).all()
 
 
-def test_judging_twice_and_in_between_changes_nothing(explore, log, result):
+def test_repeated_evaluation_changes_neither_result_nor_episode(explore, log, result):
     again = log.env.result()
     assert again.figures == result.figures
     watched = twc_env.parallel_env(robots=3, max_cycles=40)
@@ -144,7 +144,7 @@ def test_judging_twice_and_in_between_changes_nothing(explore, log, result):
     assert watched.result().figures == plain.env.result().figures
 
 
-def test_a_result_is_not_changed_by_what_comes_after(explore):
+def test_a_result_does_not_change_in_later_steps(explore):
     log = explore(30)
     result = log.env.result()
     before = [grid.log_odds.copy() for grid in result.grids]
@@ -156,7 +156,7 @@ def test_a_result_is_not_changed_by_what_comes_after(explore):
     assert np.array_equal(result.graph["nodes"], nodes)
 
 
-def test_a_result_right_after_reset_is_already_a_report():
+def test_a_result_right_after_reset_is_complete():
     env = twc_env.parallel_env(robots=2, max_cycles=5)
     env.reset(seed=0)
     result = env.result()
@@ -165,7 +165,7 @@ def test_a_result_right_after_reset_is_already_a_report():
     assert all(isinstance(grid, GridMap) for grid in result.grids)
 
 
-def test_the_last_info_holds_every_figure_that_is_one_number():
+def test_the_last_info_contains_every_scalar_figure():
     env = twc_env.parallel_env(robots=2, max_cycles=5)
     env.reset(seed=0)
     for _ in range(5):
@@ -188,7 +188,7 @@ def test_a_moved_building_gets_the_same_report(explore, log, result):
     assert compose(turned, moved.pose_building_map[0]) == pytest.approx(np.zeros(3), abs=1e-3)
 
 
-def test_a_lossy_link_costs_bytes_and_delays_but_breaks_nothing(explore, result):
+def test_a_lossy_link_costs_bytes_but_not_accuracy(explore, result):
     lossy = explore(STEPS, max_cycles=STEPS, config={"link.loss_probability": 0.5}).env.result()
     assert lossy.figures["bytes_sent"] > 1.5 * result.figures["bytes_sent"]
     assert lossy.figures["wrong_merges"] == 0
@@ -200,8 +200,10 @@ def test_a_lossy_link_costs_bytes_and_delays_but_breaks_nothing(explore, result)
     [({"slam.pose_graph.robust": "dcs", "slam.merging.undo": False}, True), ({}, False)],
     ids=["stays", "is put right"],
 )
-def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, wrong_merges, explore, settings, is_wrong):
-    """All that a merge is judged by lies until four seconds after the first merge; then nothing does any more."""
+def test_a_wrong_merge_stays_counted_whether_or_not_it_is_undone(
+    monkeypatch, wrong_merges, explore, settings, is_wrong
+):
+    """Evidence for merges is falsified until four seconds after the first merge."""
     merged_at, review_of = [], MergeReview.wrong
 
     def wrong(review, step, one_by_one):
@@ -218,7 +220,7 @@ def test_a_group_that_is_wrong_once_stays_counted(monkeypatch, wrong_merges, exp
     assert (figures["team_ate_m"] > 1.0) == is_wrong
 
 
-def test_maps_are_judged_once_a_step_whoever_asks(monkeypatch):
+def test_maps_are_evaluated_once_per_step(monkeypatch):
     judged, judge_view = [], verdicts.judge_view
     monkeypatch.setattr(verdicts, "judge_view", lambda *given: judged.append(given[0]) or judge_view(*given))
     env = twc_env.parallel_env(map="twin-02", robots=2, max_cycles=20, render_mode="rgb_array")
@@ -231,7 +233,7 @@ def test_maps_are_judged_once_a_step_whoever_asks(monkeypatch):
         assert len(judged) == step * len(env.engine.views())
 
 
-def test_maps_that_the_engine_has_changed_within_a_step_are_judged_anew(explore):
+def test_maps_changed_within_a_step_are_evaluated_again(explore):
     env = explore(300, robots=3).env
     moment = env.snapshot()
     env.engine.finish()

@@ -1,4 +1,4 @@
-"""Robots that stop, links that are cut, an odd receiver."""
+"""Failed robots, link outages, and a receiver with an RSSI offset."""
 
 import json
 from unittest import mock
@@ -16,7 +16,7 @@ STOP = 30
 
 
 def play(steps, **failure):
-    """An episode in which all robots drive ahead and turn slowly; the positions of all steps and the environment."""
+    """Run an episode in which robots drive ahead and turn slowly; returns true poses (steps + 1, 2, 3) and the env."""
     config = {f"failure.{key}": value for key, value in failure.items()}
     env = twc_env.parallel_env(robots=2, max_cycles=200, config=config)
     env.reset(seed=3)
@@ -27,7 +27,7 @@ def play(steps, **failure):
     return np.array(poses), env
 
 
-def test_a_robot_that_fails_stands_still_and_says_nothing_more_while_the_others_go_on():
+def test_a_failed_robot_stops_and_sends_nothing_while_the_others_continue():
     poses, env = play(90, robots=1, robots_step=STOP)
     whole, _ = play(90)
     assert np.array_equal(poses[:STOP], whole[:STOP])
@@ -37,7 +37,7 @@ def test_a_robot_that_fails_stands_still_and_says_nothing_more_while_the_others_
     assert "robot 1 not heard since 2.9 s" in env.result().figures["lacked"]
 
 
-def test_what_is_said_in_a_cut_arrives_after_it():
+def test_keyframes_taken_in_a_link_outage_arrive_after_it():
     _, cut = play(95, link_begin_step=10, link_end_step=90)
     _, whole = play(95)
     lines = cut.result().figures["lacked"]
@@ -49,7 +49,7 @@ def test_what_is_said_in_a_cut_arrives_after_it():
 
 
 @pytest.mark.parametrize("listeners", [1, 3])
-def test_the_dead_neither_speak_nor_hear(listeners):
+def test_failed_robots_neither_send_nor_receive(listeners):
     failures = Failures(FailureConfig(robots=1, robots_step=4), 3)
     everyone = np.ones((listeners, 3), bool)
     assert failures.contacts(3, Contacts(everyone, everyone)).heard.all()
@@ -58,7 +58,22 @@ def test_the_dead_neither_speak_nor_hear(listeners):
     assert listeners == 1 or not left[2].any()
 
 
-def test_an_odd_receiver_hears_everything_stronger():
+@pytest.mark.parametrize("topology", ["central", "peer"])
+def test_the_age_of_contact_grows_after_a_failure_and_in_a_cut(topology):
+    failure = {"robots": 1, "robots_step": 40, "link_begin_step": 10, "link_end_step": 20}
+    link = {"link.topology": topology, "link.range_max_m": 1000.0}
+    config = {**link, **{f"failure.{key}": value for key, value in failure.items()}}
+    env = twc_env.parallel_env(robots=3, max_cycles=60, config=config)
+    env.reset(seed=3)
+    for step in range(1, 61):
+        observations, *_ = env.step({agent: np.array([0.5, 0.3]) for agent in env.agents})
+        cut_s = 0.1 * (step - 9) if 10 <= step < 20 else 0.0
+        failed_s = 0.1 * (step - 39) if step >= 40 else cut_s
+        shares = observations["robot_0"]["team"][:, 4]
+        assert 10.0 * shares / (1.0 - shares) == pytest.approx([cut_s, failed_s], abs=1e-5)
+
+
+def test_a_device_offset_shifts_all_rssi():
     _, odd = play(3, device_offset_db=10.0)
     _, even = play(3)
     levels = [env.engine.team.keyframes[1][0].fingerprint for env in (odd, even)]
@@ -67,17 +82,17 @@ def test_an_odd_receiver_hears_everything_stronger():
     assert levels[0].rssi_dbm[common] == pytest.approx(levels[1].rssi_dbm + 10.0, abs=1.0)
 
 
-def test_a_failed_robot_cannot_be_pushed_away():
+def test_a_failed_robot_cannot_be_pushed():
     env = twc_env.parallel_env(robots=2, max_cycles=200, config={"failure.robots": 1, "failure.robots_step": 0})
     env.reset(seed=3, options={"starts": np.array([[9.0, 1.2, 0.0], [9.8, 1.2, 0.0]])})
     for _ in range(40):
         env.step({agent: np.array([1.0, 0.0]) for agent in env.agents})
     pusher, pushed = env.state().reshape(2, 6)[:, :2]
     assert np.hypot(*(pushed - [9.8, 1.2])) < 0.02
-    assert np.hypot(*(pusher - pushed)) > 0.38  # it got as far as the other's edge
+    assert np.hypot(*(pusher - pushed)) > 0.38  # the robots touch
 
 
-def test_a_failed_robot_sees_and_hears_nothing_more_and_has_no_frames():
+def test_a_failed_robot_has_empty_observations_and_no_frames():
     config = {"failure.robots": 1, "failure.robots_step": STOP, "observation.sign_memory_s": 1.0}
     env = twc_env.parallel_env(robots=2, max_cycles=2 * STOP, config=config)
     observations, _ = env.reset(seed=3)
@@ -94,7 +109,7 @@ def test_a_failed_robot_sees_and_hears_nothing_more_and_has_no_frames():
 
 @pytest.mark.parametrize(("failed", "begin"), [(1, 0), (1, STOP), (2, STOP), (2, 1)])
 @pytest.mark.parametrize("topology", ["central", "peer"])
-def test_a_log_of_robots_that_failed_replays_to_the_byte(tmp_path, topology, failed, begin):
+def test_a_log_with_failed_robots_replays_exactly(tmp_path, topology, failed, begin):
     failure = [f"failure.robots_step={begin}", f"failure.robots={failed}", f"link.topology={topology}"]
     settings = [part for setting in failure for part in ("--set", setting)]
     record = ["record", "--steps", "90", "--robots", "2", *settings, "--out", str(tmp_path)]

@@ -1,4 +1,4 @@
-"""Figures of whole episodes worked out once more from what an episode left behind, slowly and by other means."""
+"""Figures of episodes recomputed from their results by slow, independent implementations."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def turned(angle: float) -> np.ndarray:
 
 
 def fitted(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
-    """The points (n, 2), moved by the rigid motion that brings them nearest: Kabsch, by singular values."""
+    """The points (n, 2) after rigid alignment with least squared error (Kabsch algorithm)."""
     here, there = points.mean(axis=0), onto.mean(axis=0)
     u, _, vt = np.linalg.svd((points - here).T @ (onto - there))
     rotation = u @ np.diag([1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
@@ -48,7 +48,7 @@ def rms(away_m: np.ndarray) -> float:
 
 
 def shown_free(result, at_m: np.ndarray) -> np.ndarray:
-    """Whether the largest group's map shows places (n, 2) of the building as free."""
+    """(n,) bool: whether the largest group's map shows points (n, 2) of the building frame as free."""
     grid, (x, y, heading) = result.grids[0], result.pose_building_map[0]
     if not grid.log_odds.size:
         return np.zeros(len(at_m), bool)
@@ -58,7 +58,7 @@ def shown_free(result, at_m: np.ndarray) -> np.ndarray:
     return is_inside & (grid.log_odds[row, column] < 0)
 
 
-def test_covered_floor_is_what_the_map_shows_free_where_floor_is(result):
+def test_coverage_is_the_floor_that_the_map_shows_as_free(result):
     cells = result.floorplan.cells()
     rows, columns = np.nonzero(cells.free)
     centres = cells.origin_m + (np.column_stack([columns, rows]) + 0.5) * cells.resolution_m
@@ -71,7 +71,7 @@ def test_covered_floor_is_what_the_map_shows_free_where_floor_is(result):
     assert figures["map_iou"] == pytest.approx(right / (floor + max(believed, right) - right), abs=2e-4)
 
 
-def test_errors_of_paths_are_those_of_kabsch(result):
+def test_trajectory_errors_equal_those_of_kabsch_alignment(result):
     figures, true = result.figures, result.true_poses
     estimated = result.estimated_poses
     each = [rms(fitted(estimated[:, r, :2], true[:, r, :2]) - true[:, r, :2]) for r in range(true.shape[1])]
@@ -87,7 +87,7 @@ def test_errors_of_paths_are_those_of_kabsch(result):
     assert figures["merged_robots"] == max(map(len, result.groups))
 
 
-def test_end_points_and_lengths_are_those_of_the_paths(result):
+def test_end_point_error_and_path_length_follow_from_the_paths(result):
     figures, true = result.figures, result.true_poses
     gaps = []
     for robot in range(true.shape[1]):
@@ -103,7 +103,7 @@ def test_end_points_and_lengths_are_those_of_the_paths(result):
 
 
 def nearest_wall(at_m: np.ndarray, walls_m: np.ndarray) -> tuple[float, int, float]:
-    """Distance of a place to the nearest of the walls (k, 2, 2), its number, and how far along it that is."""
+    """Distance [m] of a point to the nearest of the walls (k, 2, 2), its index, and the position along it [m]."""
     begin, along = walls_m[:, 0], walls_m[:, 1] - walls_m[:, 0]
     length = np.linalg.norm(along, axis=1)
     share = np.clip(np.einsum("kd,kd->k", at_m - begin, along) / length**2, 0.0, 1.0)
@@ -112,7 +112,7 @@ def nearest_wall(at_m: np.ndarray, walls_m: np.ndarray) -> tuple[float, int, flo
     return float(away[wall]), wall, float(share[wall] * length[wall])
 
 
-def test_walls_are_as_thick_as_their_cells_over_the_stretches_that_own_them(result):
+def test_wall_thickness_is_wall_area_per_length_of_observed_stretches(result):
     grid, (x, y, heading), walls_m = result.grids[0], result.pose_building_map[0], result.floorplan.walls_m
     found = metrics.wall_thickness_m(
         grid.log_odds, grid.origin_m, grid.resolution_m, result.pose_building_map[0], walls_m
@@ -127,16 +127,16 @@ def test_walls_are_as_thick_as_their_cells_over_the_stretches_that_own_them(resu
             stretches[wall, stretch] = min(0.25, length - 0.25 * stretch)
     if count == 0:
         assert np.isnan(found)
-    else:  # it samples walls every 5 cm
+    else:  # the metric samples walls every 5 cm
         assert found == pytest.approx(count * grid.resolution_m**2 / sum(stretches.values()), rel=0.03)
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_wrong_merges_are_pairs_whose_paths_place_the_map_apart(seed):
+def test_wrong_merges_are_pairs_with_different_implied_map_frames(seed):
     random, count = np.random.default_rng(seed), 4
     true = random.uniform((-20, -20, -np.pi), (20, 20, np.pi), (count, 30, 3))
     frames = random.normal(0.0, (0.6, 0.6, 0.1), (count, 3)) + [5.0, -3.0, 2.5]
-    estimated = true.copy()  # the same path as seen in the map frame that lies where the robot's own frame says
+    estimated = true.copy()  # each path in a map frame whose pose in the building frame is `frames`
     for robot, (x, y, heading) in enumerate(frames):
         estimated[robot, :, :2] = (true[robot, :, :2] - [x, y]) @ turned(heading)
         estimated[robot, :, 2] -= heading
@@ -153,7 +153,7 @@ def test_wrong_merges_are_pairs_whose_paths_place_the_map_apart(seed):
     assert metrics.wrong_pairs(implied, centre) == wrong
 
 
-def test_the_time_to_ninety_percent_is_when_the_map_first_shows_so_much(monkeypatch):
+def test_the_time_to_ninety_percent_is_the_first_evaluation_that_reaches_it(monkeypatch):
     config = override(EnvConfig(), {"map": "gen:office:100:1", "robots": 2, "max_cycles": 400, "lidar.beam_count": 90})
     seen = []
 

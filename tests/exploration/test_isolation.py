@@ -13,7 +13,7 @@ copied = pytest.mark.parametrize("copy_of", COPIES, ids=["deepcopy", "copy", "pi
 
 
 def play(env, steps: int = 15, seed: int = 0) -> list:
-    """Observations and rewards of a short episode."""
+    """Run a short episode; returns observations and rewards."""
     env.reset(seed=seed)
     return [go_on(env, step) for step in range(steps)]
 
@@ -36,7 +36,7 @@ def test_a_copy_keeps_config_and_behaviour(copy_of, same_steps):
 
 
 @copied
-def test_a_copy_keeps_a_building_given_as_a_value(copy_of, same_steps):
+def test_a_copy_keeps_a_floorplan_passed_as_an_object(copy_of, same_steps):
     plan = twc_env.load_map("twin-01").moved(np.array([4.0, 3.0, 0.5]))
     env = twc_env.parallel_env(floorplan=plan, robots=1)
     twin = copy_of(env)
@@ -45,7 +45,7 @@ def test_a_copy_keeps_a_building_given_as_a_value(copy_of, same_steps):
 
 
 @copied
-def test_copying_in_the_middle_of_an_episode_does_not_disturb_it(copy_of, same_steps):
+def test_copying_does_not_change_a_running_episode(copy_of, same_steps):
     env, untouched = (twc_env.parallel_env(config=SETTINGS) for _ in range(2))
     play(env, 10)
     play(untouched, 10)
@@ -55,7 +55,7 @@ def test_copying_in_the_middle_of_an_episode_does_not_disturb_it(copy_of, same_s
 
 
 @copied
-def test_a_copy_does_not_follow_later_changes_of_the_settings_it_was_made_from(copy_of):
+def test_later_changes_of_the_settings_dict_do_not_affect_copies(copy_of):
     settings = {"lidar": {"beam_count": 90}, "robots": 2}
     env = twc_env.parallel_env(config=settings)
     settings["robots"] = 5
@@ -75,14 +75,14 @@ def test_wrapped_environments_can_be_copied_too(same):
     assert same(turns.observe("robot_0"), other.observe("robot_0"))
 
 
-def test_a_dict_of_settings_is_read_not_changed():
+def test_a_dict_of_settings_is_not_modified():
     settings = {"lidar": {"beam_count": 90}, "odometry.drift": 0.5}
     before = copy.deepcopy(settings)
     twc_env.parallel_env(config=settings, robots=1)
     assert settings == before
 
 
-def test_building_and_running_another_environment_changes_nothing(same_steps):
+def test_other_environments_do_not_affect_an_episode(same_steps):
     alone = twc_env.parallel_env(config=SETTINGS)
     expected = play(alone)
     env = twc_env.parallel_env(config=SETTINGS)
@@ -96,7 +96,7 @@ def test_building_and_running_another_environment_changes_nothing(same_steps):
     assert same_steps(expected, found)
 
 
-def test_metadata_belongs_to_one_environment():
+def test_metadata_are_not_shared_between_environments():
     first, second = twc_env.parallel_env(robots=1), twc_env.parallel_env(robots=1)
     first.metadata["render_fps"] = 99
     first.metadata["render_modes"].append("planted")
@@ -106,21 +106,21 @@ def test_metadata_belongs_to_one_environment():
         assert "planted" not in metadata["render_modes"]
 
 
-def test_spaces_belong_to_one_environment():
+def test_spaces_are_not_shared_between_environments():
     first, second = twc_env.parallel_env(robots=1), twc_env.parallel_env(robots=1)
     for name in ("action_space", "observation_space"):
         assert getattr(first, name)("robot_0") is not getattr(second, name)("robot_0")
         assert getattr(first, name)("robot_0") == getattr(second, name)("robot_0")
 
 
-def test_a_building_is_the_same_after_an_episode():
+def test_an_episode_does_not_modify_the_floorplan():
     plan = twc_env.load_map("twin-01")
     before = pickle.dumps(plan)
     play(twc_env.parallel_env(floorplan=plan, robots=2))
     assert pickle.dumps(plan) == before
 
 
-def test_scribbling_on_observations_and_actions_changes_nothing(same):
+def test_overwriting_observations_and_actions_does_not_affect_the_episode(same):
     env, untouched = (twc_env.parallel_env(config=SETTINGS) for _ in range(2))
     first = env.reset(seed=0)[0]
     untouched.reset(seed=0)
@@ -139,7 +139,7 @@ def test_scribbling_on_observations_and_actions_changes_nothing(same):
         assert rewards == expected_rewards
 
 
-def test_observations_kept_from_earlier_steps_do_not_change():
+def test_observations_of_earlier_steps_do_not_change():
     env = twc_env.parallel_env(config=SETTINGS)
     kept = [env.reset(seed=0)[0]]
     before = [copy.deepcopy(kept[0])]
@@ -152,7 +152,7 @@ def test_observations_kept_from_earlier_steps_do_not_change():
             assert all(np.array_equal(now[agent][key], then[agent][key]) for key in now[agent])
 
 
-def test_scribbling_on_a_belief_is_refused_or_changes_nothing(same_steps):
+def test_overwriting_a_belief_is_impossible_or_does_not_affect_the_episode(same_steps):
     env, untouched = (twc_env.parallel_env(config=SETTINGS) for _ in range(2))
     play(env, 8)
     play(untouched, 8)

@@ -1,4 +1,4 @@
-"""Every combination of what is observed, commanded and paid keeps the contract."""
+"""Every combination of observation, action and reward sharing passes the API tests."""
 
 import itertools
 from functools import partial
@@ -8,6 +8,7 @@ import pytest
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, seed_test, state_test
 
 import twc_env
+from twc_env.exploration.episode import Episode
 from twc_env.exploration.observations import ObservationBuilder
 from twc_env.exploration.pilot import Pilot, Scout
 from twc_env.observation_check import ACTIONS, BLOCKS, random_actions
@@ -50,7 +51,7 @@ def test_pettingzoo_accepts_every_combination(action, observation, sharing):
     state_test(turns(), teams(), num_cycles=10)
 
 
-def test_blocks_that_are_not_asked_for_are_not_there():
+def test_disabled_blocks_are_not_in_the_observation():
     off = {f"observation.{name}": False for name in BLOCKS if name != "pose"}
     observations, _ = twc_env.parallel_env(config=settings(**off)).reset(seed=0)
     assert set(observations["robot_0"]) == {"pose"}
@@ -58,7 +59,7 @@ def test_blocks_that_are_not_asked_for_are_not_there():
     assert set(env.reset(seed=0)[0]["robot_0"]) == {"pose", "frontiers", "action_mask"}
 
 
-def test_a_flat_observation_holds_the_blocks_in_order():
+def test_a_flat_observation_concatenates_the_blocks_in_order():
     both = [twc_env.parallel_env(config=settings(observation=kind, **ALL_BLOCKS)) for kind in ("dict", "flat")]
     blocks, flat = (env.reset(seed=3)[0]["robot_1"] for env in both)
     joined = np.concatenate([np.ravel(b) / (255.0 if b.dtype == np.uint8 else 1.0) for b in blocks.values()])
@@ -67,7 +68,7 @@ def test_a_flat_observation_holds_the_blocks_in_order():
 
 
 @pytest.mark.parametrize("action", ACTIONS[3:])
-def test_the_mask_in_the_info_is_that_of_the_observation_from_the_reset_on(action):
+def test_the_mask_in_the_info_equals_that_in_the_observation(action):
     env = twc_env.parallel_env(map="twin-02", robots=2, max_cycles=120, config=settings(action))
     observations, infos = env.reset(seed=1)
     random, choices = np.random.default_rng(0), []
@@ -81,7 +82,7 @@ def test_the_mask_in_the_info_is_that_of_the_observation_from_the_reset_on(actio
     assert choices[0] > len(infos), "only `stay` could be chosen at the start"
 
 
-def test_a_robot_that_is_busy_is_not_asked_and_its_action_does_not_count(same):
+def test_the_action_of_a_busy_robot_is_ignored(same):
     config = settings(("frontier", "asynchronous"), **{"action.decision_max_s": 6.0})
     runs = []
     for busy_choice in ("stay", "first"):
@@ -131,7 +132,7 @@ def test_frontiers_of_robots_that_decide_nothing_are_of_the_present_map_and_of_t
     assert jumps and (busy or kind == "velocity")
 
 
-def test_a_step_of_waypoints_takes_as_long_as_its_slowest_robot_or_as_its_quickest():
+def test_a_waypoint_step_ends_with_the_last_or_with_the_first_arrival():
     lengths = {}
     for timing in ("synchronous", "asynchronous"):
         env = twc_env.parallel_env(config=settings(("waypoint", timing), **{"action.decision_max_s": 20.0}))
@@ -158,8 +159,11 @@ def test_greedy_choices_explore_a_building():
 
 
 @pytest.mark.parametrize("action", ACTIONS)
-def test_frames_alone_give_every_block_of_the_observations_of_every_kind_of_action(action):
-    config = settings(action, **ALL_BLOCKS, **{"slam.k_visibility.enabled": True, "action.decision_max_s": 3.0})
+def test_every_block_can_be_rebuilt_from_the_frames_for_every_kind_of_action(action, monkeypatch):
+    contacts, think = [], Episode._think
+    monkeypatch.setattr(Episode, "_think", lambda self, now: (think(self, now), contacts.append(self.contacts)))
+    more = {"slam.k_visibility.enabled": True, "action.decision_max_s": 3.0, "link.loss_probability": 0.3}
+    config = settings(action, **ALL_BLOCKS, **more)
     env = twc_env.parallel_env(map="twin-02", max_cycles=200, config=config)
     random = np.random.default_rng(0)
     observations, infos = env.reset(seed=0, options={"starts": "map"})
@@ -168,7 +172,7 @@ def test_frames_alone_give_every_block_of_the_observations_of_every_kind_of_acti
     seen = set()
     while env.agents:
         for frames in env.frames_of_step or [env.frames]:
-            engine.update(frames)
+            engine.update(frames, contacts.pop(0))
             beliefs = [engine.belief(robot) for robot in range(3)]
             builder.notice(frames, beliefs)
         looker = scout if action[0] == "velocity" else pilot

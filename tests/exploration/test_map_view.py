@@ -15,7 +15,7 @@ HALF = CELLS // 2
 
 @pytest.fixture
 def room() -> GridMap:
-    """10 m by 8 m of free floor within walls, unknown outside; its middle at (5, 4)."""
+    """A map of 10 m by 8 m of free floor within walls, unknown outside; its centre is at (5, 4)."""
     log_odds = np.zeros((120, 140), np.int16)
     log_odds[20:102, 20:122] = 10
     log_odds[21:101, 21:121] = -4
@@ -28,10 +28,10 @@ def seen(grid: GridMap, x_m: float, y_m: float, heading_rad: float) -> np.ndarra
 
 @pytest.mark.parametrize("heading_rad", [0.0, 0.4, 1.1, -2.3])
 @pytest.mark.parametrize("place_m", [(5.0, 4.0), (0.4, 7.5), (9.8, 0.2), (-30.0, 4.0), (5.0, 40.0)])
-def test_every_cell_is_free_or_wall_or_unknown_as_the_map_says_at_its_middle(room, place_m, heading_rad):
+def test_every_pixel_shows_the_kind_of_the_map_cells_at_its_centre(room, place_m, heading_rad):
     picture = seen(room, *place_m, heading_rad)
     assert (picture[: map_view.FRONTIER].astype(int).sum(axis=0) == 255).all()
-    at = (np.indices((CELLS, CELLS))[::-1] + 0.5 - HALF) * CELL_M  # ahead, left of each cell's middle
+    at = (np.indices((CELLS, CELLS))[::-1] + 0.5 - HALF) * CELL_M  # ahead, left of each pixel's centre
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     points = np.array(place_m) + np.stack([c * at[0] - s * at[1], s * at[0] + c * at[1]], axis=-1)
     column, row = np.moveaxis(np.floor((points - room.origin_m) / room.resolution_m - 0.5).astype(int), -1, 0)
@@ -42,8 +42,8 @@ def test_every_cell_is_free_or_wall_or_unknown_as_the_map_says_at_its_middle(roo
     assert np.mean(np.argmax(picture[: map_view.FRONTIER], axis=0) == expected) > 0.999  # but for rounding
 
 
-def test_frontiers_are_free_cells_beside_unknown_ones(room):
-    room.log_odds[20:60, 110:] = 0  # a corner of the room is not known yet
+def test_frontiers_are_free_pixels_next_to_unknown_ones(room):
+    room.log_odds[20:60, 110:] = 0  # a corner of the room is unknown
     picture = seen(room, 8.0, 3.0, 0.3).astype(bool)
     free, unknown, frontier = (picture[k] for k in (map_view.FREE, map_view.UNKNOWN, map_view.FRONTIER))
     expected = np.zeros_like(free)
@@ -52,7 +52,7 @@ def test_frontiers_are_free_cells_beside_unknown_ones(room):
     assert frontier.any() and np.array_equal(frontier, expected)
 
 
-def test_a_wall_one_cell_thick_is_seen_all_along_from_almost_everywhere(room):
+def test_walls_one_cell_thick_have_few_gaps_in_the_image(room):
     room.log_odds[60, 21:121] = 10
     gaps = []
     for k in range(50):
@@ -67,7 +67,7 @@ def test_an_empty_map_is_all_unknown():
     assert (picture[map_view.UNKNOWN] == 255).all() and picture.any(axis=(1, 2)).sum() == 1
 
 
-def test_path_mates_and_signs_stand_where_the_robot_sees_them(room):
+def test_path_mates_and_signs_are_drawn_in_the_robot_frame(room):
     poses = np.zeros((1, 3, 3))
     poses[0, 0], poses[0, 2] = (5.0, 4.0, 0.5 * math.pi), (1.0, 1.0, 0.0)
     path, mates = (

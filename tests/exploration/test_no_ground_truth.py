@@ -1,4 +1,4 @@
-"""Truth reaches neither the estimates nor the observations; each check is shown a leak that it must find."""
+"""Ground truth reaches neither estimates nor observations; each check is also tested with an injected leak."""
 
 import dataclasses
 import gc
@@ -21,7 +21,7 @@ EVERY_BLOCK = {"slam.k_visibility.enabled": True, **{f"observation.{name}": True
 
 
 class LeakyEnv(twc_env.ExplorationEnv):
-    """Shows each robot its true position."""
+    """Puts each robot's true position into its observation."""
 
     def step(self, actions):
         result = super().step(actions)
@@ -36,7 +36,7 @@ def keyframes_of(env) -> list[tuple]:
 
 
 def largest_difference(first, second) -> float:
-    """Between all observations of two logs; a map counts the share of its cells that differ."""
+    """Largest absolute difference between observations of two logs; for `map`, the share of cells that differ."""
     worst = 0.0
     for a, b in zip(first.observations, second.observations, strict=True):
         for agent in a:
@@ -56,28 +56,28 @@ def moved(explore, here):
     return explore(STEPS, floorplan=here.env.floorplan.moved(MOTION))
 
 
-def test_moving_and_turning_the_building_changes_no_observation(here, moved):
+def test_observations_are_invariant_to_the_pose_of_the_building(here, moved):
     assert np.abs(here.env.state() - moved.env.state()).max() > 30
     assert largest_difference(here, moved) < 1e-4
 
 
-def test_moving_the_building_changes_no_keyframe_and_hardly_the_area(here, moved):
+def test_keyframes_are_invariant_and_rewards_nearly_so_to_the_pose_of_the_building(here, moved):
     gains = [sum(rewards["robot_0"] for rewards in log.rewards) for log in (here, moved)]
     assert gains[0] > 0.1
-    assert gains[1] == pytest.approx(gains[0], rel=0.03)  # the building's own cells lie elsewhere
+    assert gains[1] == pytest.approx(gains[0], rel=0.03)  # the cells of the true floor differ
     assert len(keyframes_of(here.env)) > 20
     assert np.array(keyframes_of(moved.env)) == pytest.approx(np.array(keyframes_of(here.env)), abs=1e-6)
 
 
-def test_the_guard_sees_a_planted_leak_when_the_building_moves(explore, here):
+def test_the_invariance_check_finds_a_leak_of_true_positions(explore, here):
     plans = here.env.floorplan, here.env.floorplan.moved(MOTION)
     first, second = (explore(5, env=LeakyEnv(robots=3, floorplan=plan)) for plan in plans)
     assert largest_difference(first, second) > 1.0
 
 
 def blocks_that_differ(leak: str | None, action: tuple[str, str], steps: int) -> set[str]:
-    """Names of blocks, all enabled, in which two teams differ that get the same actions in the same building, of
-    which one is moved. `leak`: a block to which the true position is added."""
+    """Names of the observation blocks that differ between two teams with equal actions in a building and the same
+    building moved. `leak`: a block to which the true position is added."""
     config = {**EVERY_BLOCK, "action.kind": action[0], "action.timing": action[1], "action.decision_max_s": 3.0}
     plan = twc_env.load_map("twin-02")
     envs = [twc_env.parallel_env(floorplan=p, max_cycles=steps, config=config) for p in (plan, plan.moved(MOTION))]
@@ -98,17 +98,18 @@ def blocks_that_differ(leak: str | None, action: tuple[str, str], steps: int) ->
 
 
 @pytest.mark.parametrize("action", ACTIONS)
-def test_moving_the_building_changes_no_block_by_any_kind_of_action(action):
+def test_every_block_is_invariant_to_the_pose_of_the_building_for_every_kind_of_action(action):
     assert blocks_that_differ(None, action, 200) == set()
 
 
 @pytest.mark.parametrize("block", [*BLOCKS, "radio", "action_mask"])
-def test_the_guard_sees_a_leak_planted_in_any_block_when_the_building_moves(block):
+def test_the_invariance_check_finds_a_leak_in_every_block(block):
     assert blocks_that_differ(block, ("frontier", "asynchronous"), 3) == {block}
 
 
 def rebuild_errors(env, steps: int, wander, engine=None) -> int:
-    """Observations that do not follow from frames and beliefs alone: the episode's own, or those of a fresh engine."""
+    """Number of observations that differ from those rebuilt from frames and beliefs; engine: one to replay the frames,
+    None for the episode's own beliefs."""
     observations, _ = env.reset(seed=0, options={"starts": "map"})
     builder = ObservationBuilder(env.config)
     wrong = 0
@@ -126,11 +127,11 @@ def rebuild_errors(env, steps: int, wander, engine=None) -> int:
     return wrong
 
 
-def test_each_observation_follows_from_the_frame_and_the_belief(wander):
+def test_observations_can_be_rebuilt_from_frames_and_beliefs(wander):
     assert rebuild_errors(twc_env.parallel_env(robots=3), 60, wander) == 0
 
 
-def test_the_guard_sees_a_planted_leak_when_observations_are_rebuilt(wander):
+def test_the_rebuild_check_finds_a_leak_in_observations(wander):
     assert rebuild_errors(LeakyEnv(robots=3), 5, wander) == 4 * 3
 
 
@@ -139,7 +140,7 @@ def test_a_fresh_engine_gives_the_same_observations_from_the_recorded_frames(wan
     assert rebuild_errors(env, 350, wander, CooperativeSlam(env.config, 3)) == 0
 
 
-def test_the_guard_sees_a_planted_leak_when_frames_are_replayed(wander, monkeypatch):
+def test_the_replay_check_finds_a_leak_in_beliefs(wander, monkeypatch):
     def notice_near_the_truth(episode):
         pairs = zip(episode.engine.beliefs(), episode.world.poses, strict=True)
         near = [dataclasses.replace(b, pose_map_robot=b.pose_map_robot + 1e-3 * true) for b, true in pairs]
@@ -150,7 +151,7 @@ def test_the_guard_sees_a_planted_leak_when_frames_are_replayed(wander, monkeypa
     assert rebuild_errors(env, 5, wander, CooperativeSlam(env.config, 3)) > 0
 
 
-def test_beliefs_are_the_same_wherever_the_building_stands(here, moved):
+def test_beliefs_are_invariant_to_the_pose_of_the_building(here, moved):
     for agent in here.env.possible_agents:
         a, b = here.env.belief(agent), moved.env.belief(agent)
         assert a.pose_map_robot == pytest.approx(b.pose_map_robot, abs=1e-6)
@@ -160,7 +161,7 @@ def test_beliefs_are_the_same_wherever_the_building_stands(here, moved):
         assert np.mean(a.grid.log_odds != b.grid.log_odds) < 1e-3
 
 
-def test_every_robot_begins_at_the_origin_of_its_own_map(here):
+def test_every_robot_starts_at_the_origin_of_its_map(here):
     for observation in here.observations[0].values():
         assert observation["pose"].tolist() == [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         assert not observation["team"][:, :4].any()
@@ -170,7 +171,7 @@ SKIPPED = (type, types.ModuleType, types.FunctionType, types.BuiltinFunctionType
 
 
 def packages_within_reach(root: object) -> set[str]:
-    """twc_env's modules whose objects can be reached from an object by following references."""
+    """Modules of twc_env with objects that can be reached from `root` by references."""
     seen, waiting, modules = {id(root)}, [root], set()
     while waiting:
         item = waiting.pop()
@@ -187,11 +188,11 @@ def packages_within_reach(root: object) -> set[str]:
 
 
 def strangers(root: object) -> set[str]:
-    """Of those, the ones that hold truth."""
+    """Those of them that may hold ground truth."""
     return {m for m in packages_within_reach(root) if m.startswith(("twc_env.world", "twc_env.exploration"))}
 
 
-def test_no_reference_leads_from_engine_belief_or_frame_to_the_world(here):
+def test_engine_beliefs_and_frames_hold_no_reference_to_the_world(here):
     env = here.env
     assert strangers(env.engine) == set()
     for agent, frame in zip(env.possible_agents, env.frames, strict=True):
@@ -199,19 +200,19 @@ def test_no_reference_leads_from_engine_belief_or_frame_to_the_world(here):
         assert strangers(frame) == set()
 
 
-def test_the_guard_sees_a_planted_reference_to_the_world(here):
+def test_the_reference_check_finds_a_reference_to_the_world(here):
     planted = CooperativeSlam(here.env.config, 1)
     planted.robots[0].notes = {"deep": [here.env]}
     assert "twc_env.world.world" in strangers(planted)
 
 
 @pytest.mark.parametrize("record", [Belief, SensorFrame])
-def test_the_records_that_agents_see_have_no_field_for_truth(record):
+def test_records_for_agents_have_no_field_for_ground_truth(record):
     names = [f.name for f in dataclasses.fields(record)]
     assert not any("true" in name or "truth" in name or "building" in name for name in names)
 
 
-def test_infos_hold_reward_terms_and_nothing_else(here):
+def test_infos_contain_only_reward_terms(here):
     assert all(info == {} for info in here.infos[0].values())
     for infos in here.infos[1:]:
         for info in infos.values():

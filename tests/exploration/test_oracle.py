@@ -7,7 +7,7 @@ STEPS = 150
 
 
 @pytest.mark.parametrize("topology", ["central", "peer"])
-def test_robots_that_are_told_their_starts_share_one_right_frame_from_the_first_step(explore, topology):
+def test_with_true_starts_all_robots_share_a_correct_frame_from_the_first_step(explore, topology):
     log = explore(STEPS, max_cycles=STEPS, config={"slam.oracle": "starts", "link.topology": topology})
     assert len(log.env.belief("robot_2").mates) == 2
     if topology == "central":
@@ -17,7 +17,7 @@ def test_robots_that_are_told_their_starts_share_one_right_frame_from_the_first_
     assert figures["team_ate_m"] < 0.1
 
 
-def test_true_poses_are_true_to_the_last_millimetre(explore):
+def test_with_true_poses_the_estimate_is_exact_to_a_millimetre(explore):
     log = explore(STEPS, max_cycles=STEPS, config={"slam.oracle": "poses", "odometry.drift": 3.0})
     assert log.env.config.odometry.drift == 0.0
     result = log.env.result()
@@ -30,13 +30,13 @@ def test_true_poses_are_true_to_the_last_millimetre(explore):
     assert apart == pytest.approx(np.hypot(*(true[0, :2] - true[1, :2])), abs=1e-3)
 
 
-def test_robots_that_may_not_merge_stay_alone(explore):
+def test_without_merging_robots_stay_in_separate_groups(explore):
     log = explore(400, max_cycles=400, config={"slam.merging.enabled": False})
     assert log.env.result().figures["merged_robots"] == 1
     assert any(c.status == "pending" for c in log.env.engine.team.closures), "nobody met: nothing was refused"
 
 
-def test_without_an_oracle_the_engine_is_told_nothing(explore, monkeypatch):
+def test_without_an_oracle_the_engine_gets_no_true_starts(explore, monkeypatch):
     told = []
     monkeypatch.setattr(twc_env.CooperativeSlam, "give_starts", lambda self, poses: told.append(poses))
     explore(3)
@@ -45,7 +45,7 @@ def test_without_an_oracle_the_engine_is_told_nothing(explore, monkeypatch):
 
 @pytest.mark.parametrize("oracle", ["starts", "poses"])
 @pytest.mark.parametrize("topology", ["central", "peer"])
-def test_an_episode_too_short_for_a_second_keyframe_can_be_played_to_its_end(explore, oracle, topology):
+def test_an_episode_with_one_keyframe_per_robot_can_be_finished(explore, oracle, topology):
     log = explore(2, robots=2, config={"slam.oracle": oracle, "link.topology": topology}, max_cycles=2)
     assert log.env.agents == []
     assert log.env.result().figures["merged_robots"] == 2

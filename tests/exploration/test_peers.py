@@ -1,4 +1,4 @@
-"""One mapper per robot: limited range, store and forward, scans on request."""
+"""One mapper per robot (`link.topology = "peer"`): limited range, message forwarding, scans on request."""
 
 import pickle
 from itertools import combinations
@@ -20,7 +20,7 @@ PEERS = {"link.topology": "peer", "link.range_max_m": 6.0, "link.scan_on_request
 
 @pytest.fixture(scope="module")
 def played(explore):
-    """A team of peers, its log, its frames and contacts, and the scans that every verification looked at."""
+    """Log, frames and contacts of a team of peers, and the scans that each verification used."""
     env = twc_env.parallel_env(robots=3, config=PEERS, max_cycles=STEPS)
     looked_at = []
     verify = LoopVerifier.verify
@@ -45,7 +45,7 @@ def played(explore):
     return log, frames, contacts, looked_at
 
 
-def test_what_was_sensed_and_heard_gives_the_same_observations_again(played):
+def test_replayed_frames_and_contacts_give_the_same_observations(played):
     log, frames, contacts, _ = played
     engine = CooperativeSlam(log.env.config, 3)
     builder = ObservationBuilder(log.env.config)
@@ -58,7 +58,19 @@ def test_what_was_sensed_and_heard_gives_the_same_observations_again(played):
             assert all(np.array_equal(built[key], log.observations[step][agent][key]) for key in built)
 
 
-def test_a_verification_looks_at_scans_that_have_come_and_no_others(played):
+def test_the_last_contact_is_the_last_step_in_which_one_robot_heard_the_other_itself(played):
+    log, _, contacts, _ = played
+    last = np.where(contacts[0].heard, 0, -1)
+    for step, (now, beliefs) in enumerate(zip(contacts[1:], log.beliefs, strict=True), start=1):
+        last[now.heard] = step
+        assert [b.contact_steps for b in beliefs] == [
+            {other: last[robot, other] for other in range(3) if other != robot} for robot in range(3)
+        ]
+    silent = STEPS - last[~np.eye(3, dtype=bool)]
+    assert silent.min() < 10 < silent.max(), "all pairs are in contact, or none"
+
+
+def test_verification_uses_only_scans_that_have_arrived(played):
     log, _, _, looked_at = played
     engine = log.env.engine
     home_of = {id(mapper._search._verifier): robot for robot, mapper in enumerate(engine.mappers)}
@@ -71,7 +83,7 @@ def test_a_verification_looks_at_scans_that_have_come_and_no_others(played):
     assert foreign > 0
 
 
-def test_robots_that_met_share_a_map_and_each_has_its_own(played):
+def test_robots_that_met_share_a_group_but_each_holds_its_own_map(played):
     log = played[0]
     engine = log.env.engine
     views = engine.views()
@@ -83,7 +95,7 @@ def test_robots_that_met_share_a_map_and_each_has_its_own(played):
     assert any(counts[r] < own[r] for counts in known for r in range(3)), "somebody lags behind"
 
 
-def test_robots_of_one_group_plan_on_the_map_that_each_holds_itself(played):
+def test_robots_of_one_group_plan_on_their_own_maps(played):
     beliefs, known = played[0].beliefs[-1], {}
     assert any({b.robot, *b.mates} == {c.robot, *c.mates} for b, c in combinations(beliefs, 2))
     for belief in beliefs:
@@ -91,7 +103,7 @@ def test_robots_of_one_group_plan_on_the_map_that_each_holds_itself(played):
         assert np.array_equal(planned.origin_m, alone.origin_m) and np.array_equal(planned.kind, alone.kind)
 
 
-def test_the_report_judges_peers_as_it_judges_a_team(played):
+def test_the_report_evaluates_peers_like_a_team_with_a_central_mapper(played):
     figures = played[0].env.result().figures
     assert figures["merged_robots"] >= 2 and figures["wrong_merges"] == 0
     assert figures["team_ate_m"] < 0.1
@@ -100,7 +112,7 @@ def test_the_report_judges_peers_as_it_judges_a_team(played):
     assert sum(rewards["robot_0"] for rewards in played[0].rewards) > 0.05
 
 
-def test_beliefs_of_robots_that_never_meet_hold_themselves_alone(explore):
+def test_robots_that_never_meet_know_only_themselves(explore):
     log = explore(60, robots=3, config={"link.topology": "peer", "link.range_max_m": 0.0})
     assert log.env.episode.bytes_sent == 0
     for robot, agent in enumerate(log.env.possible_agents):
@@ -108,7 +120,7 @@ def test_beliefs_of_robots_that_never_meet_hold_themselves_alone(explore):
         assert [len(path) > 0 for path in log.env.engine.mappers[robot].keyframes] == [r == robot for r in range(3)]
 
 
-def test_asking_for_scans_saves_bytes_until_the_first_merge(explore):
+def test_scans_on_request_save_bytes_before_the_first_merge(explore):
     sent = {}
     for on_request in (False, True):
         config = override(twc_env.EnvConfig(), {"link.scan_on_request": on_request})

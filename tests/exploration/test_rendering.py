@@ -1,4 +1,4 @@
-"""Pictures show what they should, where they should, and in time."""
+"""Content, geometry and run time of pictures."""
 
 import time
 
@@ -31,7 +31,7 @@ def pixel(image, x_m, y_m, size_m=(20.0, 10.0), margin_m=0.8):
     return tuple(int(c) for c in image[v, u])
 
 
-def test_truth_alone_is_grey():
+def test_ground_truth_is_grey():
     image = render(Scene(hall(), np.zeros(2), 0.1))
     assert pixel(image, 10, 5) == UNKNOWN
     assert pixel(image, 10, 0.05) == TRUE_WALL
@@ -46,7 +46,7 @@ def test_north_is_up_and_east_is_right():
     assert u < 0.3
 
 
-def test_the_estimate_lies_over_the_truth():
+def test_the_estimated_map_is_drawn_over_the_ground_truth():
     walls = hall()
     scene = Scene(walls, np.zeros(2), 0.1, (estimate(walls),), np.zeros((1, 3)))
     image = render(scene)
@@ -55,7 +55,7 @@ def test_the_estimate_lies_over_the_truth():
     assert pixel(image, -0.4, 5) == UNKNOWN
 
 
-def test_a_map_in_another_frame_is_laid_on_the_building():
+def test_a_map_in_another_frame_is_drawn_aligned_with_the_building():
     walls = hall()
     pose_building_map = np.array([20.0, 10.0, np.pi])
     image = render(Scene(walls, np.zeros(2), 0.1, (estimate(walls),), pose_building_map[None]))
@@ -66,7 +66,7 @@ def test_a_map_in_another_frame_is_laid_on_the_building():
     assert pixel(image, 5, 5) == UNKNOWN
 
 
-def test_several_groups_are_tinted_and_the_largest_lies_on_top():
+def test_groups_are_tinted_and_the_largest_is_on_top():
     walls = hall()
     grids = (estimate(walls), estimate(walls, (-30.0, 0.0)), estimate(np.zeros((10, 10), bool), (10.0, 5.0)))
     scene = Scene(walls, np.zeros(2), 0.1, grids, np.zeros((3, 3)), groups=((1, 2), (0,), (3,)))
@@ -76,7 +76,7 @@ def test_several_groups_are_tinted_and_the_largest_lies_on_top():
 
 
 @pytest.mark.parametrize("robot", [0, 1, 2])
-def test_a_robot_is_drawn_in_its_colour_where_it_is(robot):
+def test_a_robot_is_drawn_in_its_colour_at_its_pose(robot):
     poses = np.array([[4.0, 3.0, 0.0], [10.0, 6.0, 2.0], [16.0, 3.0, -1.0]])
     image = render(Scene(hall(), np.zeros(2), 0.1, true_poses=poses, estimated_poses=poses))
     behind = compose(poses[robot], [-0.1, 0.0, 0.0])
@@ -91,7 +91,7 @@ def test_a_trail_fades_toward_its_beginning():
 
 
 @pytest.mark.parametrize("shape", [(100, 200), (2000, 60), (3, 3)])
-def test_pictures_keep_their_shape_and_their_limits(shape):
+def test_pictures_keep_the_aspect_ratio_and_the_size_limits(shape):
     image = render(Scene(np.zeros(shape, bool), np.array([-3.0, 7.0]), 0.1))
     assert image.dtype == np.uint8
     assert image.shape[0] <= HEIGHT_MAX_PX
@@ -100,14 +100,14 @@ def test_pictures_keep_their_shape_and_their_limits(shape):
     assert image.shape[1] / image.shape[0] == pytest.approx(expected, rel=0.03)
 
 
-def test_what_lies_outside_the_picture_is_cut_off():
+def test_objects_outside_the_picture_are_clipped():
     far = np.array([[500.0, 500.0, 0.0], [-500.0, 0.0, 0.0]])
     trail = np.array([[-100.0, -100.0], [100.0, 100.0]])
     image = render(Scene(hall(), np.zeros(2), 0.1, true_poses=far, estimated_poses=inverse(far), trails_m=(trail,)))
     assert image.shape[2] == 3
 
 
-def test_a_picture_of_a_large_hall_takes_some_milliseconds():
+def test_a_picture_of_a_large_hall_takes_less_than_50_ms():
     walls = hall(200, 400)
     scene = Scene(walls, np.zeros(2), 0.1, (estimate(walls),), np.zeros((1, 3)))
     render(scene)

@@ -23,7 +23,7 @@ STEPS = 300
 
 
 def mapped_shares(result) -> dict[tuple[int, ...], float]:
-    """Share of the floor that each group has mapped rightly at the end, measured anew."""
+    """Share of the floor that each group has mapped correctly at the end, recomputed."""
     cells = result.floorplan.cells()
     floor_m2 = cells.free.sum() * cells.resolution_m**2
     return {
@@ -45,7 +45,7 @@ def team(explore):
 
 
 @pytest.mark.parametrize("steps", [STEPS, 47])
-def test_rewards_of_a_robot_alone_add_up_to_the_floor_it_mapped(explore, steps):
+def test_rewards_of_a_single_robot_sum_to_its_coverage(explore, steps):
     log = explore(steps, robots=1, max_cycles=steps)
     result = log.env.result()
     assert total(log) > 0.05
@@ -53,29 +53,29 @@ def test_rewards_of_a_robot_alone_add_up_to_the_floor_it_mapped(explore, steps):
     assert total(log) == pytest.approx(result.figures["coverage_correct"], abs=1e-9)
 
 
-def test_a_map_whose_cells_count_a_little_more_floor_than_there_is_gives_the_whole_floor():
+def test_coverage_above_one_is_clipped():
     standing = standing_of([JudgedMap((0,), 1, True, 1.0007)], [0.0])
     assert standing.team[0] == standing.own[0][0] == 1.0
 
 
-def test_rewards_of_a_team_add_up_to_the_floor_of_its_best_right_group(team):
+def test_rewards_of_a_team_sum_to_the_coverage_of_its_best_correct_group(team):
     result = team.env.result()
     assert result.figures["wrong_merges"] == 0
     assert total(team) == pytest.approx(max(mapped_shares(result).values()), abs=1e-9)
 
 
-def test_all_mates_get_the_same_for_the_map(team):
+def test_all_robots_of_a_team_get_the_same_reward(team):
     for rewards in team.rewards:
         assert len(set(rewards.values())) == 1
 
 
-def test_the_map_is_judged_at_its_period_and_at_the_last_step(explore):
+def test_the_map_is_evaluated_periodically_and_at_the_last_step(explore):
     log = explore(25, robots=1, max_cycles=25, config={"reward.period_steps": 10})
     paid = [step for step, rewards in enumerate(log.rewards, start=1) if rewards["robot_0"] != 0]
     assert paid == [10, 20, 25]
 
 
-def test_blocks_of_a_map_that_were_counted_before_make_no_difference(wander):
+def test_cached_counts_give_the_same_area_as_a_full_count(wander):
     env = twc_env.parallel_env(map="twin-02", robots=3, max_cycles=400)
     env.reset(seed=1)
     cells, judged = env.floorplan.cells(), 0
@@ -113,7 +113,7 @@ def test_the_reward_is_the_weighted_sum_of_the_terms(explore):
     assert touched > 0, "nobody ran into a wall: the weight of a collision was not tried"
 
 
-def test_the_term_of_bytes_is_what_the_team_sent_in_the_step(wander):
+def test_the_bytes_term_is_the_data_sent_in_the_step(wander):
     env = twc_env.parallel_env(map="twin-02", robots=2, max_cycles=100)
     env.reset(seed=1)
     told, sent_before = 0, env.episode.bytes_sent
@@ -139,7 +139,7 @@ def team_of(groups, errors_m=(0.0, 0.0, 0.0)):
     return standing_of(maps, errors_m)
 
 
-def test_terms_judge_one_transition():
+def test_terms_of_one_transition_have_the_expected_values():
     before = team_of([((0, 1), True, 0.25), ((2,), True, 0.5)], (0.0, 0.5, 2.0))
     after = team_of([((0, 1, 2), True, 0.75)], (0.0, 0.0, 0.25))
     transition = Transition(before, after, np.array([False, True, False]), 2500.0, 200)
@@ -151,12 +151,12 @@ def test_terms_judge_one_transition():
     assert weigh(terms(transition, "individual"), weights_of(weights))[1] == 1.0 + 0.5 - 1.0 - 1.0
 
 
-def test_the_rightly_merged_group_that_mapped_most_counts():
+def test_the_correct_group_with_the_largest_coverage_counts():
     assert team_of([((0, 1), True, 0.8), ((2,), True, 0.3)]).team == [0.8, 0.5, 1.0]
     assert team_of([((0, 1), True, 0.2), ((2,), True, 0.3)]).team == [0.3, 0.0, 1.0]
 
 
-def test_a_wrongly_merged_group_counts_nothing():
+def test_a_wrongly_merged_group_has_no_coverage():
     assert team_of([((0, 1), False, 0.8), ((2,), True, 0.3)]).team == [0.3, 0.0, 1.0]
     assert team_of([((0, 1, 2), False, 0.8)]).team[:2] == [0.0, 0.0]
 
@@ -174,13 +174,13 @@ def test_every_term_lies_between_0_and_1_and_potentials_add_up_to_less(explore, 
     assert sums["coverage"] > 0.05 and sums["localisation"] > 0.5
 
 
-def test_nothing_is_known_before_the_first_scan():
+def test_potentials_are_zero_before_the_first_scan():
     nothing = Standing.nothing(2)
     assert not any(nothing.team) and not np.any(nothing.own)
 
 
 @pytest.mark.usefixtures("wrong_merges")
-def test_a_planted_wrong_merge_is_seen_counted_and_not_paid(explore):
+def test_an_injected_wrong_merge_is_counted_and_not_rewarded(explore):
     log = explore(STEPS, max_cycles=STEPS, config={"slam.pose_graph.robust": "dcs", "slam.merging.undo": False})
     result = log.env.result()
     areas = mapped_shares(result)

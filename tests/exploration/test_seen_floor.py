@@ -1,4 +1,4 @@
-"""The share of the floor that scans saw, against the same by other ways."""
+"""The observed share of the floor, compared with independent computations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BEAMS = 180
 
 
 def floor(cell_m):
-    """A square of free floor around (0, 0); no centre of a cell lies between two cells of a map."""
+    """A square of free floor around (0, 0), offset so that no cell centre lies on an edge between map cells."""
     shape = (round(SIDE_M / cell_m),) * 2
     return Cells(np.ones(shape, bool), np.zeros(shape, bool), np.full(2, 0.013 - SIDE_M / 2), cell_m)
 
@@ -26,7 +26,7 @@ def settings(cell_m, beams=BEAMS):
 
 @pytest.mark.parametrize("cell_m", [0.1, 0.25])
 @pytest.mark.parametrize("seed", range(3))
-def test_seen_is_what_scans_without_walls_make_free_and_the_cells_they_meet(seed, cell_m):
+def test_observed_cells_are_those_that_beams_pass_or_end_in(seed, cell_m):
     random, config, cells = np.random.default_rng(seed), settings(cell_m), floor(cell_m)
     poses = np.column_stack([random.uniform(-3, 3, (6, 2)), random.uniform(-4, 4, 6)])
     scans = np.clip(random.uniform(0.5, 5.0, (6, 1)) + random.normal(0.0, 0.4, (6, BEAMS)), 0.1, 4.0)
@@ -46,7 +46,7 @@ def test_seen_is_what_scans_without_walls_make_free_and_the_cells_they_meet(seed
     assert seen_share(poses, scans, config, cells) == pytest.approx(inside.mean(), abs=1e-12)
 
 
-def test_what_is_free_as_often_as_it_is_wall_was_seen():
+def test_cells_with_balanced_evidence_count_as_observed():
     config, cells = settings(0.1), floor(0.1)
     through, met = np.full((5, BEAMS), 2.5), np.full((2, BEAMS), 2.0)
     poses = np.zeros((7, 3))
@@ -54,5 +54,5 @@ def test_what_is_free_as_often_as_it_is_wall_was_seen():
     assert seen_share(poses, np.concatenate([through, met]), config, cells) == alone > 0.0
 
 
-def test_nothing_is_seen_without_scans():
+def test_nothing_is_observed_without_scans():
     assert seen_share(np.zeros((0, 3)), np.zeros((0, BEAMS)), settings(0.1), floor(0.1)) == 0.0

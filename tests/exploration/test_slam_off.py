@@ -1,4 +1,4 @@
-"""The environment without an engine keeps its spaces, its judges and its silence about the truth."""
+"""The environment without an engine (`slam.mode = "off"`): spaces, evaluation, no ground truth in observations."""
 
 import json
 
@@ -41,7 +41,7 @@ def test_the_spaces_are_those_of_the_environment_with_an_engine(log):
             assert log.env.observation_space(agent).contains(observation)
 
 
-def test_the_pose_is_the_sum_of_the_odometry_and_nothing_else(wander):
+def test_the_pose_is_the_integrated_odometry(wander):
     env = twc_env.parallel_env(robots=2, config=OFF, max_cycles=40)
     observations, _ = env.reset(seed=0)
     summed = [np.zeros(3), np.zeros(3)]
@@ -58,7 +58,7 @@ def test_the_pose_is_the_sum_of_the_odometry_and_nothing_else(wander):
     assert np.abs(true - [pose[:2] for pose in summed]).max() > 0.5, "the frame of the building has leaked"
 
 
-def test_nothing_is_mapped_and_nobody_is_met(log):
+def test_map_and_team_blocks_stay_empty(log):
     for observations in log.observations:
         for observation in observations.values():
             assert not observation["map"][[0, 1, 3, 5, 6]].any() and not observation["team"][:, :4].any()
@@ -66,12 +66,12 @@ def test_nothing_is_mapped_and_nobody_is_met(log):
     assert belief.grid.log_odds.size == 0 and belief.mates == {} and belief.signs == ()
 
 
-def test_the_other_blocks_still_tell_what_was_sensed(log):
+def test_the_other_blocks_contain_measurements(log):
     for key in ("lidar", "wifi", "signs"):
         assert any(o[key].any() for observations in log.observations for o in observations.values()), key
 
 
-def test_rewards_and_result_judge_dead_reckoning(log):
+def test_rewards_and_result_evaluate_dead_reckoning(log):
     result = log.env.result()
     figures = result.figures
     json.dumps(figures, allow_nan=False)
@@ -99,13 +99,13 @@ def test_the_world_is_the_same_with_and_without_an_engine():
     assert isinstance(envs[1].engine, DeadReckoning)
 
 
-def test_a_picture_shows_the_robots_without_any_map():
+def test_a_picture_shows_the_robots_without_a_map():
     env = twc_env.parallel_env(robots=2, config=OFF, render_mode="rgb_array")
     env.reset(seed=0)
     assert env.render().std() > 0
 
 
-def test_dead_reckoning_takes_a_recording_like_the_engine_does(log):
+def test_dead_reckoning_can_replay_recorded_frames(log):
     engine = make_engine(log.env.config, 3)
     engine.update(log.env.frames)
     assert engine.belief(1).step == STEPS
@@ -113,7 +113,7 @@ def test_dead_reckoning_takes_a_recording_like_the_engine_does(log):
 
 
 @pytest.mark.parametrize("kind", ["frontier", "waypoint"])
-def test_actions_that_are_planned_on_a_map_are_refused_where_there_is_none(kind):
+def test_actions_planned_on_a_map_are_rejected_without_an_engine(kind):
     with pytest.raises(ConfigError, match="'velocity'"):
         twc_env.parallel_env(config={**OFF, "action.kind": kind})
 

@@ -42,7 +42,7 @@ def started(kind: str, steps: int):
 @pytest.mark.parametrize(
     ("kind", "before", "after"), [("velocity", 220, 120), ("waypoint", 12, 5), ("frontier", 12, 5)]
 )
-def test_an_episode_goes_on_from_a_snapshot_to_the_byte(kind, before, after, same_steps):
+def test_an_episode_continues_exactly_from_a_snapshot(kind, before, after, same_steps):
     env, observations = started(kind, before)
     moment = env.snapshot()
     first = go_on(env, observations, after)
@@ -57,7 +57,7 @@ def test_an_episode_goes_on_from_a_snapshot_to_the_byte(kind, before, after, sam
 
 
 @pytest.mark.parametrize(("robots", "stopped", "steps"), [(1, 0, 60), (3, 0, 60), (3, 1, 60), (3, 1, 30)])
-def test_robots_that_push_against_walls_and_mates_go_on_to_the_byte(robots, stopped, steps):
+def test_robots_in_contact_continue_exactly_from_a_snapshot(robots, stopped, steps):
     failure = {"failure.robots": stopped, "failure.robots_step": 40}
     env = twc_env.parallel_env(map="sfw-e1", robots=robots, config={"slam.mode": "off", **failure})
     env.reset(seed=1)
@@ -65,7 +65,7 @@ def test_robots_that_push_against_walls_and_mates_go_on_to_the_byte(robots, stop
     for _ in range(steps):
         env.step(ahead)
     moment, seen = env.snapshot(), [[], [], []]
-    for own in seen:  # the first goes on as if no snapshot had been taken
+    for own in seen:  # the first run continues without a restore
         for _ in range(40):
             env.step(ahead)
             own.append(env.state().tolist())
@@ -74,7 +74,7 @@ def test_robots_that_push_against_walls_and_mates_go_on_to_the_byte(robots, stop
     assert seen[0] == seen[1] == seen[2]
 
 
-def test_another_process_goes_on_from_a_snapshot_to_the_byte(tmp_path, same_steps):
+def test_another_process_continues_exactly_from_a_snapshot(tmp_path, same_steps):
     env, observations = started("velocity", 60)
     (tmp_path / "moment").write_bytes(pickle.dumps((env.snapshot(), observations)))
     code = (
@@ -91,7 +91,7 @@ def test_another_process_goes_on_from_a_snapshot_to_the_byte(tmp_path, same_step
     assert same_steps(pickle.loads((tmp_path / "seen").read_bytes()), go_on(env, observations, 30))
 
 
-def test_a_snapshot_of_another_configuration_or_version_is_refused(monkeypatch):
+def test_a_snapshot_of_another_config_or_version_is_rejected(monkeypatch):
     env, _ = started("velocity", 3)
     moment = env.snapshot()
     other = twc_env.parallel_env(map="twin-02", config={**settings("velocity"), "lidar.beam_count": 60})
@@ -103,7 +103,7 @@ def test_a_snapshot_of_another_configuration_or_version_is_refused(monkeypatch):
 
 
 @pytest.mark.parametrize("broken", [None, {}, b"content", 100, 0], ids=str)
-def test_what_is_no_snapshot_is_refused_and_the_episode_goes_on(broken):
+def test_an_invalid_snapshot_is_rejected_and_the_episode_continues(broken):
     env = twc_env.parallel_env(map="twin-01", robots=1, max_cycles=5)
     env.reset(seed=0)
     whole = env.snapshot()
@@ -116,7 +116,7 @@ def test_what_is_no_snapshot_is_refused_and_the_episode_goes_on(broken):
     env.restore(whole)
 
 
-def test_the_oracle_of_the_odometry_filter_can_be_saved_too():
+def test_the_filterpy_back_end_can_be_saved():
     env = twc_env.parallel_env(robots=1, config={"slam.odometry_filter.backend": "filterpy"})
     env.reset(seed=1)
     moment, seen = env.snapshot(), [[], []]
@@ -153,7 +153,7 @@ class Own:
         ("lambda: 0", r"^Own\.kept cannot be copied \(.*lambda.*\): let Own\.__getstate__"),
     ],
 )
-def test_a_recogniser_that_cannot_be_copied_is_named_with_the_part_to_blame(part, named, tmp_path):
+def test_the_error_of_a_recogniser_that_cannot_be_copied_names_the_attribute(part, named, tmp_path):
     (tmp_path / "own.py").write_text(OWN.replace("PART", part))
     env = twc_env.parallel_env(config={"slam.place_recognition.recogniser": f"{tmp_path / 'own.py'}:Own"})
     env.reset(seed=0)
@@ -162,7 +162,7 @@ def test_a_recogniser_that_cannot_be_copied_is_named_with_the_part_to_blame(part
             attempt()
 
 
-def test_a_recogniser_that_leaves_its_lock_out_is_saved_with_the_episode(tmp_path):
+def test_a_recogniser_with_getstate_is_saved_with_the_episode(tmp_path):
     code = OWN.replace("PART", "threading.Lock()") + "    def __getstate__(self):\n        return {}\n"
     (tmp_path / "own.py").write_text(code)
     env = twc_env.parallel_env(config={"slam.place_recognition.recogniser": f"{tmp_path / 'own.py'}:Own"})

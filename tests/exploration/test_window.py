@@ -1,4 +1,4 @@
-"""Render modes: what the window shows is the picture, on a virtual display, and shutting it harms nothing."""
+"""Render modes: the window shows the picture, on a virtual display, and closing it does not affect the episode."""
 
 import copy
 import pickle
@@ -28,7 +28,7 @@ def step(env):
 
 @pytest.fixture
 def pygame(monkeypatch):
-    """Without a screen, and with no waiting between pictures."""
+    """pygame without a display and without a limit of the frame rate."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     module = pytest.importorskip("pygame", reason="needs the extra 'viz'")
     monkeypatch.setitem(twc_env.ExplorationEnv.metadata, "render_fps", 0)
@@ -38,7 +38,7 @@ def pygame(monkeypatch):
 
 @pytest.fixture
 def display(monkeypatch):
-    """The name of a virtual screen of 1280 x 1024, on a free display number."""
+    """Name of a virtual display of 1280 x 1024 pixels."""
     if shutil.which("Xvfb") is None:
         pytest.skip("needs Xvfb (Debian package xvfb)")
     command = ["Xvfb", "-displayfd", "1", "-screen", "0", "1280x1024x24", "-nolisten", "tcp", "-noreset"]
@@ -53,7 +53,7 @@ def display(monkeypatch):
             server.terminate()
 
 
-def test_a_window_on_a_virtual_display_shows_the_picture_and_goes_when_closed(display):
+def test_a_window_on_a_virtual_display_shows_the_picture_until_closed(display):
     pygame = pytest.importorskip("pygame", reason="needs the extra 'viz'")
     grab = pytest.importorskip("PIL.ImageGrab", reason="needs the extra 'viz'").grab
     shown, drawn = team(render_mode="human"), team(render_mode="rgb_array")
@@ -79,14 +79,14 @@ def test_every_time_step_is_shown_once_at_the_frame_rate(pygame, monkeypatch):
     env.reset(seed=0)
     while env.agents:
         step(env)
-        assert env.render() is None  # already there
+        assert env.render() is None  # already shown
         assert pygame.display.get_caption()[0].startswith(env.episode.caption())
     assert len(flips) == 1 + SMALL["max_cycles"]
     assert flips[-1] - flips[1] >= 0.9 * 1000 * (len(flips) - 2) / 25
     env.close()
 
 
-def test_an_action_that_lasts_is_shown_while_it_lasts(pygame, monkeypatch):
+def test_every_time_step_of_a_long_action_is_shown(pygame, monkeypatch):
     flips = []
     monkeypatch.setattr(pygame.display, "flip", lambda: flips.append(1))
     env = team(render_mode="human", config={**SMALL["config"], "action.kind": "frontier"})
@@ -96,7 +96,7 @@ def test_an_action_that_lasts_is_shown_while_it_lasts(pygame, monkeypatch):
     env.close()
 
 
-def test_who_shuts_the_window_ends_the_pictures_and_not_the_episode(pygame):
+def test_closing_the_window_does_not_end_the_episode(pygame):
     env = team(render_mode="human")
     env.reset(seed=0)
     pygame.event.post(pygame.event.Event(pygame.QUIT))
@@ -110,7 +110,7 @@ def test_who_shuts_the_window_ends_the_pictures_and_not_the_episode(pygame):
     env.close()
 
 
-def test_a_window_follows_the_size_of_another_building(pygame):
+def test_the_window_is_resized_for_another_building(pygame):
     env = team(render_mode="human")
     sizes = set()
     for name in ("twin-01", "gen:office:200:1"):
@@ -120,7 +120,7 @@ def test_a_window_follows_the_size_of_another_building(pygame):
     assert len(sizes) == 2
 
 
-def test_keys_switch_layers_of_the_window(pygame):
+def test_keys_toggle_layers_of_the_window(pygame):
     env = team(render_mode="human")
     env.reset(seed=0)
 
@@ -133,9 +133,9 @@ def test_keys_switch_layers_of_the_window(pygame):
     everything = shown("")
     without_truth = shown("t")
     assert np.abs(everything - without_truth).max() > 0
-    assert np.ptp(shown("mcp")[..., 0]) == 0  # nothing is left but the ground
+    assert np.ptp(shown("mcp")[..., 0]) == 0  # only the background is left
     one = shown("tmcp1")
-    assert (one == (213, 94, 0)).all(axis=2).any()  # robot 1 truly is somewhere
+    assert (one == (213, 94, 0)).all(axis=2).any()  # the true pose of robot 1 is drawn
     viewer = env._viewer
     assert (viewer._layers.robot, viewer._layers.truth) == (0, True)
     shown("0x")
@@ -145,7 +145,7 @@ def test_keys_switch_layers_of_the_window(pygame):
     env.close()
 
 
-def test_space_holds_the_episode_until_it_is_pressed_again(pygame, monkeypatch):
+def test_the_space_key_pauses_the_episode(pygame, monkeypatch):
     env = team(render_mode="human")
     env.reset(seed=0)
     waits, press = [], lambda: pygame.event.post(pygame.event.Event(pygame.KEYDOWN, unicode=" ", key=32))
@@ -162,7 +162,7 @@ def test_space_holds_the_episode_until_it_is_pressed_again(pygame, monkeypatch):
     env.close()
 
 
-def test_showing_changes_nothing_in_the_episode(pygame, same):
+def test_the_window_does_not_affect_the_episode(pygame, same):
     def play(render_mode):
         env = team(render_mode=render_mode)
         env.reset(seed=3)
@@ -176,7 +176,7 @@ def test_showing_changes_nothing_in_the_episode(pygame, same):
     assert all(same(seen[agent], other_seen[agent]) for agent in seen)
 
 
-def test_copies_of_an_environment_with_a_window_open_their_own_when_they_need_it(pygame):
+def test_copies_of_an_environment_open_their_own_window(pygame):
     env = team(render_mode="human", render_signal=True)
     env.reset(seed=0)
     for copied in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
@@ -207,7 +207,7 @@ def test_gymnasium_accepts_the_pictures_in_every_mode(pygame):
     check_env(gymnasium.make("twc/Explore-v0", max_cycles=5).unwrapped)
 
 
-def test_closures_and_the_signal_are_drawn():
+def test_closures_and_the_signal_layer_are_drawn():
     from twc_env.exploration.rendering import ACCEPTED, FRESH_S, REJECTED, ClosureLine, Scene, SignalLayer, render
 
     def picture(**settings):
@@ -221,7 +221,7 @@ def test_closures_and_the_signal_are_drawn():
         fresh, old = (picture(closures=(ClosureLine(ends_m, is_accepted, age),)) for age in (0.0, 2 * FRESH_S))
         assert reddish(fresh, colour) > 300
         assert reddish(old, colour) == 0
-        assert (np.abs(old - picture()).max() > 0) == is_accepted  # an old rejection is gone
+        assert (np.abs(old - picture()).max() > 0) == is_accepted  # old rejected closures are not drawn
     share = np.tile(np.linspace(0.0, 1.0, 20), (10, 1))
     share[:, 10:12] = np.nan
     tinted = picture(signal=SignalLayer(share, np.zeros(2), 1.0))
@@ -231,7 +231,7 @@ def test_closures_and_the_signal_are_drawn():
     assert np.array_equal(row[middle], picture()[0, 0])
 
 
-def test_a_closure_is_new_when_it_is_first_judged_and_again_when_the_verdict_changes():
+def test_the_age_of_a_closure_restarts_when_its_status_changes():
     from types import SimpleNamespace as Thing
 
     from twc_env.exploration.viewer import SeenClosures
@@ -251,5 +251,5 @@ def test_a_closure_is_new_when_it_is_first_judged_and_again_when_the_verdict_cha
     assert line(30) == [(False, 2.0)]
     closure.status = "accepted"
     assert line(40) == [(True, 0.0)]
-    assert line(20) == [(True, 0.0)]  # gone back to a snapshot
+    assert line(20) == [(True, 0.0)]  # as after restoring a snapshot
     assert np.array_equal(seen.lines([verdict], 50, 0.1)[0].ends_m, [[11.0, 0.0], [12.0, 0.0]])

@@ -19,11 +19,11 @@ TRUE = np.array([1.0, 2.0, 3.1])
         ((0, 0, math.radians(-10.1)), False),
     ],
 )
-def test_a_closure_is_right_within_half_a_metre_and_ten_degrees(error, expected):
+def test_a_closure_is_correct_within_half_a_metre_and_ten_degrees(error, expected):
     assert bool(closures_are_correct(TRUE + error, TRUE)) is expected
 
 
-def test_headings_on_both_sides_of_the_half_turn_are_near_each_other():
+def test_heading_errors_wrap_at_pi():
     assert closures_are_correct([0, 0, math.pi - 0.05], [0, 0, -math.pi + 0.05])
 
 
@@ -34,13 +34,13 @@ def test_precision_and_recall_follow_their_definitions():
     assert score.recall == pytest.approx(2 / 3)
 
 
-def test_no_closures_have_no_precision_and_no_recall():
+def test_precision_and_recall_without_closures_are_nan():
     score = score_closures([], [])
     assert score.proposed == 0
     assert math.isnan(score.precision) and math.isnan(score.recall)
 
 
-def test_verdicts_and_poses_that_do_not_match_are_refused():
+def test_arrays_of_unequal_shape_are_rejected():
     with pytest.raises(DataError, match="as many verdicts"):
         score_closures([True, False], [True])
     with pytest.raises(DataError, match="as many measured"):

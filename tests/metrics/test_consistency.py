@@ -7,7 +7,7 @@ from twc_env.exploration.environment import ExplorationEnv
 from twc_env.metrics.consistency import errors_since_closure
 
 
-def test_errors_are_along_the_map_and_count_from_the_last_closure():
+def test_errors_are_in_the_axes_of_the_map_and_start_at_the_last_closure():
     true = np.zeros((5, 1, 3))
     true[:, 0, 0] = [0, 1, 2, 3, 4]
     believed = true.copy()
@@ -22,7 +22,7 @@ def test_errors_are_along_the_map_and_count_from_the_last_closure():
     assert np.array_equal(stds, std[[1, 3, 4], 0])
 
 
-def test_a_way_ends_where_the_map_jumps():
+def test_a_motion_ends_where_the_map_jumps():
     poses, since_m = np.zeros((3, 1, 3)), np.array([[0.0], [1.0], [2.0]])
     errors, _ = errors_since_closure(poses, poses, poses, since_m, np.array([[0], [0], [1]]))
     assert len(errors) == 1
@@ -32,7 +32,7 @@ def test_a_way_ends_where_the_map_jumps():
     "changes",
     [{}, {"odometry.platform": "legged", "odometry.drift": 2.0}, {"map": "train/0003", "slam.cues.lidar": False}],
 )
-def test_robots_know_within_a_factor_of_two_how_far_they_stray(changes):
+def test_reported_standard_deviations_match_errors_within_a_factor_of_two(changes):
     env = ExplorationEnv(config=override(EnvConfig(), {"map": "train/0017", "max_cycles": 600, **changes}))
     env.reset(seed=3)
     policy = agents.make_policy("nearest-frontier", env.config)

@@ -4,7 +4,7 @@ import pytest
 from twc_env.metrics.k_visibility import FREE, UNKNOWN, WALL, calibration_error, reliability, score_structure
 
 
-def test_unknown_cells_are_excused_by_the_free_overlap_and_shown_by_the_coverage():
+def test_unknown_cells_lower_the_coverage_but_not_the_free_iou():
     truth = np.full((10, 10), FREE, np.uint8)
     truth[:, 5] = WALL
     estimate = np.full((10, 10), UNKNOWN, np.uint8)
@@ -16,7 +16,7 @@ def test_unknown_cells_are_excused_by_the_free_overlap_and_shown_by_the_coverage
     assert score_structure(truth, truth).mse == 0.0
 
 
-def test_a_wall_called_free_costs_free_overlap():
+def test_a_wall_estimated_as_free_lowers_the_free_iou():
     truth = np.full((10, 10), FREE, np.uint8)
     truth[:, 5] = WALL
     score = score_structure(np.full((10, 10), FREE, np.uint8), truth)
@@ -24,7 +24,7 @@ def test_a_wall_called_free_costs_free_overlap():
     assert score.brier == pytest.approx(0.1)
 
 
-def test_probabilities_that_hold_have_no_calibration_error():
+def test_calibrated_probabilities_have_no_calibration_error():
     probability, is_wall = np.full(100, 0.25), np.arange(100) % 4 == 0
     assert calibration_error(probability, is_wall) == pytest.approx(0.0)
     assert calibration_error(np.full(100, 0.95), is_wall) == pytest.approx(0.7)

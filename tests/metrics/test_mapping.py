@@ -12,7 +12,7 @@ FREE, WALL = -50, 50
 
 
 def room(rows: int = 12, columns: int = 16) -> tuple[np.ndarray, np.ndarray]:
-    """A closed room: (free, wall), the wall one cell thick."""
+    """A closed room with walls one cell thick: (free, wall)."""
     wall = np.zeros((rows, columns), bool)
     wall[[0, -1], :] = wall[:, [0, -1]] = True
     return ~wall, wall
@@ -34,7 +34,7 @@ def test_a_perfect_map_scores_one():
 
 
 @pytest.mark.parametrize("shape", [(5, 5), (0, 0)])
-def test_an_empty_map_scores_nothing(shape):
+def test_an_empty_map_scores_zero(shape):
     free, wall = room()
     result = score(np.zeros(shape, np.int16), free, wall)
     assert (result.correct_area_m2, result.coverage_correct, result.map_iou, result.wall_iou) == (0, 0, 0, 0)
@@ -58,7 +58,7 @@ def test_free_space_beyond_the_building_lowers_the_iou_but_not_the_coverage():
     assert result.map_iou == pytest.approx(140 / (140 + 12 * 16))
 
 
-def test_a_wall_one_cell_off_is_met_and_one_two_cells_off_is_not():
+def test_a_wall_one_cell_off_matches_and_two_cells_off_does_not():
     free, wall = room()
     assert score(drawn(free, wall), free, wall, origin=np.array([0.1, 0.0])).wall_iou == 1.0
     only_left, elsewhere = np.zeros_like(wall), np.zeros_like(wall)
@@ -66,7 +66,7 @@ def test_a_wall_one_cell_off_is_met_and_one_two_cells_off_is_not():
     assert score(drawn(0 * free, elsewhere), free, only_left).wall_iou == 0.0
 
 
-def test_a_map_in_a_turned_frame_scores_one_with_the_right_alignment():
+def test_a_map_in_a_rotated_frame_scores_one_with_the_correct_alignment():
     free, wall = room(40, 40)
     turned = drawn(free, wall)[:, ::-1].T  # x of the map frame points along y of the building
     pose_building_map = (0.0, 4.0, -np.pi / 2)
@@ -84,7 +84,7 @@ def test_a_map_of_finer_cells_covers_the_same_area():
 
 @settings(max_examples=40)
 @given(st.integers(-200, 200), st.integers(-200, 200), st.floats(-3, 3), st.integers(0, 1000))
-def test_the_score_does_not_depend_on_the_frame_the_map_is_kept_in(x_cm, y_cm, heading, seed):
+def test_the_score_does_not_depend_on_the_map_frame(x_cm, y_cm, heading, seed):
     rng = np.random.default_rng(seed)
     free, wall = room(20, 20)
     log_odds = (drawn(free, wall) * (rng.random((20, 20)) < 0.8)).astype(np.int16)
@@ -134,7 +134,7 @@ def test_the_area_under_a_mask_of_the_floor_is_the_area_counted_on_the_floor(see
 
 @settings(max_examples=30)
 @given(st.integers(0, 10_000))
-def test_counting_anew_only_what_was_touched_gives_the_count_of_all(seed):
+def test_recounting_only_touched_blocks_gives_the_full_count(seed):
     random = np.random.default_rng(seed)
     shape = tuple(random.integers(1, 200, 2))
     log_odds, mask = random.integers(-60, 80, shape).astype(np.int16), random.random(shape) < 0.7
@@ -147,7 +147,7 @@ def test_counting_anew_only_what_was_touched_gives_the_count_of_all(seed):
             touched[row // mapping.BLOCK_ROWS, column // mapping.BLOCK_COLUMNS] = number
 
 
-def test_what_nobody_touched_is_not_counted_anew():
+def test_untouched_blocks_are_not_recounted():
     log_odds, mask = np.full((40, 200), -1, np.int16), np.ones((40, 200), bool)
     touched = np.zeros((3, 4), np.int64)
     known, counts = np.full(touched.shape, -1), np.zeros(touched.shape, np.int64)
@@ -171,7 +171,7 @@ def test_what_nobody_touched_is_not_counted_anew():
         ({"truth_wall": np.zeros((3, 4), bool)}, "must have one shape"),
     ],
 )
-def test_maps_that_cannot_be_compared_are_refused(changes, message):
+def test_maps_that_cannot_be_compared_are_rejected(changes, message):
     free, wall = room()
     parts = {
         "log_odds": drawn(free, wall), "origin_m": ORIGIN_M, "resolution_m": 0.1, "pose_building_map": np.zeros(3),

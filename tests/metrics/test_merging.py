@@ -26,18 +26,18 @@ def test_a_perfect_merge_has_one_frame_and_no_wrong_pair(seed, x, y, heading):
     assert wrong_pairs(frames) == []
 
 
-def test_a_robot_put_two_metres_off_is_wrong_with_each_of_the_others():
+def test_a_robot_offset_by_two_metres_forms_wrong_pairs_with_all_others():
     estimated = team(1)
     true = estimated.copy()
     true[ROBOT_OF == 1, :2] += [2.0, 0.0]
     assert wrong_pairs(implied_frames(estimated, true, ROBOT_OF)) == [(0, 1), (1, 2)]
 
 
-def test_a_robot_turned_by_a_quarter_is_wrong_even_where_its_place_is_right():
+def test_a_robot_rotated_by_90_degrees_is_wrong_even_at_the_correct_position():
     assert wrong_pairs([[0, 0, 0], [0, 0, np.pi / 2]]) == [(0, 1)]
 
 
-def test_a_small_turn_is_judged_amid_the_paths_not_at_the_origin_of_the_frame():
+def test_a_small_rotation_is_evaluated_at_the_centre_of_the_paths():
     centre = np.array([60.0, 0.0])
     turned = geometry.compose(np.array([*centre, 0.05]), np.array([*-centre, 0.0]))
     frames = np.stack([np.zeros(3), turned])
@@ -46,7 +46,7 @@ def test_a_small_turn_is_judged_amid_the_paths_not_at_the_origin_of_the_frame():
 
 
 @pytest.mark.parametrize("frames", [np.zeros((3, 2)), [[np.nan, 0.0, 0.0], [0.0, 0.0, 0.0]], []])
-def test_frames_that_are_no_poses_are_refused(frames):
+def test_invalid_frames_are_rejected(frames):
     with pytest.raises(DataError, match="finite poses"):
         wrong_pairs(frames)
 
@@ -59,6 +59,6 @@ def test_frames_that_are_no_poses_are_refused(frames):
         (np.zeros((4, 3)), [0.0, 0.0, 1.0, 1.0], "one for each pose"),
     ],
 )
-def test_poses_that_do_not_fit_together_are_refused(true, robot_of, message):
+def test_poses_of_unequal_shape_are_rejected(true, robot_of, message):
     with pytest.raises(DataError, match=message):
         implied_frames(np.zeros((4, 3)), true, robot_of)

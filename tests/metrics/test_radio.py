@@ -29,18 +29,18 @@ def test_detection_rates_are_shares_per_distance_band():
     assert np.isnan(rates[2])
 
 
-def test_spread_at_points_leaves_out_what_was_rarely_heard():
+def test_spread_at_points_ignores_rarely_heard_transmitters():
     rssi = np.array([[-50.0, -70.0], [-54.0, np.nan], [-60.0, np.nan], [-60.0, np.nan]])
     assert spread_at_points(np.array([0, 0, 1, 1]), rssi, 2) == pytest.approx((np.sqrt(8.0) + 0.0) / 2)
 
 
-def test_means_by_walls():
+def test_mean_rssi_is_grouped_by_number_of_walls():
     means = mean_rssi_by_walls(np.array([0, 0, 1]), np.array([-50.0, -52.0, -60.0]), 2)
     assert means[:2].tolist() == [-51.0, -60.0]
     assert np.isnan(means[2])
 
 
-def test_cosine_is_one_with_itself_zero_when_disjoint_and_blind_to_scale():
+def test_cosine_is_one_for_equal_zero_for_disjoint_and_invariant_to_scale():
     rssi = np.array([[-50.0, -60.0, np.nan], [-75.0, -80.0, np.nan], [np.nan, np.nan, -40.0]])
     similarity = cosine_similarity(rssi)
     assert np.diag(similarity) == pytest.approx(1.0)

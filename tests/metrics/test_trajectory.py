@@ -18,7 +18,7 @@ def wandering_path(seed: int, steps: int = 60) -> np.ndarray:
     return np.cumsum(rng.normal(0, [0.3, 0.3, 0.1], (steps, 3)), axis=0)
 
 
-def test_two_points_a_metre_too_far_apart_are_each_half_a_metre_off():
+def test_two_points_one_metre_too_far_apart_have_errors_of_half_a_metre():
     assert trajectory.absolute_trajectory_error_m([[0, 0], [3, 0]], [[0, 0], [2, 0]]) == pytest.approx(0.5)
 
 
@@ -27,7 +27,7 @@ def test_a_given_alignment_is_used_as_it_is():
     assert trajectory.absolute_trajectory_error_m(true + [3, 4], true, np.zeros(3)) == pytest.approx(5)
 
 
-def test_robots_are_aligned_together_so_a_wrong_offset_between_them_counts():
+def test_robots_are_aligned_jointly_so_relative_offsets_count():
     path = wandering_path(1)
     true = np.stack([path, path + [5, 0, 0]], axis=1)  # (t, 2, 3)
     estimated = np.stack([path, path + [7, 0, 0]], axis=1)
@@ -36,7 +36,7 @@ def test_robots_are_aligned_together_so_a_wrong_offset_between_them_counts():
 
 
 @given(paths, poses, st.integers(0, 100))
-def test_a_rigid_motion_of_the_estimate_changes_no_error(true, motion, seed):
+def test_the_error_is_invariant_to_rigid_motions_of_the_estimate(true, motion, seed):
     estimated = true + np.random.default_rng(seed).normal(0, 1, true.shape)
     before = trajectory.absolute_trajectory_error_m(estimated, true)
     after = trajectory.absolute_trajectory_error_m(geometry.compose(motion, estimated), true)
@@ -50,7 +50,7 @@ def test_alignment_recovers_the_motion_of_the_team(estimated, motion):
     assert geometry.transform_points(found, estimated[:, :2]) == pytest.approx(moved, abs=1e-6)
 
 
-def test_a_map_of_a_robot_that_has_hardly_moved_lies_by_its_heading():
+def test_the_map_of_a_robot_that_hardly_moved_is_aligned_by_its_heading():
     motion = np.array([7.0, -2.0, 1.2])
     true = np.array([[0.0, 0.0, 0.3], [0.02, 0.0, 0.3]])
     estimated = geometry.compose(geometry.inverse(motion), true) + [[0.0, 0.0, 0.0], [0.0, 0.03, 0.0]]
@@ -58,7 +58,7 @@ def test_a_map_of_a_robot_that_has_hardly_moved_lies_by_its_heading():
     assert trajectory.lay_map(estimated, true) == pytest.approx(motion, abs=0.03)
 
 
-def test_over_a_long_way_a_map_lies_as_the_positions_say():
+def test_over_a_long_path_the_alignment_follows_the_positions():
     true = wandering_path(3, 400)
     estimated = true + np.random.default_rng(0).normal(0.0, 0.05, true.shape)
     assert trajectory.lay_map(estimated, true) == pytest.approx(trajectory.align_team(estimated, true), abs=0.01)
@@ -86,7 +86,7 @@ def test_the_error_equals_that_of_evo(seed):
     assert trajectory.absolute_trajectory_error_m(estimated, true) == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_loop_that_the_estimate_leaves_open_has_the_gap_as_end_point_error():
+def test_the_end_point_error_of_a_loop_is_the_gap_of_the_estimate():
     true = np.array([[0.0, 0, 0], [5, 0, 0], [0, 0, 0]])
     estimated = np.array([[1.0, 1, 0], [6, 1, 0], [1.3, 1.4, 0]])
     assert trajectory.end_point_error_m(estimated, true) == pytest.approx(0.5)
@@ -102,7 +102,7 @@ def test_a_square_of_two_metres_is_eight_metres_long():
 
 
 @pytest.mark.parametrize(("speed", "steps", "share"), [(0.0, 100, 1.0), (0.1, 100, 0.0), (0.0, 10, 0.0)])
-def test_a_robot_is_stuck_while_it_stands_still_for_a_window(speed, steps, share):
+def test_a_robot_that_does_not_move_for_a_window_is_stuck(speed, steps, share):
     path = np.zeros((steps, 1, 3))
     path[:, 0, 0] = speed * np.arange(steps)
     assert trajectory.stuck_share(path, window=20, radius_m=0.3) == share
@@ -116,7 +116,7 @@ def test_the_robot_that_is_stuck_longest_counts():
 
 
 @pytest.mark.parametrize("shape", [(), (5, 1), (5, 4), (0, 2)])
-def test_what_are_neither_positions_nor_poses_is_refused(shape):
+def test_arrays_that_are_neither_positions_nor_poses_are_rejected(shape):
     for measure in (trajectory.align_team, trajectory.absolute_trajectory_error_m):
         with pytest.raises(DataError, match=r"positions \(..., 2\) or poses"):
             measure(np.zeros(shape), np.zeros(shape))
@@ -134,6 +134,6 @@ def test_what_are_neither_positions_nor_poses_is_refused(shape):
         (lambda: trajectory.stuck_share(np.zeros((50, 3)), 10, 0.3), "poses of a team have shape"),
     ],
 )
-def test_paths_of_another_shape_are_refused(call, message):
+def test_paths_of_unequal_shape_are_rejected(call, message):
     with pytest.raises(DataError, match=message):
         call()

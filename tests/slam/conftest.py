@@ -1,4 +1,4 @@
-"""Hand-made rooms, the scans that a perfect scanner takes in them, and keyframes made of both."""
+"""Hand-made rooms, noise-free scans in them, and keyframes with these scans."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def polygon_walls(*corners: tuple[float, float]) -> np.ndarray:
 
 
 def exact_scan(walls: np.ndarray, pose, beams: int = 180, range_max_m: float = RANGE_MAX_M) -> np.ndarray:
-    """(beams,) distance to the nearest wall in each beam's direction; range_max_m where there is none."""
+    """(beams,) noise-free scan [m]: distance to the nearest wall along each beam; range_max_m if there is none."""
     angles = pose[2] + np.arange(beams) * 2 * np.pi / beams
     direction = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None]  # (beams, 1, 2)
     start, along = walls[:, 0] - np.asarray(pose)[:2], walls[:, 1] - walls[:, 0]  # (walls, 2)
@@ -32,7 +32,7 @@ def exact_scan(walls: np.ndarray, pose, beams: int = 180, range_max_m: float = R
 
 
 def make_keyframe(robot=0, index=0, pose=(0.0, 0.0, 0.0), travel_m=0.0, ranges_m=None, signs=(), macs=(), rssi_dbm=()):
-    """A keyframe with only what the test at hand cares about."""
+    """A keyframe with defaults for everything that the test does not set."""
     return Keyframe(
         robot=robot,
         index=index,
@@ -81,7 +81,7 @@ def path_of():
 
 @pytest.fixture(scope="session")
 def office():
-    """(w, 2, 2) a room that looks like nothing else: no two walls or corners are alike."""
+    """(w, 2, 2) walls of an asymmetric room: no two walls or corners are alike."""
     return np.concatenate(
         [
             polygon_walls((-4, -3), (3.5, -3), (3.5, 1), (5, 1), (5, 3.2), (-1, 3.2), (-1, 2.4), (-4, 2.4)),
@@ -93,7 +93,7 @@ def office():
 
 @pytest.fixture(scope="session")
 def hall():
-    """(w, 2, 2) a room of another shape."""
+    """(w, 2, 2) walls of a room of another shape."""
     return np.concatenate(
         [
             polygon_walls((-6, -1.6), (6.5, -1.6), (6.5, 4.5), (2, 4.5), (2, 6), (-3, 6), (-3, 4), (-6, 4)),
@@ -106,7 +106,7 @@ Frames = list[tuple[SensorFrame, ...]]
 
 
 def record_frames(config: EnvConfig, wander, steps: int, seed: int = 0) -> tuple[Frames, np.ndarray]:
-    """Frames of every step of a team that wanders, and the true poses (steps + 1, robots, 3)."""
+    """Frames of every step of a team with a reactive policy, and its true poses (steps + 1, robots, 3)."""
     world = World(config, load_map(config.map))
     world.reset(seed, "map")
     frames, poses = [world.sense()], [world.poses]

@@ -15,12 +15,12 @@ CORRIDORS = places_along(0.3 + 0.5 * np.pi * RANDOM.integers(0, 4, 60) + STD_RAD
 ANYHOW = places_along(RANDOM.uniform(-np.pi, np.pi, 60))
 
 
-def test_the_share_of_ways_along_walls_is_found():
+def test_the_share_of_motion_along_walls_is_estimated():
     assert BuildingAxes().fitted(CORRIDORS).share > 0.9
     assert BuildingAxes().fitted(ANYHOW).share < 0.4
 
 
-def test_a_building_turned_as_a_whole_is_as_likely():
+def test_the_likelihood_is_invariant_to_rotations_of_the_building():
     c, s = np.cos(0.7), np.sin(0.7)
     turned = CORRIDORS @ np.array([[c, s], [-s, c]])
     assert BuildingAxes().cost(turned) == pytest.approx(BuildingAxes().cost(CORRIDORS), abs=1e-6)
@@ -29,7 +29,7 @@ def test_a_building_turned_as_a_whole_is_as_likely():
     assert np.abs(information.reshape(122, 122) @ swing).max() < 1e-6 * np.abs(information).max()
 
 
-def test_slopes_are_those_of_the_cost():
+def test_the_gradient_is_that_of_the_cost():
     axes = BuildingAxes(0.8)
     by_place, _ = axes.slopes(CORRIDORS)
     for place, axis in ((0, 0), (17, 1), (60, 0)):
@@ -39,7 +39,7 @@ def test_slopes_are_those_of_the_cost():
         assert by_place[place, axis] == pytest.approx(-(ahead - behind) / 2e-5, rel=1e-3, abs=1e-4)
 
 
-def test_without_a_share_there_are_no_axes():
+def test_axes_with_a_share_of_zero_have_no_effect():
     none = BuildingAxes(0.0).fitted(CORRIDORS)
     assert none.share == 0.0
     assert none.cost(CORRIDORS) == 0.0

@@ -1,4 +1,4 @@
-"""Changes of the number of walls, settled reading by reading."""
+"""Refinement of the points along a path at which the number of crossed walls changes."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ STEP_M, LOSS_DB = 0.01, 8.0
 
 
 def readings(walls, seed):
-    """Excess loss along a path with the shadowing and noise of the k-visibility twins."""
+    """Excess path loss [dB] along a path, with the shadowing and noise of the k-visibility buildings."""
     random = np.random.default_rng(seed)
     keep = np.exp(-STEP_M / 0.5)
     shadowing = np.zeros(len(walls))
@@ -23,14 +23,14 @@ def settled(walls, by_map, seed):
 
 
 @pytest.mark.parametrize("off", [-12, 9])
-def test_a_change_moves_to_where_the_readings_drop(off):
+def test_a_change_point_moves_to_the_drop_of_the_readings(off):
     walls = (np.arange(600) >= 300).astype(int)
     by_map = (np.arange(600) >= 300 + off).astype(int)
     misses = [np.sum(settled(walls, by_map, seed) != walls) for seed in range(9)]
     assert np.median(misses) <= 2 < abs(off)
 
 
-def test_a_short_detour_stays_only_where_the_readings_call_for_it():
+def test_a_short_change_is_kept_only_if_the_readings_support_it():
     at = np.arange(600)
     detour = ((at >= 300) & (at < 330)).astype(int)
     none = np.zeros(600, int)
@@ -38,11 +38,11 @@ def test_a_short_detour_stays_only_where_the_readings_call_for_it():
     assert sum(settled(detour, detour, seed).max() for seed in range(9)) >= 8
 
 
-def test_a_long_detour_is_for_the_map_to_judge():
+def test_a_long_change_of_the_map_is_kept():
     long = ((np.arange(600) >= 300) & (np.arange(600) < 400)).astype(int)
     assert all(settled(np.zeros(600, int), long, seed).any() for seed in range(3))
 
 
-def test_without_readings_the_map_is_believed():
+def test_without_readings_the_map_is_unchanged():
     walls = (np.arange(50) >= 20).astype(int)
     assert np.array_equal(refine_changes(walls, LOSS_DB * walls, np.full(50, np.nan), np.arange(50.0)), walls)

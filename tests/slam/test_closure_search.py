@@ -1,4 +1,4 @@
-"""Which candidates are worth a look."""
+"""Selection and verification of loop candidates."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ LOOSE, FIRM = np.diag([4.0, 0.001, 0.001]), np.diag([0.001, 0.001, 0.001])
 
 
 @pytest.mark.parametrize(("covariance", "is_compared"), [(LOOSE, True), (FIRM, False)])
-def test_signs_are_compared_along_a_corridor_although_its_walls_were_met_again(
+def test_signs_are_compared_in_a_corridor_although_its_walls_were_matched(
     keyframe, scan, walls, covariance, is_compared
 ):
     corridor, mapper = walls((-40.0, -1.0), (40.0, -1.0), (40.0, 1.0), (-40.0, 1.0)), TeamMapper(EnvConfig(), 2)
@@ -30,7 +30,7 @@ def test_signs_are_compared_along_a_corridor_although_its_walls_were_met_again(
 
 
 def looked_at(scan_m, keyframe, recogniser, is_one_map=False) -> LoopClosure:
-    """What becomes of a candidate between two robots that saw the same."""
+    """The closure that results from a candidate between two robots with equal scans."""
     mapper = TeamMapper(EnvConfig(), 2)
     mapper.update(0, [keyframe(robot, 0, (0.0, 0.0, 0.0), 0.0, scan_m) for robot in (0, 1)])
     if is_one_map:
@@ -47,7 +47,7 @@ def looked_at(scan_m, keyframe, recogniser, is_one_map=False) -> LoopClosure:
     ("recogniser", "status"), [("wifi", "pending"), ("meeting", "pending"), ("proximity", "accepted")]
 )
 @pytest.mark.parametrize("is_end_seen", [False, True])
-def test_robots_in_the_way_do_not_fix_a_place_along_a_corridor(keyframe, scan, walls, is_end_seen, status, recogniser):
+def test_robots_do_not_constrain_the_position_along_a_corridor(keyframe, scan, walls, is_end_seen, status, recogniser):
     corridor = walls((-40.0, -0.6), (3.0 if is_end_seen else 40.0, -0.6), (3.0, 0.6), (-40.0, 0.6))
     mate = np.concatenate([corridor, walls((-0.8, -0.15), (-0.5, -0.15), (-0.5, 0.15), (-0.8, 0.15))])
     closure = looked_at(scan(mate, (0.0, 0.0, 0.0)), keyframe, recogniser, is_one_map=recogniser == "proximity")
@@ -55,16 +55,14 @@ def test_robots_in_the_way_do_not_fix_a_place_along_a_corridor(keyframe, scan, w
     assert ("robots" in closure.reason) is not is_end_seen
 
 
-def test_robots_do_not_fix_a_place_where_nothing_else_is_seen(keyframe, scan, walls):
+def test_scans_that_show_only_robots_are_rejected(keyframe, scan, walls):
     others = [walls((x, y), (x + 0.3, y), (x + 0.3, y + 0.3), (x, y + 0.3)) for x, y in ((0.5, 0.4), (-0.6, 0.5))]
     closure = looked_at(scan(np.concatenate(others), (0.0, 0.0, 0.0)), keyframe, "wifi")
     assert closure.status == "rejected" and "robots" in closure.reason
 
 
 @pytest.mark.parametrize(("waiting", "verified"), [(10, 2), (63, 2), (320, 10)])
-def test_of_many_candidates_a_part_has_its_turn_in_a_step_so_that_they_do_not_become_ever_more(
-    keyframe, scan, walls, waiting, verified
-):
+def test_the_number_of_candidates_verified_per_step_grows_with_the_queue(keyframe, scan, walls, waiting, verified):
     mapper, room = TeamMapper(EnvConfig(), 2), scan(walls((-3, -2), (3, -2), (3, 2), (-3, 2)), (0.0, 0.0, 0.0))
     mapper.update(0, [keyframe(robot, 0, (0.0, 0.0, 0.0), 0.0, room) for robot in (0, 1)])
     mapper._search._waiting["wifi"].extend([LoopCandidate((0, 0), (1, 0), np.zeros(3), "wifi")] * waiting)
@@ -74,8 +72,8 @@ def test_of_many_candidates_a_part_has_its_turn_in_a_step_so_that_they_do_not_be
 
 
 @pytest.mark.parametrize(("ahead_m", "tried"), [(0.5, 1), (5.0, 4)])
-def test_a_pair_of_places_that_repeats_an_earlier_one_is_not_tried_again(keyframe, scan, walls, ahead_m, tried):
-    """The same sign, read again by both robots a little later and further on."""
+def test_candidates_close_to_an_earlier_one_are_not_verified(keyframe, scan, walls, ahead_m, tried):
+    """Both robots read the same sign again, `ahead_m` further on."""
     room, mapper = walls((-10.0, -9.0), (10.0, -9.0), (10.0, 9.0), (-10.0, 9.0)), TeamMapper(EnvConfig(), 2)
     for k, x in enumerate((0.0, ahead_m)):
         sign = [SignObservation("LIBRARY", np.array([1.0 - x, 1.0]), -np.pi / 2)]

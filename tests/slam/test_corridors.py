@@ -1,4 +1,4 @@
-"""Along a corridor odometry alone tells how far a robot goes: walls do not hold it back, and its end tells it more."""
+"""Along a corridor only odometry measures the distance; the view of its end corrects the odometry scale."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def _config(beams, noise_m):
 
 
 def _share(scan, corridor, beams, noise_m, seed):
-    """How long a way seems to be, as a share of its length."""
+    """Estimated path length as a share of the true length."""
     random, ends = np.random.default_rng(seed), FrontEnds(_config(beams, noise_m), 1)
     true, motion = np.zeros(3), np.array([STEP_M, 0.0, 0.0])
     for step in range(STEPS + 1):
@@ -36,7 +36,7 @@ def _share(scan, corridor, beams, noise_m, seed):
     [(180, 0.01), (360, 0.01), (720, 0.01), (36, 0.05), (90, 0.03), (180, 0.03), (180, 0.05), (720, 0.05)],
 )
 @pytest.mark.parametrize("width_m", [1.2, 2.0])
-def test_a_way_along_a_corridor_is_as_long_as_odometry_reads_it(scan, walls, width_m, beams, noise_m):
+def test_path_length_along_a_corridor_follows_the_odometry(scan, walls, width_m, beams, noise_m):
     half = 0.5 * width_m
     corridor = walls((-LENGTH_M, -half), (LENGTH_M, -half), (LENGTH_M, half), (-LENGTH_M, half))
     shares = [_share(scan, corridor, beams, noise_m, seed) for seed in range(6)]
@@ -45,7 +45,7 @@ def test_a_way_along_a_corridor_is_as_long_as_odometry_reads_it(scan, walls, wid
 
 
 def _behind_a_mate(scan, walls, seed, length_m=14.0):
-    """How far a robot seems to go along a corridor, as a share, while another one drives close ahead of it."""
+    """Estimated path length along a corridor as a share of the true one, with another robot close ahead."""
     random, ends = np.random.default_rng(seed), FrontEnds(override(_config(180, 0.01), {"robots": 2}), 2)
     corridor = walls((-LENGTH_M, -1.0), (LENGTH_M, -1.0), (LENGTH_M, 1.0), (-LENGTH_M, 1.0))
     around = 0.2 * np.array([(np.cos(a), np.sin(a)) for a in np.arange(0.0, 2 * np.pi, np.pi / 12)])
@@ -62,12 +62,12 @@ def _behind_a_mate(scan, walls, seed, length_m=14.0):
     return ends.poses_odom[0, 0] / length_m
 
 
-def test_another_robot_does_not_hold_one_back_in_a_corridor(scan, walls):
+def test_another_robot_does_not_shorten_the_path_along_a_corridor(scan, walls):
     assert [_behind_a_mate(scan, walls, seed) for seed in range(4)] == pytest.approx(np.ones(4), abs=0.01)
 
 
 def _driven(length_m, too_long, scan, walls, beams=180):
-    """Keyframes of a robot that drives a corridor of 2 m up to its end and half of the end's view back."""
+    """Keyframes and their true poses of a robot that drives to 1 m before the end of a corridor and 160 steps back."""
     corridor = walls((-LENGTH_M, -1.0), (length_m, -1.0), (length_m, 1.0), (-LENGTH_M, 1.0))
     random, ends, true = np.random.default_rng(5), FrontEnds(_config(beams, 0.01), 1), np.zeros(3)
     keyframes, way, count = [], [], round((length_m - 1.0) / STEP_M)
@@ -84,7 +84,7 @@ def _driven(length_m, too_long, scan, walls, beams=180):
 
 
 @pytest.mark.parametrize("too_long", [0.05, -0.04])
-def test_a_way_by_odometry_alone_is_put_right_once_a_corridors_end_tells_of_its_scale(scan, walls, too_long):
+def test_the_end_of_a_corridor_corrects_the_odometry_scale_of_the_path(scan, walls, too_long):
     keyframes, way = _driven(40.0, too_long, scan, walls)
     farthest = int(way[:, 0].argmax())
     alone_m = sum(keyframe.by_odometry_m[0] for keyframe in keyframes[:farthest])
@@ -100,7 +100,7 @@ def test_a_way_by_odometry_alone_is_put_right_once_a_corridors_end_tells_of_its_
     assert believed_m == pytest.approx(true_m, abs=0.35 * abs(30.0 * too_long))
 
 
-def test_in_rooms_no_way_is_by_odometry_alone(scan, office):
+def test_in_rooms_no_direction_depends_on_odometry_alone(scan, office):
     ends, motion, true = FrontEnds(_config(180, 0.01), 1), np.array([0.05, 0.0, 0.0]), np.zeros(3)
     keyframes = []
     for step in range(60):

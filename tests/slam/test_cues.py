@@ -1,4 +1,4 @@
-"""Every combination of cues runs an episode: recorded drives through the engine, with what the cues leave of them."""
+"""Every combination of cues on recorded drives: the engine with the measurements that the cues leave."""
 
 import itertools
 from dataclasses import replace
@@ -35,7 +35,7 @@ def with_cues(subset) -> CooperativeSlam:
 
 
 def driven(seed):
-    """Frames, true poses (steps, 3) and odometry's, all seen from the first."""
+    """Frames, true poses (steps, 3) and dead-reckoned poses (steps, 3), both relative to the first."""
     world = World(CONFIG, load_map("twin-02"))
     world.reset(seed)
     frames, truth, odometry = [], [], [np.zeros(3)]
@@ -54,7 +54,7 @@ def drives():
 
 
 def errors_m(subset, drives):
-    """Of each drive the mean error of the keyframes, and that of odometry at the same steps: two of (drives,)."""
+    """Mean position error [m] of the keyframes of each drive, and of odometry at the same steps: two (drives,)."""
     found = []
     for frames, truth, odometry in drives:
         engine = with_cues(subset)
@@ -85,14 +85,14 @@ def test_no_combination_of_cues_is_worse_than_odometry(subset, drives, blind):
         assert error < 0.75 * blind, "WiFi puts odometry right"
 
 
-def test_a_cue_that_is_switched_off_is_not_heard():
+def test_a_disabled_cue_is_not_used():
     macs = np.array([1, 2, CELL_ID_MIN + 1])
     frame = SensorFrame(0, 0, 0.0, np.zeros(3), 0.0, np.ones(4), WifiScan(macs, np.array([-50.0, -60.0, -90.0])))
     assert restricted_frame(frame, CuesConfig(wifi=False)).wifi.macs.tolist() == [CELL_ID_MIN + 1]
     assert restricted_frame(frame, CuesConfig(lte=False)).wifi.macs.tolist() == [1, 2]
 
 
-def test_the_recogniser_follows_from_the_cues_that_are_left():
+def test_the_recogniser_follows_from_the_enabled_cues():
     def recogniser(**off):
         return restricted_config(
             replace(CONFIG, slam=replace(CONFIG.slam, cues=CuesConfig(**off)))
@@ -105,7 +105,7 @@ def test_the_recogniser_follows_from_the_cues_that_are_left():
     assert recogniser(lidar=False).proximity_m == 0.0
 
 
-def test_a_robot_that_hears_nothing_has_no_ties(drives):
+def test_a_robot_without_radio_has_no_radio_constraints(drives):
     frames, _, _ = drives[0]
     engine = with_cues(("wifi",))
     for frame in frames[:200]:

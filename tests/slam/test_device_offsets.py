@@ -8,7 +8,7 @@ MACS = np.arange(6)
 SOUNDS = {
     name: -60.0 + 12.0 * np.cos(np.arange(6) * (k + 1)) for k, name in enumerate(("A101", "A102", "A103", "A104"))
 }
-"""How loud six transmitters are where each sign hangs."""
+"""RSSI of six transmitters at the place of each sign."""
 
 
 def heard(name: str, offset_db: float = 0.0) -> Fingerprint:
@@ -22,33 +22,33 @@ def devices():
     return made
 
 
-def test_three_places_tell_how_much_more_one_receiver_hears(devices):
+def test_three_places_determine_the_offset_between_two_receivers(devices):
     told = []
     for name in ("A101", "A102", "A103", "A104"):
         assert devices.note(0, name, heard(name)) == []
         told.append(devices.note(2, name, heard(name, 10.0)))
-    assert told == [[], [], [0], []]  # said once, when it came to be known
+    assert told == [[], [], [0], []]  # reported once, when the offset becomes known
     assert devices.offset_db[0, 2] == pytest.approx(10.0)
     assert devices.offset_db[2, 0] == pytest.approx(-10.0)
     assert not devices.offset_db[:, 1].any()
 
 
-def test_receivers_that_hardly_differ_are_taken_for_alike(devices):
+def test_small_offsets_are_treated_as_zero(devices):
     for name in SOUNDS:
         devices.note(0, name, heard(name))
         devices.note(1, name, heard(name, 4.0))
     assert not devices.offset_db.any()
 
 
-def test_a_name_at_two_places_says_nothing_of_receivers(devices):
+def test_a_text_at_two_places_gives_no_offset(devices):
     for name, elsewhere in zip(SOUNDS, ("A103", "A104", "A101", "A102"), strict=True):
         devices.note(0, name, heard(name))
-        devices.note(1, name, heard(elsewhere, 10.0))  # the twin of the sign: other transmitters are near
+        devices.note(1, name, heard(elsewhere, 10.0))  # a sign with an equal text elsewhere
     assert devices.between(0, 1) == []
     assert not devices.offset_db.any()
 
 
-def test_places_where_a_third_robot_met_both_count_too(devices):
+def test_places_shared_with_a_third_robot_count_too(devices):
     for name in ("A101", "A102", "A103"):
         devices.note(0, name, heard(name))
         devices.note(1, name, heard(name, 1.0))
@@ -59,10 +59,10 @@ def test_places_where_a_third_robot_met_both_count_too(devices):
     assert devices.offset_db[1, 2] == pytest.approx(9.0, abs=1.01)
     devices.note(0, "A104", heard("A104"))
     devices.note(2, "A104", heard("A104", 10.0))
-    assert devices.between(0, 2) == pytest.approx([10.0] * 3)  # now its own places are enough
+    assert devices.between(0, 2) == pytest.approx([10.0] * 3)  # now their common places are enough
 
 
-def test_more_room_keeps_what_is_known(devices):
+def test_enlarging_the_table_keeps_the_offsets(devices):
     for name in ("A101", "A102", "A103"):
         devices.note(0, name, heard(name))
         devices.note(2, name, heard(name, -9.0))
@@ -79,5 +79,5 @@ def test_more_room_keeps_what_is_known(devices):
     ("differences_db", "expected"),
     [([9.0, 10.0], 0.0), ([9.0, 10.0, 12.0], 10.0), ([-3.0, -3.0, 8.0, 9.0, 9.0], 0.0), ([-30.0, 8.0, 8.0, 9.0], 8.0)],
 )
-def test_the_middle_counts_where_half_of_the_places_agree(differences_db, expected):
+def test_the_median_is_used_if_half_of_the_places_agree(differences_db, expected):
     assert offset_of(differences_db) == expected

@@ -22,7 +22,7 @@ def equations(poses: np.ndarray, distances: Distances) -> RadioEquations:
     )
 
 
-def test_the_analytic_jacobian_is_that_of_finite_differences():
+def test_the_analytic_jacobian_matches_finite_differences():
     poses = chain(6)
     distances = Distances(np.array([[0, 3], [5, 1], [2, 4]]), np.array([1.0, 2.0, 3.0]), np.array([0.5, 1.0, 4.0]))
     jacobian = distances.jacobian(poses)
@@ -35,7 +35,7 @@ def test_the_analytic_jacobian_is_that_of_finite_differences():
                 assert slope == pytest.approx(sign * jacobian[e, axis], abs=1e-5)
 
 
-def test_normal_equations_of_distances_are_those_of_finite_differences():
+def test_normal_equations_of_distances_match_finite_differences():
     poses = chain(6)
     distances = Distances(np.array([[1, 4], [5, 2]]), np.array([1.0, 2.5]), np.array([0.5, 2.0]))
     graph, weight = equations(poses, distances), np.ones(7)
@@ -48,8 +48,8 @@ def test_normal_equations_of_distances_are_those_of_finite_differences():
             assert -gradient[pose, axis] == pytest.approx(slope, abs=2e-3)
 
 
-def test_steps_know_how_the_ends_of_a_distance_hang_together():
-    """With all of the information matrix a few steps are enough; without the part between two poses they are not."""
+def test_distances_converge_in_four_iterations():
+    """Without the off-diagonal blocks of the information matrix, four iterations would not be enough."""
     truth = chain(12, seed=1)
     pairs = np.array([(i, j) for i in range(12) for j in range(i + 3, 12, 3)])
     length = np.linalg.norm(truth[pairs[:, 0], :2] - truth[pairs[:, 1], :2], axis=1)
@@ -59,13 +59,13 @@ def test_steps_know_how_the_ends_of_a_distance_hang_together():
     assert graph.squared_errors(solved).sum() < 1e-6 < graph.squared_errors(start).sum()
 
 
-def test_places_that_coincide_are_not_pulled():
+def test_coinciding_positions_have_no_gradient():
     poses = np.zeros((2, 3))
     distances = Distances(np.array([[0, 1]]), np.array([3.0]), np.array([1.0]))
     assert np.isfinite(distances.residuals(poses)).all() and not distances.jacobian(poses).any()
 
 
-def test_distances_bend_a_drifted_path_back_and_the_first_pose_keeps_its_bits():
+def test_distances_correct_a_drifted_path_and_the_first_pose_stays_fixed():
     truth = chain(30, seed=3)
     pairs = np.array([(i, j) for i in range(30) for j in range(i + 5, 30, 4)])
     length = np.linalg.norm(truth[pairs[:, 0], :2] - truth[pairs[:, 1], :2], axis=1)

@@ -38,7 +38,7 @@ def replay(config, frames) -> CooperativeSlam:
 
 
 def digest_of(engine) -> str:
-    """Every pose and every cell."""
+    """Digest of all poses and map cells."""
     robots = range(len(engine.robots))
     parts = [engine.poses_odom] + [engine.team.poses_of(r) for r in robots]
     for group in range(len(engine.team.groups)):
@@ -58,7 +58,7 @@ def test_replaying_the_frames_gives_the_same_poses_and_grids(recorded, engine):
     assert digest_of(replay(config, frames)) == digest_of(engine)
 
 
-def test_the_digest_sees_one_millimetre_in_one_frame(recorded, engine):
+def test_the_digest_changes_with_one_millimetre_in_one_frame(recorded, engine):
     config, frames, _ = recorded
     first, *others = frames[100]
     odometry = first.odometry + [0.001, 0.0, 0.0]
@@ -66,7 +66,7 @@ def test_the_digest_sees_one_millimetre_in_one_frame(recorded, engine):
     assert digest_of(replay(config, changed)) != digest_of(engine)
 
 
-def test_replaying_changes_no_frame(recorded):
+def test_replaying_does_not_modify_frames(recorded):
     config, frames, _ = recorded
     before = hashlib.sha256(pickle.dumps(frames[:150])).hexdigest()
     replay(config, frames[:150])
@@ -95,7 +95,7 @@ def test_a_front_end_does_not_depend_on_its_mates(recorded):
         assert alone.poses_odom[0].tobytes() == together.poses_odom[0].tobytes()
 
 
-def test_three_robots_find_each_other_and_agree_with_the_truth(recorded, engine):
+def test_three_robots_merge_and_agree_with_ground_truth(recorded, engine):
     _, frames, true_poses = recorded
     merged = max((group.robots for group in engine.team.groups), key=len)
     assert len(merged) >= 2
@@ -108,7 +108,7 @@ def test_three_robots_find_each_other_and_agree_with_the_truth(recorded, engine)
     assert len(frames) == len(true_poses)
 
 
-def test_mates_of_a_group_appear_in_each_others_belief(engine):
+def test_robots_of_a_group_are_in_each_others_beliefs(engine):
     for robot in range(3):
         group = engine.team.groups[engine.team.group_index(robot)].robots
         belief = engine.belief(robot)
@@ -119,14 +119,37 @@ def test_mates_of_a_group_appear_in_each_others_belief(engine):
             assert engine.belief(mate).grid.log_odds is belief.grid.log_odds
 
 
-def test_a_believed_text_stands_once_per_place(engine):
+def test_what_others_forward_is_no_contact_with_its_robot(recorded):
+    config, frames, _ = recorded
+    chain = np.array([[False, True, False], [True, False, True], [False, True, False]])
+    engine = CooperativeSlam(override(config, {"link.topology": "peer"}), 3)
+    for step in range(60):
+        engine.update(frames[step], Contacts(chain, chain if step < 50 else chain & ~chain))
+    assert len(engine.mappers[0].keyframes[2]) > 1
+    steps = [belief.contact_steps for belief in engine.beliefs()]
+    assert steps == [{1: 49, 2: -1}, {0: 49, 2: 49}, {0: -1, 1: 49}]
+
+
+def test_earlier_beliefs_keep_their_steps_of_contact(recorded):
+    config, frames, _ = recorded
+    engine, before = CooperativeSlam(config, 3), []
+    assert [belief.contact_steps for belief in engine.beliefs()] == [{}, {}, {}]
+    heard = np.array([[True, True, False]])
+    for step in range(20):
+        engine.update(frames[step], Contacts(heard, heard))
+        before.append(engine.beliefs())
+    for step, beliefs in enumerate(before):
+        assert [b.contact_steps for b in beliefs] == [{1: step, 2: -1}, {0: step, 2: -1}, {0: step, 1: step}]
+
+
+def test_a_known_text_is_listed_once_per_place(engine):
     signs = engine.belief(0).signs
     assert len(signs) > 0
     for i, sign in enumerate(signs):
         assert all(s.text != sign.text or np.hypot(*(s.position_m - sign.position_m)) > 0.9 for s in signs[:i])
 
 
-def test_before_the_first_frame_every_robot_is_its_own_map():
+def test_before_the_first_frame_every_robot_is_its_own_group():
     engine = CooperativeSlam(EnvConfig(), 2)
     for robot in range(2):
         belief = engine.belief(robot)
@@ -178,7 +201,7 @@ def test_a_robot_without_signs_or_radio_still_maps(recorded):
     assert np.count_nonzero(engine.belief(0).grid.log_odds < 0) > 1000
 
 
-def test_keyframes_that_arrive_late_end_in_the_same_map_of_one_robot(recorded):
+def test_late_keyframes_give_the_same_map_of_one_robot(recorded):
     config, frames, _ = recorded
     prompt, late = CooperativeSlam(config, 1), CooperativeSlam(config, 1)
     in_touch, apart = (Contacts(np.array([[there]]), np.array([[there]])) for there in (True, False))
@@ -206,22 +229,24 @@ def test_the_pose_graph_has_one_chain_per_robot_and_every_accepted_closure(engin
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda engine: pickle.loads(pickle.dumps(engine))])
-def test_a_copy_of_the_engine_goes_on_as_the_engine_does(copied):
+def test_a_copy_of_the_engine_continues_identically(copied):
     config = override(EnvConfig(), {"robots": 6, "lidar.beam_count": 60})
     world, random = World(config, twc_env.load_map("twin-01")), np.random.default_rng(1)
     world.reset(seed=1)
     engine = CooperativeSlam(config, 6)
     twin = None
     for step in range(140):
+        heard = np.array([[True, step % 7 > 0, step < 30, step > 50, step < 10 or step > 30, False]])
         if step % 20 == 0:
             commands = np.column_stack([random.uniform(0.2, 0.8, 6), random.uniform(-0.8, 0.8, 6)])
         world.step(commands)
         frames = list(world.sense())
         for each in (engine, twin):
             if each is not None:
-                each.update(frames)
+                each.update(frames, Contacts(heard, heard))
         if step == 20:
             twin = copied(engine)
     assert engine.team.closures, "there is something to optimise"
     for robot in range(6):
         assert np.array_equal(twin.belief(robot).pose_map_robot, engine.belief(robot).pose_map_robot)
+        assert twin.belief(robot).contact_steps == engine.belief(robot).contact_steps

@@ -9,7 +9,7 @@ NOTHING = [(), (), ()]
 
 
 def contacts(*pairs: tuple[int, int], listeners: int = 3, lost: bool = False) -> Contacts:
-    """Pairs (listener, sender) of three robots."""
+    """Contacts of three robots from pairs (listener, sender)."""
     tried = np.zeros((listeners, 3), bool)
     for pair in pairs:
         tried[pair] = True
@@ -24,7 +24,7 @@ def names(delivery) -> list[tuple[int, int]]:
     return [(k.robot, k.index) for k in delivery.keyframes]
 
 
-def test_a_keyframe_reaches_a_robot_that_its_maker_never_met(keyframe):
+def test_a_keyframe_is_forwarded_to_robots_that_its_owner_never_met(keyframe):
     radio = exchange(topology="peer")
     radio.add(keyframe(robot=0))
     between_0_and_1, between_1_and_2 = contacts((0, 1), (1, 0)), contacts((1, 2), (2, 1))
@@ -62,7 +62,7 @@ def test_each_mapper_gets_every_keyframe_once_and_in_order(keyframe):
             assert [k for k in mine if k[0] == robot] == [(robot, i) for i in range(len(range(robot, 40, 3)))]
 
 
-def test_bytes_are_counted_by_kind_and_again_when_lost(keyframe):
+def test_bytes_are_counted_by_kind_and_counted_again_when_lost(keyframe):
     radio = exchange()
     radio.add(keyframe(robot=1, macs=(1, 2, 3), rssi_dbm=(-50, -60, -70), ranges_m=np.ones(180)))
     up = contacts((0, 1), listeners=1)
@@ -76,7 +76,7 @@ def test_bytes_are_counted_by_kind_and_again_when_lost(keyframe):
     assert radio.bytes_sent["scan"] == 720
 
 
-def test_scans_travel_only_to_those_who_ask(keyframe):
+def test_scans_are_sent_only_on_request(keyframe):
     radio = exchange(topology="peer", scan_on_request=True)
     radio.add(keyframe(robot=0, ranges_m=np.ones(180)))
     everyone = contacts((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
@@ -89,7 +89,7 @@ def test_scans_travel_only_to_those_who_ask(keyframe):
 
 
 @pytest.mark.parametrize("topology", ["central", "peer"])
-def test_nobody_in_touch_costs_nothing(keyframe, topology):
+def test_without_contacts_no_bytes_are_sent(keyframe, topology):
     radio = exchange(topology=topology)
     radio.add(keyframe(robot=0))
     listeners = 1 if topology == "central" else 3
@@ -97,7 +97,7 @@ def test_nobody_in_touch_costs_nothing(keyframe, topology):
     assert sum(radio.bytes_sent.values()) == 0
 
 
-def test_what_all_hold_is_let_go_and_who_was_away_gets_the_rest(keyframe):
+def test_messages_held_by_all_are_dropped_and_absent_robots_get_the_rest(keyframe):
     radio, got = exchange(topology="peer"), []
     for index in range(500):
         radio.add(keyframe(robot=0, index=index))

@@ -1,4 +1,4 @@
-"""Large maps are optimised in part; what that costs does not grow, and what it gives is as good."""
+"""Optimisation of large maps with fixed keyframes: bounded cost and equal accuracy."""
 
 import pickle
 
@@ -18,7 +18,7 @@ TEAM, ODD_TEAM = (0, 1), (0, 2)
 
 
 def episode(steps, settled=(), **settings):
-    """The engine after a wandering team's episode."""
+    """The engine after an episode of a team with a reactive policy."""
     env = parallel_env(config=override(EnvConfig(), {"max_cycles": steps, **settings}))
     env.reset(seed=0)
     for mapper in env.episode.engine.mappers:
@@ -35,18 +35,18 @@ def walked():
 
 @pytest.fixture
 def team(walked):
-    """A mapper that tests may change."""
+    """A copy of the mapper of the episode, which tests may modify."""
     return pickle.loads(walked)
 
 
-def test_small_maps_and_those_never_optimised_move_as_a_whole():
+def test_small_and_never_optimised_maps_have_no_fixed_keyframes():
     maps = FixedKeyframes()
     assert maps.first_movable(TEAM, 10 * LARGE_FROM) == 0
     maps.record_optimised(TEAM, LARGE_FROM - 2, is_whole=True)
     assert maps.first_movable(TEAM, LARGE_FROM - 1) == 0
 
 
-def test_large_maps_move_as_a_whole_as_often_as_they_have_grown_by_a_share():
+def test_large_maps_are_optimised_as_a_whole_each_time_they_have_grown_by_a_share():
     maps, wholes = FixedKeyframes(), 0
     for count in range(LARGE_FROM, 16 * LARGE_FROM):
         first = maps.first_movable(TEAM, count)
@@ -56,13 +56,13 @@ def test_large_maps_move_as_a_whole_as_often_as_they_have_grown_by_a_share():
     assert wholes == 1 + int(np.log(16) / np.log(GROWN))
 
 
-def test_what_came_since_the_last_optimisation_may_move_however_much_it_is():
+def test_keyframes_since_the_last_optimisation_are_movable():
     maps = FixedKeyframes()
     maps.record_optimised(TEAM, 8 * LARGE_FROM, is_whole=True)
     assert maps.first_movable(TEAM, 9 * LARGE_FROM) == 8 * LARGE_FROM - MOVABLE
 
 
-def test_maps_of_others_and_merged_maps_are_not_settled():
+def test_other_groups_and_merged_maps_have_no_fixed_keyframes():
     maps = FixedKeyframes()
     maps.record_optimised(TEAM, LARGE_FROM, is_whole=True)
     assert maps.first_movable(ODD_TEAM, LARGE_FROM + 1) == 0
@@ -70,10 +70,10 @@ def test_maps_of_others_and_merged_maps_are_not_settled():
     assert maps.first_movable(TEAM, LARGE_FROM + 1) == 0
 
 
-def test_a_map_drawn_on_from_where_nothing_moves_is_the_map_drawn_anew(team):
+def test_redrawing_from_the_first_movable_keyframe_equals_a_full_redraw(team):
     maps, count = team._maps, len(team.nodes[0])
     team._graph.poses[count // 2 :] += (0.1, 0.0, 0.01)
-    for first in (count // 3, count // 2):  # the second time it goes on with what it drew the first time
+    for first in (count // 3, count // 2):  # the second redraw starts from the result of the first
         maps.redraw(0, first)
     drawn = cells(team.grid_of(0))
     maps.redraw(0)
@@ -84,7 +84,7 @@ def test_a_map_drawn_on_from_where_nothing_moves_is_the_map_drawn_anew(team):
     assert maps.groups[0].version == version
 
 
-def test_what_was_held_is_drawn_anew_once_it_has_moved(team):
+def test_fixed_keyframes_that_have_moved_are_redrawn(team):
     maps, count = team._maps, len(team.nodes[0])
     maps.redraw(0, count // 2)
     team._graph.poses[: count // 2] += (0.3, 0.0, 0.0)
@@ -95,14 +95,14 @@ def test_what_was_held_is_drawn_anew_once_it_has_moved(team):
 
 
 def cells(grid) -> dict:
-    """The cells about which something is known."""
+    """Log-odds of the known cells by (column, row) relative to the map frame."""
     rows, columns = np.nonzero(grid.log_odds)
     corner = np.round(grid.origin_m / grid.resolution_m).astype(int)
     where = zip((columns + corner[0]).tolist(), (rows + corner[1]).tolist(), strict=True)
     return dict(zip(where, grid.log_odds[rows, columns].tolist(), strict=True))
 
 
-def test_signs_read_again_and_again_are_known_as_if_all_readings_were_kept(monkeypatch, team):
+def test_known_signs_do_not_change_if_repeated_readings_are_dropped(monkeypatch, team):
     monkeypatch.setattr(sign_readings, "ENOUGH", 10**9)
     every = episode(2000).team
     for group, other in zip(team.groups, every.groups, strict=True):
@@ -114,7 +114,7 @@ def test_signs_read_again_and_again_are_known_as_if_all_readings_were_kept(monke
 
 
 @pytest.mark.parametrize("stride", [1, 2, 5])
-def test_every_so_manyth_keyframe_lays_a_map_as_all_do(stride):
+def test_a_subset_of_keyframes_gives_the_alignment_of_all(stride):
     random, count = np.random.default_rng(0), 500
     robots, steps = random.integers(0, 3, count), np.sort(random.integers(0, 900, count))
     truth = random.normal(0, 5, (900, 3, 3))
@@ -129,7 +129,7 @@ def test_every_so_manyth_keyframe_lays_a_map_as_all_do(stride):
     assert wrong == len(pairs) == 2
 
 
-def test_part_of_a_graph_has_all_edges_to_later_nodes_and_their_ends(team):
+def test_a_subgraph_has_all_edges_to_later_nodes_and_their_ends(team):
     graph, robots = team._graph, team.groups[0].robots
     first = len(graph.poses) // 2
     everything, edges, whole, used = graph.subgraph(robots)
@@ -143,7 +143,7 @@ def test_part_of_a_graph_has_all_edges_to_later_nodes_and_their_ends(team):
 
 
 @pytest.mark.parametrize("robust", ["ours", "dcs"])
-def test_maps_that_are_held_in_part_are_as_good(monkeypatch, robust):
+def test_maps_with_fixed_keyframes_are_as_accurate(monkeypatch, robust):
     whole = episode(2500, **{"slam.pose_graph.robust": robust}).team
     tries = []
     optimise_latest = MapOptimiser._optimise_latest
@@ -154,7 +154,7 @@ def test_maps_that_are_held_in_part_are_as_good(monkeypatch, robust):
     assert np.abs(parts.nodes[0] - whole.nodes[0]).max() < 0.05
 
 
-def test_mappers_of_several_robots_hold_one_copy_of_each_scan():
+def test_mappers_of_several_robots_share_the_memory_of_each_scan():
     engine = episode(300, **{"link.topology": "peer"})
     first, other = (mapper._graph for mapper in engine.mappers[:2])
     heard = [keyframe.index for keyframe in other.keyframes[0]]
@@ -166,7 +166,7 @@ def test_mappers_of_several_robots_hold_one_copy_of_each_scan():
         assert np.shares_memory(*scans)
 
 
-def test_scans_are_those_of_the_keyframes(team):
+def test_scans_equal_those_of_the_keyframes(team):
     graph = team._graph
     for robot, path in enumerate(graph.keyframes):
         steps, scans = team.scans_of(robot)

@@ -1,4 +1,4 @@
-"""Of a large map those keyframes are forgotten that tell nothing new; what the map is for still works."""
+"""Removal of redundant keyframes from large maps: accuracy, closures, signs, merges and snapshots still work."""
 
 import itertools
 from dataclasses import replace
@@ -24,11 +24,11 @@ from twc_env.slam.sign_readings import SignReadings
 from twc_env.slam.team import TeamMapper
 
 STEPS, SMALL = 3000, (300, 100)
-"""Maps of so few keyframes count as large in these tests, the last hundred as not settled."""
+"""In these tests maps of 300 keyframes count as large, and the latest 100 keyframes as movable."""
 
 
 def started(steps=STEPS, forgets=True, **settings):
-    """An environment of three robots, and its wandering driver."""
+    """An environment of three robots after `reset`, and the actions of a reactive policy."""
     env = parallel_env(config=override(EnvConfig(), {"max_cycles": steps, "map": "twin-02", **settings}))
     env.reset(seed=1)
     for mapper in env.episode.engine.mappers:
@@ -37,7 +37,7 @@ def started(steps=STEPS, forgets=True, **settings):
 
 
 def before_the_end(steps, forgets=True, **settings):
-    """The environment after such a walk, before its last step."""
+    """The environment after all but the last step of such an episode."""
     env, actions = started(steps, forgets, **settings)
     for _ in range(steps - 1):
         env.step(next(actions))
@@ -51,7 +51,7 @@ def error_m(env) -> float:
 
 @pytest.fixture(scope="module")
 def walked():
-    """The same long walk with and without forgetting, before its last step."""
+    """The same long episode with and without removal of keyframes, before its last step."""
     return [before_the_end(STEPS, forgets) for forgets in (True, False)]
 
 
@@ -59,7 +59,7 @@ def mappers_of(walked):
     return [env.episode.engine.team for env in walked]
 
 
-def test_a_map_that_forgets_stays_small_and_is_as_good(walked):
+def test_a_map_with_removed_keyframes_is_smaller_and_as_accurate(walked):
     forgetful, other = mappers_of(walked)
     assert len(other.nodes[0]) > 900 and len(forgetful.nodes[0]) < 0.6 * len(other.nodes[0])
     assert [group.robots for group in forgetful.groups] == [group.robots for group in other.groups] == [(0, 1, 2)]
@@ -67,14 +67,14 @@ def test_a_map_that_forgets_stays_small_and_is_as_good(walked):
     assert errors[0] < max(1.1 * errors[1], 0.02)
 
 
-def test_every_step_of_the_way_is_still_known(walked):
+def test_poses_of_removed_keyframes_are_still_known(walked):
     for forgetful, other in [mappers_of(walked)]:
         for robot in range(3):
             assert np.array_equal(forgetful.keyframe_steps(robot), other.keyframe_steps(robot))
             assert np.abs(forgetful.poses_of(robot) - other.poses_of(robot))[:, :2].max() < 0.15
 
 
-def test_what_is_held_belongs_together(walked):
+def test_the_graph_is_consistent_after_removal(walked):
     graph = mappers_of(walked)[0]._graph
     numbers = [closure.number for closure in graph.closures]
     assert numbers == list(range(len(numbers))) and graph.closures_verified > len(numbers)
@@ -89,7 +89,7 @@ def test_what_is_held_belongs_together(walked):
         assert sorted(chain.tolist()) == list(map(list, itertools.pairwise(nodes)))
 
 
-def test_closures_lie_between_keyframes_that_are_held(walked):
+def test_closures_connect_keyframes_that_are_held(walked):
     graph = mappers_of(walked)[0]._graph
     for closure in graph.closures:
         ends = closure.candidate.target, closure.candidate.source
@@ -100,14 +100,14 @@ def test_closures_lie_between_keyframes_that_are_held(walked):
     assert len(errors) > 50 and np.quantile(errors, 0.9) < 0.1
 
 
-def test_of_what_comes_when_the_building_is_known_hardly_anything_stays():
+def test_the_graph_hardly_grows_once_the_building_is_known():
     env, actions = started(6000)
     graph, seen = env.episode.engine.team._graph, []
     for step in range(5999):
         env.step(next(actions))
         if step % 50 == 48:
             seen.append((graph.arrived_count, graph.node_count))
-    arrived, held = np.transpose(seen[:90])  # until a quarter of the time is left
+    arrived, held = np.transpose(seen[:90])  # the first three quarters of the episode
     least_then, least_now = held[60:].min(), min(nodes for _, nodes in seen[90:])
     assert seen[-1][0] - arrived[-1] > 500 and least_now - least_then < 0.1 * (seen[-1][0] - arrived[-1])
     assert seen[-1][0] == sum(len(graph.steps_of(robot)) for robot in range(3)) > 2000
@@ -115,7 +115,7 @@ def test_of_what_comes_when_the_building_is_known_hardly_anything_stays():
     assert len(graph.closures) < graph.node_count < 0.25 * seen[-1][0]
 
 
-def test_loops_are_closed_with_keyframes_that_stayed(walked):
+def test_loops_are_closed_with_remaining_keyframes(walked):
     team = mappers_of(walked)[0]
     held = [{keyframe.index for keyframe in path} for path in team.keyframes]
     accepted = [c.candidate for c in team.closures if c.status == "accepted"]
@@ -124,7 +124,7 @@ def test_loops_are_closed_with_keyframes_that_stayed(walked):
 
 
 @pytest.mark.parametrize("recogniser", ["text", "wifi", "lidar", "fused"])
-def test_every_recogniser_can_do_without_what_is_forgotten(recogniser):
+def test_every_recogniser_works_without_removed_keyframes(recogniser):
     env = before_the_end(2000, **{"slam.place_recognition.recogniser": recogniser})
     graph = env.episode.engine.team._graph
     assert graph.node_count < 0.65 * graph.arrived_count
@@ -136,14 +136,14 @@ def test_every_recogniser_can_do_without_what_is_forgotten(recogniser):
 
 
 @pytest.mark.parametrize("robust", ["plain", "dcs", "gnc"])
-def test_maps_of_other_back_ends_are_thinned_too(robust):
+def test_maps_of_other_back_ends_are_also_thinned(robust):
     env = before_the_end(2000, **{"slam.pose_graph.robust": robust})
     graph = env.episode.engine.team._graph
     assert graph.node_count < 0.65 * graph.arrived_count
     assert not env.episode.record.wrong_pairs and error_m(env) < 0.05
 
 
-def test_signs_are_known_from_the_keyframes_that_are_left(keyframe):
+def test_signs_are_known_from_the_remaining_keyframes(keyframe):
     memory, sign = PlaceMemory(8.0), SignObservation("EXIT", np.array([1.0, 0.0]), 0.0)
     read = [keyframe(robot=0, index=k, travel_m=0.1 * k, signs=(sign,)) for k in range(9)]
     places = {id(place) for one in read for place in memory.observe(one)}
@@ -157,7 +157,7 @@ def test_signs_are_known_from_the_keyframes_that_are_left(keyframe):
     assert memory.place_of((read[unseen], sign)) is memory.signs[0][0] and memory.place_of((read[0], sign)) is None
 
 
-def test_a_map_that_forgets_is_reported_as_any():
+def test_a_map_with_removed_keyframes_can_be_evaluated():
     env, actions = started(1500)
     for action in actions:
         env.step(action)
@@ -165,7 +165,7 @@ def test_a_map_that_forgets_is_reported_as_any():
     assert figures["wrong_merges"] == 0 and figures["team_ate_m"] < 0.1 and figures["wall_iou"] > 0.5
 
 
-def test_a_snapshot_of_a_map_that_forgets_goes_on_as_it_would_have():
+def test_an_episode_with_removed_keyframes_continues_exactly_from_a_snapshot():
     env, actions = started(1600, **{"map": "twin-01"})
     for _ in range(1200):
         env.step(next(actions))
@@ -179,7 +179,7 @@ def test_a_snapshot_of_a_map_that_forgets_goes_on_as_it_would_have():
     assert ends[0] == ends[1]
 
 
-def test_peers_that_were_away_get_what_they_lack_and_each_forgets_for_itself():
+def test_peers_get_missing_keyframes_and_remove_keyframes_independently():
     env, actions = started(2500, **{"link.topology": "peer", "link.range_max_m": 6.0})
     for action in actions:
         env.step(action)
@@ -193,7 +193,7 @@ def test_peers_that_were_away_get_what_they_lack_and_each_forgets_for_itself():
     assert not env.episode.record.wrong_pairs
 
 
-def test_mappers_of_large_maps_take_turns_with_what_takes_long(monkeypatch):
+def test_mappers_of_large_maps_optimise_in_turns(monkeypatch):
     busy, run = [], MapOptimiser.optimise_dirty
 
     def noting(self, step):
@@ -208,7 +208,7 @@ def test_mappers_of_large_maps_take_turns_with_what_takes_long(monkeypatch):
         assert len(steps) > 2 and {step % 3 for step in steps} == {home}
 
 
-def test_merges_of_large_maps_are_looked_at_one_by_one():
+def test_merges_of_large_maps_are_reviewed_one_per_step():
     env = before_the_end(900)
     review, step = env.episode.engine.team._review, 10000
     review.merges.append(replace(review.merges[0]))
@@ -218,7 +218,7 @@ def test_merges_of_large_maps_are_looked_at_one_by_one():
     assert review.wrong(step, one_by_one=True) is None and review.due_step > step
 
 
-def test_a_merge_of_a_map_that_forgot_is_undone_whole():
+def test_a_merge_can_be_undone_after_keyframes_were_removed():
     env = before_the_end(2500)
     team, truth = env.episode.engine.team, env.episode.record.true_poses
     assert team.groups[0].robots == (0, 1, 2) and len(team.nodes[0]) < 700
@@ -235,10 +235,10 @@ def test_a_merge_of_a_map_that_forgot_is_undone_whole():
         assert (team.grid_of(team.group_index(group.robots[0])).log_odds != 0).sum() > 1000
 
 
-# --- what else was known of forgotten keyframes
+# --- other data of removed keyframes
 
 
-def test_what_speaks_for_a_merge_stays_however_many_loose_closures_came_before(keyframe):
+def test_keyframes_of_the_firm_closures_of_a_merge_are_kept(keyframe):
     mapper = TeamMapper(EnvConfig(), 2)
     mapper.update(0, [keyframe(robot, k, (k, 0.0, 0.0), float(k)) for robot in (0, 1) for k in range(80)])
     graph, firm = mapper._graph, CLOSURES_KEPT
@@ -253,7 +253,7 @@ def test_what_speaks_for_a_merge_stays_however_many_loose_closures_came_before(k
     assert not may_go[graph.node((0, 1 + firm))] and not may_go[graph.node((1, 1 + firm))]
 
 
-def test_proposals_far_back_are_let_go_and_later_ones_still_known(keyframe):
+def test_old_proposals_are_forgotten_and_later_ones_kept(keyframe):
     tried, reach_m = ProposalFilter(), 2.0
     ends = [(keyframe(robot=0, travel_m=a), keyframe(robot=1, travel_m=b)) for a, b in ((5, 5), (50, 5), (5, 50))]
     assert all(tried.is_new(*pair, reach_m) for pair in ends)
@@ -261,7 +261,7 @@ def test_proposals_far_back_are_let_go_and_later_ones_still_known(keyframe):
     assert [tried.is_new(*pair, reach_m) for pair in ends] == [True, False, False]
 
 
-def test_readings_at_forgotten_keyframes_go_unless_only_they_tell(keyframe):
+def test_readings_at_removed_keyframes_are_dropped_unless_unique(keyframe):
     readings, poses = SignReadings(1), np.zeros((6, 3))
     texts = ["exit", "exit", "exlt", "lift", "lift", "room"]
     for node, text in enumerate(texts):
@@ -277,7 +277,7 @@ def test_readings_at_forgotten_keyframes_go_unless_only_they_tell(keyframe):
     assert len(readings.known(poses, [0])) == 3
 
 
-def test_receivers_told_apart_stay_so_without_the_texts():
+def test_device_offsets_are_kept_without_their_texts():
     devices = DeviceOffsets()
     devices.make_room(2)
     devices.offset_db[0, 1] = 8.0
@@ -285,7 +285,7 @@ def test_receivers_told_apart_stay_so_without_the_texts():
     assert devices.offset_db[0, 1] == 8.0
 
 
-def test_forgotten_keyframes_move_with_those_that_carry_them_however_often_these_change():
+def test_removed_keyframes_move_with_their_carriers_even_if_these_change():
     random = np.random.default_rng(2)
     poses = random.normal(0.0, 2.0, (6, 3))
     first, paths = poses.copy(), ForgottenPaths()

@@ -1,4 +1,4 @@
-"""Frames of one's own that cannot be meant are refused before a kernel reads beyond an array."""
+"""Invalid frames are rejected before a kernel reads outside an array."""
 
 from dataclasses import replace
 
@@ -60,7 +60,7 @@ def scan(macs, rssi_dbm) -> WifiScan:
         ({"signs": None}, "values of another kind"),
     ],
 )
-def test_a_frame_that_cannot_be_meant_is_refused(changes, message):
+def test_an_invalid_frame_is_rejected(changes, message):
     engine = CooperativeSlam(CONFIG, 2)
     with pytest.raises(DataError, match=message):
         engine.update([replace(SOUND, **changes)])
@@ -69,12 +69,12 @@ def test_a_frame_that_cannot_be_meant_is_refused(changes, message):
 
 
 @pytest.mark.parametrize("count", [0, -1, 2.5, "2", None])
-def test_a_team_of_no_number_of_robots_is_refused(count):
+def test_an_invalid_number_of_robots_is_rejected(count):
     with pytest.raises(ConfigError, match=f"robot_count must be a whole number of at least 1; got {count!r}"):
         CooperativeSlam(CONFIG, count)
 
 
-def test_no_frames_and_two_of_one_robot_are_refused():
+def test_empty_frames_and_two_frames_of_one_robot_are_rejected():
     for frames in ([], [SOUND, SOUND]):
         with pytest.raises(DataError, match=r"no frames|different robots"):
             CooperativeSlam(CONFIG, 2).update(frames)
@@ -87,13 +87,13 @@ def test_no_frames_and_two_of_one_robot_are_refused():
         (["frame"], "a list of str"),
     ],
 )  # fmt: skip
-def test_what_is_no_list_of_frames_is_named_in_a_word(given, named):
+def test_the_error_of_an_invalid_list_of_frames_names_its_type(given, named):
     with pytest.raises(DataError, match=f"give a list of SensorFrame, one for each robot; got {named}$"):
         CooperativeSlam(CONFIG, 2).update(given)
 
 
 @pytest.mark.parametrize("nothing", [np.inf, UNSEEN_M, 1e9])
-def test_beams_without_return_may_read_more_than_any_range(nothing):
+def test_ranges_of_beams_without_return_may_exceed_the_maximum(nothing):
     ranges_m = np.full(60, 3.0)
     ranges_m[10:20] = nothing
     engine = CooperativeSlam(CONFIG, 2)
@@ -101,7 +101,7 @@ def test_beams_without_return_may_read_more_than_any_range(nothing):
     assert np.isfinite(engine.pose_map_robot(0)).all()
 
 
-def test_a_scan_that_is_no_number_is_not_drawn():
+def test_non_finite_scans_and_poses_are_not_drawn():
     field = LineField(size_m=24.0, resolution_m=0.1, range_max_m=10.0)
     scans = np.full((1, 60), 3.0)
     field.add(np.zeros((1, 3)), scans)
@@ -111,7 +111,7 @@ def test_a_scan_that_is_no_number_is_not_drawn():
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float16, ">f8", np.int64])
-def test_frames_of_other_number_types_are_taken_in_at_any_time(kind):
+def test_frames_of_other_number_types_are_accepted_at_any_time(kind):
     later = {"odometry": np.zeros(3, kind), "ranges_m": np.full(60, 3, kind), "step": 1, "time_s": 1}
     engine, same = CooperativeSlam(CONFIG, 2), CooperativeSlam(CONFIG, 2)
     for each, changes in ((engine, later), (same, {"step": 1, "time_s": 1.0})):
@@ -122,7 +122,7 @@ def test_frames_of_other_number_types_are_taken_in_at_any_time(kind):
 
 
 @pytest.mark.parametrize("robot", [2, -1])
-def test_who_is_not_in_the_team_believes_nothing(robot):
+def test_a_belief_of_a_robot_outside_the_team_is_rejected(robot):
     engine = CooperativeSlam(CONFIG, 2)
     with pytest.raises(TwcError, match="robots are 0 to 1"):
         engine.belief(robot)
@@ -134,7 +134,7 @@ def test_an_engine_needs_a_config():
 
 
 @pytest.mark.parametrize("time_s", [0.9, 1.0])
-def test_frames_that_go_back_in_time_are_refused(time_s):
+def test_frames_that_go_back_in_time_are_rejected(time_s):
     engine = CooperativeSlam(CONFIG, 2)
     engine.update([replace(SOUND, time_s=1.0)])
     with pytest.raises(DataError, match="give frames in order, each with its time"):
@@ -143,8 +143,8 @@ def test_frames_that_go_back_in_time_are_refused(time_s):
 
 
 @pytest.mark.parametrize("begun_s", [(1.6e9, 1.6e9), (-50.0, 0.0), (0.0, 300.0)])
-def test_clocks_may_count_from_anywhere(begun_s):
-    """The time before a robot's first frame was no time in which it turned, or read nothing."""
+def test_clocks_may_start_at_any_time(begun_s):
+    """The time before a robot's first frame does not count as time in which it turned or read nothing."""
     engine, same = CooperativeSlam(CONFIG, 2), CooperativeSlam(CONFIG, 2)
     around = 2 * np.pi * np.arange(60) / 60
     for step in range(30):

@@ -1,4 +1,4 @@
-"""How surely robots' ways lie to each other, against what they are off by in many draws."""
+"""Covariance of the relative frames of robots, compared with the errors of many random draws."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ ROBOT_OF = np.repeat([0, 1], STEPS + 1)
 
 
 def draw(random, ties):
-    """True poses, first guess and graph of two robots that went round bends and met at some places (i, j)."""
+    """True poses, initial poses and graph of two robots on curved paths with closures between some poses (i, j)."""
     turns = 0.2 * np.sin(np.arange(STEPS) / 5)
     motions = np.column_stack([np.full(STEPS, STEP_M), np.zeros(STEPS), turns])
     true = np.concatenate([poses_along(motions), compose(SECOND_BEGINS, poses_along(motions))])
@@ -44,7 +44,7 @@ def draw(random, ties):
 
 
 @pytest.mark.parametrize("ties", [[(5, 5), (6, 7), (8, 8)], [(0, 20), (20, 0), (35, 38)]])
-def test_frames_of_robots_are_off_each_other_as_their_covariance_says(ties):
+def test_the_error_of_relative_frames_matches_their_covariance(ties):
     random, squared = np.random.default_rng(len(ties)), []
     for _ in range(60):
         true, start, graph = draw(random, ties)
@@ -56,7 +56,7 @@ def test_frames_of_robots_are_off_each_other_as_their_covariance_says(ties):
     assert np.mean(squared) == pytest.approx(1.0, abs=0.35)
 
 
-def test_robots_that_met_in_one_place_are_less_sure_than_those_that_met_all_along_the_way():
+def test_the_covariance_is_larger_if_robots_met_at_one_place_only():
     random = np.random.default_rng(0)
     _, start, once = draw(random, [(5, 5), (6, 7), (8, 8)])
     _, _, along = draw(random, [(0, 0), (20, 20), (38, 38)])
@@ -64,7 +64,7 @@ def test_robots_that_met_in_one_place_are_less_sure_than_those_that_met_all_alon
     assert near < 0.5 * far and near_rad < far_rad
 
 
-def test_robots_that_nothing_ties_are_not_sure_at_all():
+def test_the_uncertainty_between_unconnected_robots_is_large():
     _, start, graph = draw(np.random.default_rng(0), [(0, 0)])
     stds = frame_stds(start, graph.of(~graph.is_closure), ROBOT_OF)
     assert (stds[0, 1] > 1.0).all() and stds[0, 0] == pytest.approx(0.0, abs=1e-3)

@@ -20,7 +20,7 @@ from twc_env.slam.global_matching import (
 
 
 def room(width=6.0, height=4.0, spacing=0.05):
-    """Points along a room's walls with a niche and a pillar, so that it looks like itself from one pose only."""
+    """Points along the walls of a room with a niche and a pillar, so that only one pose matches."""
     corners = [(0, 0), (width, 0), (width, height), (2.5, height), (2.5, height - 0.8), (0, height - 0.8), (0, 0)]
     pillar = [(4.0, 1.0), (4.6, 1.0), (4.6, 1.4), (4.0, 1.4), (4.0, 1.0)]
     pieces = []
@@ -32,7 +32,7 @@ def room(width=6.0, height=4.0, spacing=0.05):
 
 
 def brute_force(target, source, reach, headings):
-    """(score, heading, column, row) of the best pose of the lattice, by looking at all of them."""
+    """(score, heading, column, row) of the best pose of the search grid, by exhaustive search."""
     fields, origin_m = score_fields(target)
     field = np.pad(fields[0].astype(np.int64), 2 * reach + 200)
     best = (-1, 0.0, 0, 0)
@@ -61,14 +61,14 @@ def brute_force(target, source, reach, headings):
         ({"points_max": 0}, "points_max 1 or more"),
     ],
 )
-def test_what_cannot_be_matched_is_refused(changes, message):
+def test_invalid_arguments_are_rejected(changes, message):
     points = np.random.default_rng(0).uniform(-3.0, 3.0, (40, 2))
     with pytest.raises(DataError, match=message):
         match_globally(**{"target_points": points, "source_points": points, "window_m": 2.0, **changes})
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_branch_and_bound_finds_what_looking_everywhere_finds(seed):
+def test_branch_and_bound_equals_exhaustive_search(seed):
     random = np.random.default_rng(seed)
     pose = np.array([*random.uniform(-0.5, 0.5, 2), random.uniform(-3, 3)])
     target = room()
@@ -76,14 +76,14 @@ def test_branch_and_bound_finds_what_looking_everywhere_finds(seed):
     found = match_globally(target, source, window_m=0.7, score_min=0.0)
     best, heading, column, row = brute_force(target, source, 7, lattice_headings(source))
     assert round(found.score * FULL * len(source)) == best
-    if found.pose != pytest.approx([column * CELL_M, row * CELL_M, heading]):  # another pose of the very same score
+    if found.pose != pytest.approx([column * CELL_M, row * CELL_M, heading]):  # another pose with an equal score
         assert brute_force(target, source, 7, [found.pose[2]])[0] == best
     assert found.evaluated < 0.5 * len(lattice_headings(source)) * 15 * 15
 
 
 @pytest.mark.parametrize("lays_walls_along", [False, True])
 @pytest.mark.parametrize("seed", range(6))
-def test_a_scan_is_found_however_it_is_turned(seed, lays_walls_along):
+def test_a_scan_is_found_at_any_heading(seed, lays_walls_along):
     random = np.random.default_rng(seed)
     pose = np.array([*random.uniform(-2.5, 2.5, 2), random.uniform(-math.pi, math.pi)])
     source = transform_points(inverse(pose), room()) + random.normal(0, 0.01, room().shape)
@@ -92,7 +92,7 @@ def test_a_scan_is_found_however_it_is_turned(seed, lays_walls_along):
     assert math.hypot(*error[:2]) < 0.15 and abs(wrap_angle(error[2])) < 0.05
 
 
-def test_few_headings_lay_walls_along_walls_and_they_lie_about_quarter_turns():
+def test_headings_that_align_walls_are_few_and_near_quarter_turns():
     source = transform_points(np.array([0.0, 0.0, 0.7]), room())
     headings = lattice_headings(source)
     chosen = headings_along_walls(headings, room(), source)
@@ -100,7 +100,7 @@ def test_few_headings_lay_walls_along_walls_and_they_lie_about_quarter_turns():
     assert np.abs(wrap_angle(4 * (chosen + 0.7))).max() < 4 * (WALL_RAD + 0.01)
 
 
-def test_where_walls_run_anyhow_every_heading_is_tried():
+def test_without_main_directions_every_heading_is_tried():
     turn = np.arange(0, 6.28, 0.02)
     circle = 3.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     headings = lattice_headings(circle)
@@ -109,7 +109,7 @@ def test_where_walls_run_anyhow_every_heading_is_tried():
     assert np.array_equal(headings_along_walls(headings, room(), circle[:1]), headings)
 
 
-def test_every_level_bounds_all_shifts_of_its_box():
+def test_every_level_is_an_upper_bound_for_all_shifts_of_its_box():
     fields, _ = score_fields(room())
     for level in range(1, LEVELS):
         side = 2**level

@@ -1,4 +1,4 @@
-"""What becomes of a pose graph without some of its nodes."""
+"""Removal of nodes from a pose graph."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from twc_env.slam.graph_thinning import Edges, thinned
 
 
 def chain(motions, std):
-    """Edges of odometry along these motions (k, 3), and the poses that they lead to."""
+    """Odometry edges of these motions (k, 3), and the resulting poses."""
     information = np.repeat(np.diag(1 / np.square(std))[None], len(motions), axis=0)
     ends = np.array([(k, k + 1) for k in range(len(motions))])
     edges = Edges(ends, motions, information, np.full(len(motions), ODOMETRY), np.ones(len(motions), bool))
@@ -41,7 +41,7 @@ def without(count, *nodes):
     return is_gone
 
 
-def test_odometry_past_what_is_gone_says_what_its_parts_said_together():
+def test_odometry_across_removed_nodes_composes_motions_and_covariances():
     random = np.random.default_rng(0)
     motions = random.normal((0.7, 0.0, 0.2), (0.1, 0.1, 0.3), (6, 3))
     edges, poses = chain(motions, (0.02, 0.02, 0.01))
@@ -55,7 +55,7 @@ def test_odometry_past_what_is_gone_says_what_its_parts_said_together():
     assert np.linalg.inv(left.information[0]) == pytest.approx(spread, abs=4e-5)
 
 
-def test_a_closure_handed_on_holds_the_rest_where_it_was():
+def test_transferred_closures_keep_the_optimum_of_the_other_nodes():
     random = np.random.default_rng(1)
     motions = random.normal((0.7, 0.0, 0.2), (0.02, 0.02, 0.01), (8, 3))
     edges, poses = chain(motions, (0.02, 0.02, 0.01))
@@ -70,10 +70,10 @@ def test_a_closure_handed_on_holds_the_rest_where_it_was():
         assert np.abs(fitted(left, poses) - best)[kept, :2].max() < 0.03 < np.abs(poses - best)[kept, :2].max()
 
 
-def test_nodes_with_closures_enough_take_over_no_other():
+def test_nodes_with_enough_closures_take_no_transferred_ones():
     edges, poses = chain(np.tile((0.7, 0.0, 0.0), (20, 1)), (0.02, 0.02, 0.01))
     pairs = [(0, 10), (1, 10), (2, 10), (5, 14), (5, 16), (5, 18), (5, 11)]
-    for first, left in ((0, range(6)), (1, range(6))):  # without the first of them the node at 10 has two
+    for first, left in ((0, range(6)), (1, range(6))):  # without the first closure, node 10 has two
         graph = with_closures(
             edges, [(pair, between(*poses[list(pair)])) for pair in pairs[first:]], (0.01, 0.01, 0.005)
         )
@@ -82,7 +82,7 @@ def test_nodes_with_closures_enough_take_over_no_other():
         assert sorted(thin.closure[thin.closure >= 0].tolist()) == list(left)
 
 
-def test_what_is_said_again_of_two_nodes_is_put_into_one():
+def test_closures_between_the_same_nodes_are_fused():
     edges, poses = chain(np.tile((0.7, 0.0, 0.0), (20, 1)), (0.001, 0.001, 0.001))
     first, second = between(poses[0], poses[10]), between(poses[11], poses[0])
     graph = with_closures(edges, [((0, 10), compose(first, (0.1, 0.0, 0.0))), ((11, 0), second)], (0.1, 0.1, 0.05))
@@ -93,7 +93,7 @@ def test_what_is_said_again_of_two_nodes_is_put_into_one():
     assert np.linalg.inv(tie.information[0])[2, 2] < 0.51 * 0.05**2
 
 
-def test_a_closure_that_would_say_nothing_is_not_handed_on():
+def test_an_uninformative_closure_is_not_transferred():
     motions = np.tile((0.7, 0.0, 0.0), (8, 1))
     edges, poses = chain(motions, (2.0, 2.0, 0.01))
     graph = with_closures(edges, [((0, 4), between(poses[0], poses[4]))], (0.01, 0.01, 0.005))

@@ -1,4 +1,4 @@
-"""Which keyframes of a large map tell nothing new."""
+"""Selection of redundant keyframes of a large map."""
 
 import numpy as np
 
@@ -20,20 +20,20 @@ def carriers(poses, scans=None, robots=None, signs=None, may_go=None):
     ).tolist()  # fmt: skip
 
 
-def test_a_keyframe_goes_where_an_earlier_one_of_its_robot_sees_the_same():
+def test_a_keyframe_near_an_earlier_one_with_the_same_view_may_be_removed():
     assert carriers([(0, 0), (3, 0), (0.5, 0.5), (2.8, 0)]) == [-1, -1, 0, 1]
-    assert carriers([(0, 0), (0.5, 0), (1.2, 0)]) == [-1, 0, -1]  # what went itself carries nothing
+    assert carriers([(0, 0), (0.5, 0), (1.2, 0)]) == [-1, 0, -1]  # a removed keyframe cannot be a carrier
     assert carriers([(0, 0), (0.5, 0)], robots=[0, 1]) == [-1, -1]
     assert carriers([(0, 0), (0.5, 0)], may_go=np.array([True, False])) == [-1, -1]
 
 
-def test_a_keyframe_stays_behind_a_wall():
+def test_a_keyframe_behind_a_wall_is_kept():
     scans = open_scans(2)
     scans[1] = 0.2
     assert carriers([(0, 0), (0.5, 0)], scans) == [-1, -1]
 
 
-def test_a_keyframe_stays_until_its_signs_were_read_often():
+def test_a_keyframe_is_kept_until_its_signs_were_read_often():
     often, sign = VIEWS_ENOUGH, [(4.0, 0.0)]
     places = [(0.01 * k, 0) for k in range(often + 2)]
     assert carriers(places, signs=[sign] * len(places)) == [-1] * often + [often - 1] * 2

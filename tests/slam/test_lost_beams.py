@@ -1,4 +1,4 @@
-"""Lost beams are told from openings, and what is behind them stays unknown."""
+"""Lost beams are distinguished from openings; cells behind them stay unknown."""
 
 import numpy as np
 import pytest
@@ -18,25 +18,25 @@ def marked(ranges: np.ndarray, opening: int) -> np.ndarray:
 
 @pytest.mark.parametrize("dropout", [0.01, 0.1, 0.5, 0.9])
 @pytest.mark.parametrize("beams", [36, 180, 720])
-def test_lost_beams_are_as_many_in_a_row_as_an_opening_once_in_ten_thousand_scans(dropout, beams):
+def test_runs_of_lost_beams_as_long_as_an_opening_occur_once_in_ten_thousand_scans(dropout, beams):
     opening = opening_beams(beams, dropout)
     assert beams * dropout**opening <= 1e-4 < beams * dropout ** (opening - 1)
 
 
-def test_a_scanner_that_loses_nothing_is_believed_and_one_that_loses_all_is_not():
+def test_without_lost_beams_openings_are_free_and_with_all_lost_they_are_not():
     scan = np.array([3.0, 10.0, 3.0, 10.0])
     assert opening_beams(4, 0.0) == 1 and np.array_equal(marked(scan, 1), scan)
     assert np.array_equal(marked(np.full(4, 10.0), opening_beams(4, 1.0)), np.full(4, -NEAR_M))
 
 
 @pytest.mark.parametrize("turn", range(12))
-def test_few_beams_without_a_return_are_free_up_to_the_nearer_of_their_neighbours(turn):
+def test_few_beams_without_return_are_free_up_to_the_nearer_neighbour(turn):
     scan = np.roll([3.0, 10.0, 10.0, 4.0, 10.0, 2.0, np.inf, np.inf, np.inf, 5.0, 5.0, 10.0], turn)
     expected = np.roll([3.0, -3.0, -3.0, 4.0, -2.0, 2.0, np.inf, np.inf, np.inf, 5.0, 5.0, -3.0], turn)
     assert np.array_equal(marked(scan, 3), expected)
 
 
-def test_an_opening_all_around_one_return_stays_open():
+def test_an_opening_around_a_single_return_stays_open():
     scan = np.full(12, 10.0)
     scan[5] = 2.0
     assert np.array_equal(marked(scan, 3), scan)

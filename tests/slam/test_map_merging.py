@@ -22,7 +22,7 @@ def heard_at(fingerprints) -> HeardPlaces:
 
 
 def closures(seed: int, count: int, noise_m: float = 0.05, pose_a_b=TRUE_A_B, spread_m: float = 8.0):
-    """Targets in a, sources in b, measured poses and signs of closures that all say the same, up to noise."""
+    """Targets in a, sources in b, measured poses, signs and text equality of closures that agree up to noise."""
     random = np.random.default_rng(seed)
     sources = np.column_stack([random.uniform(-spread_m, spread_m, (count, 2)), random.uniform(-3, 3, count)])
     targets = compose(compose(pose_a_b, sources), random.normal(0, 0.5, (count, 3)))
@@ -57,14 +57,14 @@ def test_exact_closures_give_the_exact_pose():
     assert proposal.support.all()
 
 
-def test_the_larger_of_two_agreeing_parties_wins():
+def test_the_larger_of_two_consistent_sets_wins():
     lie = np.array([-3.0, 4.0, 0.5])
     parts = closures(2, 3, pose_a_b=lie, noise_m=0.01), closures(3, 5, noise_m=0.01)
     proposal = largest_agreement(*joined(*parts), MergingConfig())
     assert proposal.support.tolist() == [False] * 3 + [True] * 5
 
 
-def test_three_signs_outvote_two_however_often_these_were_seen():
+def test_three_signs_outweigh_two_with_more_sightings():
     lie = np.array([-3.0, 4.0, 0.5])
     targets, sources, measured, signs, alike = closures(2, 6, pose_a_b=lie, noise_m=0.01)
     seen_again = targets, sources, measured, np.tile([[0.0, 0.0], [4.0, 0.0]], (3, 1)), alike
@@ -77,7 +77,7 @@ def test_three_signs_outvote_two_however_often_these_were_seen():
     assert other.support.tolist() == [True] * 6 + [False] * 3
 
 
-def test_a_sign_read_alike_by_both_outvotes_rows_of_names_that_follow_one_another():
+def test_an_equal_text_outweighs_rows_of_similar_texts():
     lie = np.array([-3.0, 4.0, 0.5])
     *shifted, _ = closures(2, 6, pose_a_b=lie, noise_m=0.01)
     next_door = *shifted, np.zeros(6, bool)
@@ -91,14 +91,14 @@ def test_a_sign_read_alike_by_both_outvotes_rows_of_names_that_follow_one_anothe
 
 
 @pytest.mark.parametrize(("apart_m", "count"), [(0.0, 4), (0.5, 3), (1.5, 2), (9.0, 1)])
-def test_signs_nearer_than_the_spread_count_once(apart_m, count):
+def test_signs_closer_than_the_spread_count_once(apart_m, count):
     signs_m = np.array([[9.0, 9.0], [0.0, 0.0], [0.1, 0.0], [1.0, 0.0], [3.0, 0.0]])
     assert count_places(signs_m, np.arange(1, 5), apart_m) == count
     assert count_places(signs_m, np.arange(0), apart_m) == 0
 
 
 def by_the_definition(targets, sources, measured, signs_m, is_read_alike, rule: MergingConfig):
-    """The heaviest weight and what agrees, every pair with array functions."""
+    """Largest weight and its set of closures, from all pairs with array functions."""
     poses_a_b = compose(compose(targets, measured), inverse(sources))
     error = between(compose(targets, measured)[None], compose(poses_a_b[:, None], sources[None]))
     apart = np.linalg.norm(sources[:, None, :2] - sources[None, :, :2], axis=2)
@@ -115,7 +115,7 @@ def by_the_definition(targets, sources, measured, signs_m, is_read_alike, rule: 
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_the_agreement_is_the_heaviest_of_all(seed):
+def test_the_agreement_has_the_largest_weight_of_all_sets(seed):
     random = np.random.default_rng(seed)
     rule = MergingConfig(signs_read_alike_min=0, spread_min_m=float(random.choice([0.0, 0.5, 1.5])))
     parts = [
@@ -135,23 +135,23 @@ def test_the_agreement_is_the_heaviest_of_all(seed):
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_too_few_closures_prove_nothing(count):
+def test_too_few_closures_give_no_proposal(count):
     assert largest_agreement(*closures(4, count, noise_m=0.0), MergingConfig(closures_min=3)) is None
 
 
-def test_closures_that_disagree_prove_nothing():
+def test_inconsistent_closures_give_no_proposal():
     random = np.random.default_rng(5)
     lies = [closures(i, 1, pose_a_b=np.append(random.uniform(-40, 40, 2), random.uniform(-3, 3))) for i in range(6)]
     assert largest_agreement(*joined(*lies), MergingConfig()) is None
 
 
-def test_closures_from_signs_at_one_spot_prove_nothing():
+def test_closures_from_signs_at_one_place_give_no_proposal():
     spot = closures(6, 6, noise_m=0.0, spread_m=0.4)
     assert largest_agreement(*spot, MergingConfig(spread_min_m=1.5)) is None
     assert largest_agreement(*spot, MergingConfig(spread_min_m=0.2)) is not None
 
 
-def test_closures_from_many_places_that_share_one_sign_prove_nothing():
+def test_closures_by_a_single_sign_give_no_proposal():
     targets, sources, measured, _, alike = closures(6, 6, noise_m=0.0)
     one_sign = np.tile([3.0, 4.0], (6, 1))
     assert largest_agreement(targets, sources, measured, one_sign, alike, MergingConfig()) is None
@@ -159,7 +159,7 @@ def test_closures_from_many_places_that_share_one_sign_prove_nothing():
     assert largest_agreement(targets, sources, measured, one_sign, alike, MergingConfig()) is not None
 
 
-def test_two_spots_of_the_same_wrong_copy_are_still_outvoted():
+def test_two_places_of_a_wrong_copy_are_outweighed():
     copy = np.array([5.0, 5.0, 0.0])
     proposal = largest_agreement(
         *joined(closures(7, 2, pose_a_b=copy, noise_m=0.0), closures(8, 4, noise_m=0.0)), MergingConfig()
@@ -168,11 +168,11 @@ def test_two_spots_of_the_same_wrong_copy_are_still_outvoted():
 
 
 def grid_of(room, scan, poses, frame=(0.0, 0.0, 0.0)):
-    """The map of a room in a frame that lies at `frame` in the building."""
+    """The map of a room in a map frame with pose `frame` in the building."""
     grid = OccupancyGrid(0.1, 10.0, 360)
     local = between(np.array(frame), np.array(poses, float))
     scans = np.array([scan(room, pose, 360) for pose in poses])
-    for _ in range(4):  # seen often enough to be certain
+    for _ in range(4):  # often enough to reach high log-odds
         grid.integrate(local, scans)
     return grid.snapshot()
 
@@ -197,7 +197,7 @@ def test_shifted_maps_contradict_each_other(office, scan, shift):
     assert wall_contradiction(grid, grid, np.array(shift)) > 0.2
 
 
-def test_the_contradiction_does_not_depend_on_who_is_asked_first(office, hall, scan):
+def test_the_contradiction_is_symmetric(office, hall, scan):
     a, b = grid_of(office, scan, POSES), grid_of(hall, scan, [(0.0, 1.0, 0.0)])
     pose = np.array([0.4, -0.3, 0.5])
     assert wall_contradiction(a, b, pose) == pytest.approx(wall_contradiction(b, a, inverse(pose)))
@@ -209,7 +209,7 @@ def test_maps_far_apart_cannot_contradict_each_other(office, scan):
 
 
 def radio_survey(random, positions, noise_db=1.0, offset_db=0.0, shift=(0.0, 0.0)):
-    """Fingerprints of places in a field of eight transmitters."""
+    """Fingerprints at these positions, with eight transmitters."""
     sources = np.random.default_rng(99).uniform(-15, 15, (8, 2))
     prints = []
     for position in positions:
@@ -220,7 +220,7 @@ def radio_survey(random, positions, noise_db=1.0, offset_db=0.0, shift=(0.0, 0.0
 
 
 def wifi_verdict(claimed_shift, noise_db=1.0, offset_db=0.0, count=40):
-    """Robot 1 walked the path of robot 0; the merge claims that robot 1 was `claimed_shift` away from where it was."""
+    """Robot 1 followed the path of robot 0; the merge to check is wrong by `claimed_shift`."""
     random = np.random.default_rng(0)
     path = np.stack([np.linspace(-8, 8, count), 2 * np.sin(np.linspace(0, 6, count))], axis=1)
     travel = np.linspace(0, 18, count)
@@ -231,19 +231,19 @@ def wifi_verdict(claimed_shift, noise_db=1.0, offset_db=0.0, count=40):
     return wifi_agrees(positions, robots, np.tile(travel, 2), heard_at(prints), np.arange(2 * count), robots == 1)
 
 
-def test_radio_agrees_where_two_robots_walked_the_same_path():
+def test_radio_confirms_two_robots_on_the_same_path():
     assert wifi_verdict((0.0, 0.0)) is True
 
 
-def test_radio_forgives_receivers_that_read_differently():
+def test_radio_tolerates_device_offsets():
     assert wifi_verdict((0.0, 0.0), offset_db=8.0) is True
 
 
-def test_radio_objects_when_the_second_robot_was_elsewhere():
+def test_radio_contradicts_if_the_second_robot_was_elsewhere():
     assert wifi_verdict((11.0, 9.0)) is False
 
 
-def test_radio_says_nothing_when_the_paths_never_meet():
+def test_radio_gives_no_verdict_if_the_paths_are_apart():
     random = np.random.default_rng(0)
     path = np.stack([np.linspace(-8, 8, 40), np.zeros(40)], axis=1)
     positions = np.concatenate([path, path + [0.0, 30.0]])
@@ -253,14 +253,14 @@ def test_radio_says_nothing_when_the_paths_never_meet():
     assert wifi_agrees(positions, robots, travels_m, heard, np.arange(80), robots == 1) is None
 
 
-def test_radio_says_nothing_where_nothing_is_heard():
+def test_radio_gives_no_verdict_without_readings():
     empty = heard_at([Fingerprint(np.zeros(0, np.int64), np.zeros(0))] * 20)
     positions = np.tile(np.stack([np.arange(10.0), np.zeros(10)], axis=1), (2, 1))
     robots = np.repeat([0, 1], 10)
     assert wifi_agrees(positions, robots, np.tile(np.arange(10.0), 2), empty, np.arange(20), robots == 1) is None
 
 
-def test_places_heard_bit_by_bit_are_those_heard_at_once():
+def test_places_added_one_by_one_equal_those_added_at_once():
     prints = [Fingerprint(np.arange(k), -50.0 - np.arange(k)) for k in (3, 0, 2, 4 * READINGS_ROOM)]
     at_once, grown = heard_at(prints), HeardPlaces()
     for part in (prints[:1], [], prints[1:]):
@@ -275,6 +275,6 @@ def test_places_heard_bit_by_bit_are_those_heard_at_once():
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 256])
-def test_the_middle_of_values_is_their_median(count):
+def test_the_median_kernel_equals_numpy(count):
     values = np.random.default_rng(count).normal(size=count)
     assert map_merging._median(values) == np.median(values)

@@ -15,7 +15,7 @@ def marked(ranges: np.ndarray, radius_m: float = RADIUS_M) -> np.ndarray:
 
 
 def disc(scan: np.ndarray, centre, radius_m: float = RADIUS_M, pose=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
-    """The scan with a disc in front of it, and which beams met the disc."""
+    """The scan with a disc in view, and which beams hit the disc."""
     angles = pose[2] + np.arange(len(scan)) * 2 * np.pi / len(scan)
     away = np.asarray(centre, float) - pose[:2]
     along = away @ np.array([np.cos(angles), np.sin(angles)])
@@ -33,7 +33,7 @@ def room(walls, scan):
 @pytest.mark.parametrize(
     "centre", [(1.5, 0.4), (2.0, 0.0), (2.0, -0.02), (-1.2, 1.0), (0.6, -0.5), (3.0, 1.5), (-3.2, -2)]
 )
-def test_a_mate_in_the_open_is_marked_and_nothing_else(room, centre):
+def test_only_the_beams_on_a_mate_are_marked(room, centre):
     ranges, is_mate = disc(room, centre)
     scan = marked(ranges)
     assert is_mate.sum() >= 2
@@ -65,19 +65,19 @@ def test_a_square_pillar_stays_a_wall(walls, scan):
     assert np.all(marked(scan(both, (0.0, 0.0, 0.0))) >= 0)
 
 
-def test_a_radius_of_zero_marks_nothing(room):
+def test_with_a_radius_of_zero_nothing_is_marked(room):
     ranges, _ = disc(room, (1.5, 0.4))
     assert np.array_equal(marked(ranges, 0.0), ranges)
 
 
-def test_marking_leaves_the_scan_alone(room):
+def test_marking_does_not_modify_the_scan(room):
     ranges, _ = disc(room, (1.5, 0.4))
     before = ranges.copy()
     marked(ranges)
     assert np.array_equal(ranges, before)
 
 
-def test_a_disc_that_stays_where_it_is_becomes_a_wall_again_and_a_moving_one_does_not():
+def test_a_stationary_disc_becomes_a_wall_again_and_a_moving_one_does_not():
     def seen_again(shift_m):
         seen, following = np.full((MEMORY, 4), np.inf), 0
         for k in range(4):
@@ -93,7 +93,7 @@ def test_a_disc_that_stays_where_it_is_becomes_a_wall_again_and_a_moving_one_doe
 
 @pytest.mark.parametrize("centre", [(1.5, 0.4), (0.45, 0.1), (-0.6, -0.5), (3.0, 1.5), (1.5, 0.0)])
 @pytest.mark.parametrize("far_m", [3.5, np.inf])
-def test_whatever_is_as_narrow_as_a_mate_is_left_out(room, centre, far_m):
+def test_objects_as_narrow_as_a_mate_are_ignored(room, centre, far_m):
     ranges, is_mate = disc(np.where(room > 3.5, far_m, room), centre)
     ranges[is_mate] += np.random.default_rng(0).normal(0, 0.02, is_mate.sum())
     scan = without_narrow(ranges, 2 * RADIUS_M + 0.1)

@@ -1,4 +1,4 @@
-"""Robots that share no map are compared by what they hear; the less of it fits, the more rarely."""
+"""Robots without a common map are compared by WiFi fingerprints, more rarely after rejections."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def recogniser():
 
 @pytest.fixture
 def place(keyframe):
-    """What a robot hears after so many metres."""
+    """A keyframe with a fingerprint, after `travel_m` metres."""
 
     def make(robot, travel_m, rssi_dbm=HERE, macs=MACS):
         return keyframe(robot, int(10 * travel_m), travel_m=float(travel_m), macs=macs, rssi_dbm=rssi_dbm)
@@ -37,7 +37,7 @@ def end(candidate, status) -> LoopClosure:
     return LoopClosure(candidate, np.zeros(3), np.eye(3), 0.9, status)
 
 
-def test_robots_of_two_maps_are_compared_where_they_hear_alike(recogniser, place):
+def test_robots_of_two_maps_are_compared_where_fingerprints_are_similar(recogniser, place):
     assert recogniser.propose(place(0, 0.0), (0,)) == []
     assert recogniser.propose(place(1, 0.0, ELSEWHERE), (1,)) == []
     (found,) = recogniser.propose(place(2, 0.0, HERE + 1.0), (2,))
@@ -45,19 +45,19 @@ def test_robots_of_two_maps_are_compared_where_they_hear_alike(recogniser, place
 
 
 @pytest.mark.parametrize("heard", [SHARED_MIN - 1, SHARED_MIN])
-def test_two_or_three_access_points_do_not_tell_a_place(recogniser, place, heard):
+def test_few_shared_access_points_give_no_candidate(recogniser, place, heard):
     recogniser.propose(place(0, 0.0, HERE[:heard], MACS[:heard]), (0,))
     assert len(recogniser.propose(place(1, 0.0, HERE[:heard], MACS[:heard]), (1,))) == (heard >= SHARED_MIN)
 
 
-def test_robots_of_one_map_are_not_compared_but_remembered(recogniser, place):
+def test_robots_of_one_map_are_not_compared_but_stored(recogniser, place):
     recogniser.propose(place(0, 0.0), (0, 1))
     assert recogniser.propose(place(1, 0.0), (0, 1)) == []
     assert len(recogniser.propose(place(2, 0.0), (2,))) == 2
     assert recogniser.propose(place(0, 5.0), (0, 1, 2)) == []
 
 
-def test_of_many_places_those_that_sound_most_alike_are_tried_the_most_alike_first(recogniser, place):
+def test_candidates_are_the_most_similar_places_in_order_of_similarity(recogniser, place):
     off_db = {0: 2.0, 1: 0.5, 2: 3.0, 3: 1.0, 4: 2.5}
     for travel_m, off in off_db.items():
         recogniser.propose(place(0, travel_m, HERE + off), (0,))
@@ -66,17 +66,17 @@ def test_of_many_places_those_that_sound_most_alike_are_tried_the_most_alike_fir
 
 
 def refuse_next(recogniser, place, from_m: int, rssi_dbm=HERE) -> float:
-    """How far robot 1 goes until it is compared with robot 0 again; the match is refused."""
+    """Travel of robot 1 at its next comparison with robot 0, whose match is then rejected."""
     for travel_m in range(from_m, from_m + 200):
         found = recogniser.propose(place(1, travel_m, rssi_dbm), (1,))
         if found:
-            assert len(found) == 1, "of a robot whose last match was refused one place is tried"
+            assert len(found) == 1, "after a rejection only one place of the robot is proposed"
             recogniser.note(end(found[0], "rejected"))
             return travel_m
     raise AssertionError("never compared again")
 
 
-def test_the_more_matches_are_refused_in_a_row_the_longer_two_robots_rest(place):
+def test_the_waiting_distance_of_two_robots_doubles_with_each_rejection(place):
     recogniser = MeetingRecogniser(PlaceRecognitionConfig(), robot_count=2)
     for travel_m in range(3):
         recogniser.propose(place(0, travel_m), (0,))
@@ -88,7 +88,7 @@ def test_the_more_matches_are_refused_in_a_row_the_longer_two_robots_rest(place)
     assert np.diff(at).tolist() == [*doubled, doubled[-1]]
 
 
-def test_only_the_two_robots_whose_match_was_refused_rest(recogniser, place):
+def test_a_rejection_delays_only_the_two_robots_concerned(recogniser, place):
     for robot in (0, 1):
         recogniser.propose(place(robot, 0.0), (0, 1))
     recogniser.note(end(recogniser.propose(place(2, 0.0), (1, 2))[0], "rejected"))
@@ -96,7 +96,7 @@ def test_only_the_two_robots_whose_match_was_refused_rest(recogniser, place):
     assert found.target == (1, 0)
 
 
-def test_a_match_that_fits_ends_the_rest(recogniser, place):
+def test_an_accepted_match_ends_the_wait(recogniser, place):
     for travel_m in range(3):
         recogniser.propose(place(0, travel_m), (0,))
     found = recogniser.propose(place(1, 0.0), (1,))
@@ -105,7 +105,7 @@ def test_a_match_that_fits_ends_the_rest(recogniser, place):
     assert len(recogniser.propose(place(1, 1.0), (1,))) == CANDIDATES_MAX
 
 
-def test_where_nothing_sounds_alike_a_robot_is_compared_more_rarely(recogniser, place):
+def test_without_similar_places_comparisons_become_rarer(recogniser, place):
     recogniser.propose(place(0, 0.0), (0,))
     assert recogniser.propose(place(1, 0.0, ELSEWHERE), (1,)) == []
     heard = [bool(recogniser.propose(place(1, travel_m), (1,))) for travel_m in (1.0, 2.0, 3.0, 4.0)]
@@ -113,7 +113,7 @@ def test_where_nothing_sounds_alike_a_robot_is_compared_more_rarely(recogniser, 
 
 
 @pytest.mark.parametrize("compared", [(), (1,)])
-def test_forgotten_places_are_not_compared_with(recogniser, place, compared):
+def test_removed_places_give_no_candidates(recogniser, place, compared):
     for travel_m in range(3):
         recogniser.propose(place(0, travel_m), (0,))
     for robot in compared:

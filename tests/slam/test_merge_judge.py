@@ -1,4 +1,4 @@
-"""Where one group lies in another's map, by closures of which some are false."""
+"""Relative pose of two groups from closures of which some are false."""
 
 from types import SimpleNamespace
 
@@ -12,7 +12,7 @@ from twc_env.slam.merge_judge import MergeJudge
 
 PLACES = 12
 PATH = np.stack([2.0 * np.arange(PLACES), np.zeros(PLACES), np.zeros(PLACES)], axis=1)
-"""Both robots went the same way, a keyframe every 2 m, each in its own map."""
+"""Path of both robots, each in its own map: a keyframe every 2 m."""
 TRUE, A_SHELF_ASIDE, ELSEWHERE = (5.0, 1.0, 0.0), (5.0, 3.2, 0.0), (9.0, -4.0, 0.0)
 GRAPH = SimpleNamespace(poses=np.concatenate([PATH, PATH]), node=lambda key: PLACES * key[0] + key[1])
 
@@ -39,28 +39,28 @@ def place_said(closures: list[LoopClosure], others: int = 0):
 
 @pytest.mark.parametrize("recogniser", ["wifi", "meeting"])
 @pytest.mark.parametrize(("agree", "others"), [(4, 0), (8, 2)])
-def test_places_that_sound_alike_are_enough_where_they_agree(agree, others, recogniser):
+def test_consistent_wifi_closures_are_enough_for_a_merge(agree, others, recogniser):
     elsewhere = say(others, ELSEWHERE, recogniser)
     assert place_said(say(agree, TRUE, recogniser) + elsewhere) == TRUE
     assert place_said(say(agree - 1, TRUE, recogniser) + elsewhere) is None
 
 
-def test_places_that_sound_alike_say_nothing_where_too_many_disagree():
+def test_inconsistent_wifi_closures_give_no_proposal():
     closures = say(6, A_SHELF_ASIDE, "wifi") + say(2, TRUE, "wifi") + say(1, ELSEWHERE, "wifi")
     assert place_said(closures) is None
 
 
-def test_signs_speak_alone_where_places_that_sound_alike_disagree():
+def test_sign_closures_decide_if_wifi_closures_are_inconsistent():
     false = say(6, A_SHELF_ASIDE, "wifi") + say(5, ELSEWHERE, "wifi")
     assert place_said(false + say(3, TRUE, "twc")) == TRUE
     assert place_said(false + say(2, TRUE, "twc")) is None
 
 
-def test_signs_may_disagree_among_themselves():
+def test_sign_closures_may_be_inconsistent():
     assert place_said(say(4, TRUE, "twc") + say(3, ELSEWHERE, "twc")) == TRUE
 
 
-def test_closures_that_hold_two_maps_together_speak_against_another_place_by_sounds_and_not_by_signs():
+def test_closures_of_the_present_merge_count_against_wifi_but_not_against_sign_closures():
     a_room_aside = say(7, A_SHELF_ASIDE, "meeting")
     assert place_said(a_room_aside, others=1) == A_SHELF_ASIDE
     assert place_said(a_room_aside, others=2) is None
@@ -68,14 +68,14 @@ def test_closures_that_hold_two_maps_together_speak_against_another_place_by_sou
 
 
 @pytest.mark.parametrize("recogniser", ["wifi", "meeting"])
-def test_signs_weigh_more_than_any_number_of_places_that_sound_alike(recogniser):
+def test_sign_closures_outweigh_any_number_of_wifi_closures(recogniser):
     sounds, signs = say(9, TRUE, recogniser), say(2, ELSEWHERE, "twc")
     assert judge().weight(sounds, (0,)) < judge().weight(signs, (0,))
     assert judge(doubts_radio=False).weight(sounds, (0,)) > judge(doubts_radio=False).weight(signs, (0,))
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_closures_that_leave_a_direction_open_have_no_say(axis):
+def test_loose_closures_have_no_weight(axis):
     loose = say(8, TRUE, "wifi")
     for closure in loose:
         closure.covariance[axis, axis] = 4.0
@@ -87,7 +87,7 @@ def test_closures_that_leave_a_direction_open_have_no_say(axis):
 
 
 @pytest.mark.parametrize(("before_m", "after_m", "may"), [(0.0, 2.0, False), (2.0, 0.0, True), (2.0, 4.0, True)])
-def test_no_answer_is_believed_that_puts_ways_together_where_signs_read_otherwise(before_m, after_m, may):
+def test_a_solution_that_overlays_paths_with_different_signs_is_rejected(before_m, after_m, may):
     doors = [[SignObservation(f"A10{k}", np.array([0.0, 1.0]), np.pi / 2)] * 2 for k in range(PLACES)]
     ways = [[SimpleNamespace(signs=signs) for signs in doors]] * 2
     nodes = np.arange(2 * PLACES)
@@ -104,7 +104,7 @@ def test_no_answer_is_believed_that_puts_ways_together_where_signs_read_otherwis
     assert not asked.may_replace((0, 1), nodes, answer(more, before_m), answer(few, after_m)), "fewer signs"
 
 
-def test_where_only_scans_are_compared_many_places_must_agree():
+def test_closures_by_lidar_alone_must_agree_at_many_places():
     deaf = MergeJudge(MergingConfig(wifi_check=False), GRAPH)
     few, enough = (deaf.proposal(say(count, TRUE, "lidar"), (0,)) for count in (7, 8))
     assert not deaf.cues_confirm((0,), (1,), few) and deaf.cues_confirm((0,), (1,), enough)

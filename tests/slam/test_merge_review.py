@@ -1,4 +1,4 @@
-"""Wrong merges are planted and must be undone once what the robots see speaks against them."""
+"""Injected wrong merges must be undone once measurements contradict them."""
 
 import hashlib
 from dataclasses import replace
@@ -12,6 +12,7 @@ from twc_env.geometry import between, compose
 from twc_env.messages import LoopCandidate, LoopClosure
 from twc_env.slam import robust_backend
 from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.map_merging import MergeProposal
 from twc_env.slam.merge_judge import MergeJudge
 from twc_env.slam.merge_review import Merge, MergeReview
 from twc_env.slam.robot_sightings import RobotSightings, Sightings
@@ -19,20 +20,22 @@ from twc_env.slam.team import TeamMapper
 
 PLANTED_STEP = 60
 ROOM_M = (8.0, 0.0, 0.0)
-"""Robot 1 is said to be where it is, but a room further on."""
+"""Error of the injected relative pose: robot 1 is placed one room too far."""
 BLIND = {"slam.merging.contradiction_max": 1.0, "slam.merging.wifi_check": False}
+UNSEEN = {"slam.merging.sightings_check": False}
+"""Robots do not look for each other; otherwise they soon merge rightly, by one closure."""
 
 
 @pytest.fixture(autouse=True)
 def no_names(monkeypatch):
-    """The signs that planted closures name hang nowhere."""
+    """Disables the comparison of sign texts: the signs of injected closures do not exist."""
     monkeypatch.setattr(MergeJudge, "names_agree", lambda *_: True)
 
 
 def closures(team, true_poses, shift=(0.0, 0.0, 0.0), count=5, signs_m=None, text=1.0) -> list[LoopClosure]:
-    """Closures of robots 0 and 1 that agree on where robot 1 is: off by `shift` in the building.
+    """Consistent closures between robots 0 and 1 that place robot 1 wrongly by `shift` in the building frame.
 
-    They stem from as many signs, or by turns from those at `signs_m` in the building, which both read alike by `text`.
+    Each has its own sign, or in turn one of those at `signs_m` (building frame); text: similarity of the two readings.
     """
     first, second = (true_poses[team.keyframe_steps(robot), robot] for robot in (0, 1))
     said = compose(np.array(shift), second)
@@ -47,7 +50,7 @@ def closures(team, true_poses, shift=(0.0, 0.0, 0.0), count=5, signs_m=None, tex
 
 
 def plant(team, made) -> None:
-    """Have the mapper merge by these closures, walls and radio unheard."""
+    """Merge by these closures without the checks of walls and radio."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(MergeJudge, "walls_disagree", lambda *_: False)
         patch.setattr(MergeJudge, "radio_agrees", lambda *_: True)
@@ -69,7 +72,7 @@ def wrong_pairs(team, true_poses) -> list[tuple[int, int]]:
 
 
 def run(recorded, shift=ROOM_M, steps=400, **settings):
-    """An engine with a planted merge, and its groups and robot 0's belief after every step."""
+    """An engine with an injected merge; its groups and robot 0's mates and map version after every step."""
     config, frames, true_poses = recorded
     engine = CooperativeSlam(override(config, settings), 3)
     groups, beliefs = [], []
@@ -85,10 +88,10 @@ def run(recorded, shift=ROOM_M, steps=400, **settings):
 
 @pytest.fixture(scope="module")
 def undone(recorded):
-    return run(recorded)
+    return run(recorded, **UNSEEN)
 
 
-def test_a_merge_of_alike_rooms_is_undone_when_walls_speak_against_it(recorded, undone):
+def test_a_merge_of_similar_rooms_is_undone_when_walls_contradict_it(recorded, undone):
     engine, groups, _ = undone
     together = [any(0 in robots and 1 in robots for robots in now) for now in groups]
     assert together[PLANTED_STEP] and not together[PLANTED_STEP + 60]
@@ -105,21 +108,21 @@ def test_beliefs_follow_when_a_merge_is_undone(undone):
     assert [version for _, version in beliefs] == sorted(version for _, version in beliefs)
 
 
-def test_the_closures_of_an_undone_merge_say_why_they_are_refused(undone):
+def test_the_closures_of_an_undone_merge_state_the_reason(undone):
     reasons = [c.reason for c in undone[0].team.closures if c.status == "rejected" and c.candidate.target[0] == 0]
     told = [reason for reason in reasons if reason.startswith("the merge it spoke for was undone: ")]
     assert len(told) == 5 and "of the walls of one lie in the free space of the other" in told[0]
 
 
-def test_undoing_is_the_same_every_time(recorded, undone):
+def test_undoing_is_deterministic(recorded, undone):
     digests = [
         hashlib.sha256(b"".join(e.team.poses_of(r).tobytes() for r in range(3))).hexdigest()
-        for e in (undone[0], run(recorded)[0])
+        for e in (undone[0], run(recorded, **UNSEEN)[0])
     ]
     assert digests[0] == digests[1]
 
 
-def test_steps_without_news_in_which_nothing_is_due_are_left_out_and_no_others(recorded, monkeypatch):
+def test_only_steps_without_messages_and_due_work_are_skipped(recorded, monkeypatch):
     looked = []
     monkeypatch.setattr(MergeReview, "wrong", lambda review, step, one_by_one: looked.append(("merges", step)))
     monkeypatch.setattr(TeamMapper, "_retry_merges", lambda team: looked.append(("pending", team._step)))
@@ -138,11 +141,11 @@ def test_steps_without_news_in_which_nothing_is_due_are_left_out_and_no_others(r
 
 @pytest.fixture
 def say_seen_through(monkeypatch):
-    """Have all robots see through each other from now on, whatever a merge says."""
+    """A function: from its call on, sightings contradict every merge."""
     return lambda: monkeypatch.setattr(RobotSightings, "count", lambda *_: Sightings(0, 5))
 
 
-def test_robots_that_saw_through_each_other_are_not_merged(recorded, say_seen_through):
+def test_robots_are_not_merged_if_sightings_contradict(recorded, say_seen_through):
     config, frames, _ = recorded
     merged = []
     for is_told in (False, True):
@@ -154,7 +157,7 @@ def test_robots_that_saw_through_each_other_are_not_merged(recorded, say_seen_th
     assert merged == [True, False]
 
 
-def test_a_merge_is_undone_when_robots_see_through_each_other(recorded, say_seen_through):
+def test_a_merge_is_undone_when_sightings_contradict_it(recorded, say_seen_through):
     team = run(recorded, shift=(0.0, 0.0, 0.0), steps=PLANTED_STEP + 1)[0].team
     step = team._review.merges[-1].due_step
     assert team._review.wrong(step - 1, False) is None
@@ -162,7 +165,7 @@ def test_a_merge_is_undone_when_robots_see_through_each_other(recorded, say_seen
     assert team._review.wrong(step, False)[1] == "robots saw through the places where it puts others"
 
 
-def test_a_merge_that_only_loose_closures_hold_is_undone(recorded):
+def test_a_merge_with_only_loose_closures_is_undone(recorded):
     team = run(recorded, shift=(0.0, 0.0, 0.0), steps=PLANTED_STEP + 1)[0].team
     assert team._review.wrong(PLANTED_STEP + 1, False) is None
     for closure in team.closures:
@@ -177,7 +180,7 @@ def test_without_undo_the_wrong_merge_stays(recorded):
     assert wrong_pairs(engine.team, recorded[2]) != []
 
 
-def test_more_closures_on_another_place_outvote_a_standing_merge(recorded):
+def test_more_closures_for_another_pose_replace_a_merge(recorded):
     engine, _, _ = run(recorded, steps=PLANTED_STEP + 1, **BLIND)
     team, true_poses = engine.team, recorded[2]
     for count, is_merged in ((4, False), (7, True)):
@@ -192,8 +195,38 @@ def test_more_closures_on_another_place_outvote_a_standing_merge(recorded):
     assert wrong_pairs(team, true_poses) == []
 
 
+def test_a_rival_by_which_robots_saw_through_each_other_outvotes_nothing(recorded, monkeypatch):
+    engine, _, _ = run(recorded, shift=(0.0, 0.0, 0.0), steps=PLANTED_STEP + 1, **BLIND)
+    team, true_poses = engine.team, recorded[2]
+    for closure in closures(team, true_poses, ROOM_M, count=7):
+        team._graph.add_closure(closure)
+        team._judge_inside_map(closure)
+    review, merge, found = team._review, team._review.merges[-1], {}
+    for name, seen_through in (("allowed", 0), ("contradicted", 5)):
+        monkeypatch.setattr(RobotSightings, "count", lambda *_, through=seen_through: Sightings(0, through))
+        merge.refusals_seen = -1
+        found[name] = review.wrong(PLANTED_STEP + 1, False)
+    assert "closures agree on another place" in found["allowed"][1]
+    assert found["contradicted"] is None
+
+
+def test_one_closure_is_enough_where_robots_saw_each_other(recorded, monkeypatch):
+    config, frames, true_poses = recorded
+    engine = CooperativeSlam(override(config, BLIND), 3)
+    for now in frames[: PLANTED_STEP + 1]:
+        engine.update(now)
+    team = engine.team
+    sides = sorted(team.group_index(robot) for robot in (0, 1))
+    team._graph.add_closure(closures(team, true_poses, count=1)[0])
+    monkeypatch.setattr(RobotSightings, "count", lambda *_: Sightings(9, 0, 9))
+    assert not team._try_merge(*sides)
+    monkeypatch.setattr(RobotSightings, "count", lambda *_: Sightings(10, 0, 5))
+    assert team._try_merge(*sides)
+    assert wrong_pairs(team, true_poses) == []
+
+
 @pytest.mark.parametrize("count", [7, 12])
-def test_many_sightings_of_two_signs_do_not_outvote_a_merge_by_more_signs(recorded, count):
+def test_many_closures_by_two_signs_do_not_replace_a_merge_by_more_signs(recorded, count):
     engine, _, _ = run(recorded, shift=(0.0, 0.0, 0.0), steps=PLANTED_STEP + 1, **BLIND)
     team, true_poses = engine.team, recorded[2]
     spot = true_poses[PLANTED_STEP, 0, :2]
@@ -208,9 +241,9 @@ def test_many_sightings_of_two_signs_do_not_outvote_a_merge_by_more_signs(record
     assert team.merges_undone == 0
 
 
-def test_signs_that_were_nearly_read_alike_merge_nothing_until_one_was(recorded):
+def test_similar_texts_do_not_merge_maps_without_an_equal_one(recorded):
     config, frames, true_poses = recorded
-    engine = CooperativeSlam(override(config, BLIND), 3)
+    engine = CooperativeSlam(override(config, BLIND | UNSEEN), 3)
     for now in frames[: PLANTED_STEP + 1]:
         engine.update(now)
     team = engine.team
@@ -222,7 +255,7 @@ def test_signs_that_were_nearly_read_alike_merge_nothing_until_one_was(recorded)
     assert team._try_merge(*sides)
 
 
-def test_the_back_end_is_told_that_fewer_signs_may_not_replace_more(recorded, monkeypatch):
+def test_the_back_end_may_not_replace_more_signs_by_fewer(recorded, monkeypatch):
     engine, _, _ = run(recorded, shift=(0.0, 0.0, 0.0), steps=PLANTED_STEP + 1, **BLIND)
     team, true_poses = engine.team, recorded[2]
     spot, asked = true_poses[PLANTED_STEP, 0, :2], []
@@ -243,18 +276,22 @@ def test_the_back_end_is_told_that_fewer_signs_may_not_replace_more(recorded, mo
     assert asked == [(False, True)]
 
 
-def test_the_same_wrong_merge_needs_twice_as_many_closures_the_next_time(undone):
+def test_repeating_an_undone_merge_needs_twice_as_many_closures(undone):
     team = undone[0].team
     review = team._review
     i, j, before = review._undone[0]
     graph = team._graph
     again = compose(compose(graph.pose_map_odom(i), before), between(graph.pose_map_odom(j), np.zeros(3)))
-    assert review.closures_needed((i,), (j,), again) == 6
-    assert review.closures_needed((i,), (j,), compose(again, [5.0, 0.0, 0.0])) == 3
-    assert review.closures_needed((i,), (2,), again) == 3
+    elsewhere = compose(again, [5.0, 0.0, 0.0])
+    for is_proven, count in ((False, 3), (True, 1)):
+        there, further = (
+            MergeProposal(pose, np.ones(9, bool), (1, 2, 9), is_proven=is_proven) for pose in (again, elsewhere)
+        )
+        assert review.closures_needed((i,), (j,), there) == 2 * count
+        assert review.closures_needed((i,), (j,), further) == review.closures_needed((i,), (2,), there) == count
 
 
-def test_the_last_merge_is_wrong_where_closures_pull_odometry_apart(recorded):
+def test_the_latest_merge_is_undone_if_closures_strain_the_odometry(recorded):
     engine, _, _ = run(recorded, (0.0, 0.0, 0.0), 200, **BLIND)
     team, graph = engine.team, engine.team._graph
     robots = team.groups[team.group_index(0)].robots
@@ -273,7 +310,7 @@ def test_the_last_merge_is_wrong_where_closures_pull_odometry_apart(recorded):
     assert found is not None and found[0] is latest and "odometry" in found[1]
 
 
-def test_right_merges_stand(recorded):
+def test_correct_merges_are_kept(recorded):
     config, frames, true_poses = recorded
     engine = CooperativeSlam(config, 3)
     for step in frames:
@@ -292,7 +329,7 @@ def test_right_merges_stand(recorded):
     ],
     ids=["one goes", "across a later merge"],
 )
-def test_other_merges_of_a_group_that_fell_apart_speak_of_one_side_only(undone, sides, left):
+def test_after_a_split_other_merges_are_restricted_to_one_side(undone, sides, left):
     review = undone[0].team._review
     wrong = Merge((0,), (1,), due_step=9)
     fresh = MergeReview(review._rule, review._graph, review._maps, review._judge)
@@ -303,7 +340,7 @@ def test_other_merges_of_a_group_that_fell_apart_speak_of_one_side_only(undone, 
 
 
 @pytest.mark.parametrize(("count", "tries"), [(10, 10), (200, 70)])
-def test_the_more_closures_wait_the_more_must_come_for_another_try(recorded, monkeypatch, count, tries):
+def test_retries_become_rarer_with_more_pending_closures(recorded, monkeypatch, count, tries):
     config, frames, true_poses = recorded
     engine = CooperativeSlam(config, 3)
     for now in frames[: PLANTED_STEP + 1]:
@@ -319,7 +356,7 @@ def test_the_more_closures_wait_the_more_must_come_for_another_try(recorded, mon
 
 
 @pytest.mark.parametrize(("home", "steps"), [(None, [0, 1, 2, 3, 4, 5]), (0, [0, 3]), (2, [2, 5])])
-def test_of_mappers_on_robots_one_at_a_time_reviews_merges(monkeypatch, home, steps):
+def test_mappers_on_robots_review_merges_in_turns(monkeypatch, home, steps):
     looked, mapper = [], TeamMapper(EnvConfig(), 3, home)
     monkeypatch.setattr(MergeReview, "due_step", 0)
     monkeypatch.setattr(MergeReview, "wrong", lambda review, step, one_by_one: looked.append(step))
@@ -329,7 +366,7 @@ def test_of_mappers_on_robots_one_at_a_time_reviews_merges(monkeypatch, home, st
 
 
 @pytest.mark.parametrize(("loose", "firm", "b"), [(5, 3, (1, 2)), (5, 0, (1,)), (0, 3, (1, 2))])
-def test_who_came_later_stands_where_most_closures_lead_that_are_not_loose(keyframe, scan, walls, loose, firm, b):
+def test_a_robot_merged_later_goes_to_the_side_with_most_firm_closures(keyframe, scan, walls, loose, firm, b):
     room = scan(walls((-3, -2), (3, -2), (3, 2), (-3, 2)), (0.0, 0.0, 0.0))
     team = TeamMapper(EnvConfig(), 3)
     team.give_starts(np.zeros((3, 3)))

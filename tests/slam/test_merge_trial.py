@@ -1,4 +1,4 @@
-"""Without laser robots share a map while it is known where they lie to each other, and no longer."""
+"""Without laser, robots share a map only as long as their relative pose is sufficiently certain."""
 
 import copy
 
@@ -37,7 +37,7 @@ def test_teams_without_laser_merge_and_never_wrongly(building):
 
 
 def met(team, true_poses, count: int) -> list[LoopClosure]:
-    """Closures by as many signs between the ways that robots 0 and 1 have gone until now, as they truly lie."""
+    """`count` true closures, each by its own sign, along the paths of robots 0 and 1 so far."""
     first, second = (true_poses[team.keyframe_steps(robot), robot] for robot in (0, 1))
     made = []
     for k in np.linspace(0, min(len(first), len(second)) - 1, count).astype(int).tolist():
@@ -56,7 +56,7 @@ def meet(team, true_poses, count: int = 5) -> None:
 
 @pytest.fixture(scope="module")
 def strayed(recorded):
-    """A team without signs of which two robots met early on, and its groups after every step."""
+    """A team without signs of which two robots met early, and its groups after every step."""
     config, frames, true_poses = recorded
     engine, groups = CooperativeSlam(override(config, NO_SIGNS | BLIND), 3), []
     for step, now in enumerate(frames):
@@ -67,14 +67,14 @@ def strayed(recorded):
     return engine, groups
 
 
-def test_robots_that_stray_share_no_map_any_more(strayed):
+def test_a_group_is_split_when_relative_poses_become_uncertain(strayed):
     _, groups = strayed
     assert groups[MET_STEP] == [(0, 1), (2,)]
     assert sorted(groups[-1]) == [(0,), (1,), (2,)]
 
 
-def test_where_nothing_is_known_of_how_robots_are_placed_they_stay_together(recorded, monkeypatch):
-    """As where the information of their closures cannot be inverted."""
+def test_a_group_with_unknown_covariance_is_not_split(recorded, monkeypatch):
+    """As if the information matrix of their closures were singular."""
     config, frames, true_poses = recorded
     engine = CooperativeSlam(override(config, NO_SIGNS | BLIND), 3)
     for now in frames[: MET_STEP + 1]:
@@ -85,13 +85,13 @@ def test_where_nothing_is_known_of_how_robots_are_placed_they_stay_together(reco
     assert engine.team._trials.uncertain_split((0, 1)) is None
 
 
-def test_what_they_knew_of_each_other_waits_and_is_no_mistake(strayed):
+def test_closures_of_a_split_group_are_pending_and_no_merge_counts_as_undone(strayed):
     engine, _ = strayed
     assert engine.team.merges_undone == 0
     assert {closure.status for closure in engine.team.closures} == {"pending"}
 
 
-def test_robots_that_meet_again_share_a_map_again(strayed, recorded):
+def test_a_split_group_is_merged_again_after_another_meeting(strayed, recorded):
     engine, true_poses = copy.deepcopy(strayed[0]), recorded[2]
     meet(engine.team, true_poses, 12)
     assert engine.team.groups[0].robots == (0, 1)

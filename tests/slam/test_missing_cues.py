@@ -1,4 +1,4 @@
-"""Robots without a camera or without a receiver are merged by what is left to them."""
+"""Robots without a camera or a receiver are merged by their other cues."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ LACKS = {"signs": {"signs": ()}, "WiFi": {"wifi": None}}
 
 
 def groups_of(recorded, lack: str, robots: tuple[int, ...], **settings) -> list[tuple[int, ...]]:
-    """The groups after the recorded drive, in which these robots had no such cue; none of them merged wrongly."""
+    """The groups after the recorded episode without a cue of these robots; checks that no merge is wrong."""
     config, frames, true_poses = recorded
     engine = CooperativeSlam(override(config, settings), 3)
     for now in frames:
@@ -29,7 +29,7 @@ def groups_of(recorded, lack: str, robots: tuple[int, ...], **settings) -> list[
 
 @pytest.mark.parametrize("robots", [(0, 1, 2), (2,)])
 @pytest.mark.parametrize("lack", LACKS)
-def test_robots_without_a_cue_are_merged_by_the_others(recorded, lack, robots):
+def test_robots_without_a_cue_are_merged_by_the_other_cues(recorded, lack, robots):
     with_all_cues = groups_of(recorded, lack, ())
     assert max(map(len, with_all_cues)) > 1
     groups = groups_of(recorded, lack, robots)
@@ -42,7 +42,7 @@ def test_algorithm_1_as_printed_never_compares_them(recorded, lack):
     assert groups_of(recorded, lack, (0, 1, 2), **rule) == [(0,), (1,), (2,)]
 
 
-def test_robots_that_heard_the_same_share_a_map_before_they_read_the_same(recorded):
+def test_robots_are_merged_by_wifi_before_they_read_a_common_sign(recorded):
     by_signs = groups_of(recorded, "signs", ())
     groups = groups_of(recorded, "signs", (), **{"slam.place_recognition.meets_by_wifi": True})
     assert max(map(len, groups)) > max(map(len, by_signs)) > 1

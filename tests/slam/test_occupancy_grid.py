@@ -26,7 +26,7 @@ def map_of(poses, scans, beams=BEAMS):
 
 
 def centres(grid) -> np.ndarray:
-    """(rows, columns, 2) [m]."""
+    """(rows, columns, 2) centres of the cells [m]."""
     return grid.centre_of(np.stack(np.indices(grid.log_odds.shape), axis=-1))
 
 
@@ -53,7 +53,7 @@ def test_scans_from_two_places_close_the_whole_border(room, scan):
     assert np.all(grid.log_odds[(np.abs(border - HALF_M) < 0.01) & ~corner] > 0)
 
 
-def test_the_heading_only_turns_the_beams(room, scan):
+def test_the_heading_only_rotates_the_beams(room, scan):
     quarter = map_of([(0.4, 0.2, np.pi / 2)], [scan(room, (0.4, 0.2, np.pi / 2), BEAMS)])
     ahead = map_of([(0.4, 0.2, 0.0)], [scan(room, (0.4, 0.2, 0.0), BEAMS)])
     assert np.mean(quarter.log_odds != ahead.log_odds) < 0.002
@@ -83,7 +83,7 @@ def test_free_space_is_the_polygon_of_the_beams(seed):
     assert np.all(grid.log_odds[is_end] > 0)
 
 
-def test_beams_without_return_clear_space_but_build_no_wall():
+def test_beams_without_return_clear_space_but_add_no_wall():
     grid = map_of([(0.0, 0.0, 0.0)], [np.full(BEAMS, RANGE_MAX_M)])
     away = np.linalg.norm(centres(grid), axis=-1)
     assert np.all(grid.log_odds <= 0)
@@ -91,7 +91,7 @@ def test_beams_without_return_clear_space_but_build_no_wall():
     assert np.all(grid.log_odds[away > RANGE_MAX_M] == 0)
 
 
-def test_a_scanner_that_sees_nothing_at_all_frees_nothing():
+def test_scans_with_all_ranges_zero_clear_nothing():
     grid = map_of([(0.0, 0.0, 0.0)], [np.zeros(BEAMS)])
     assert np.count_nonzero(grid.log_odds < 0) == 0
     assert np.count_nonzero(grid.log_odds) <= 4
@@ -112,7 +112,7 @@ def test_growing_keeps_every_cell(room, scan):
     assert np.all(levels_at(after, [(40.0, 3.0), (-35.0, -50.0), (10.0, 60.0)]) < 0)
 
 
-def test_many_scans_at_once_give_the_map_of_one_after_the_other(room, scan):
+def test_integrating_scans_at_once_equals_one_by_one(room, scan):
     poses = np.array([[0, 0, 0], [1, 1, 1], [-2, 0.5, 2], [0, -2.5, 3]], float)
     scans = np.array([scan(room, pose, BEAMS) for pose in poses])
     together = map_of(poses, scans)
@@ -125,7 +125,7 @@ def test_many_scans_at_once_give_the_map_of_one_after_the_other(room, scan):
     assert np.count_nonzero(single.snapshot().log_odds) == known.sum()
 
 
-def test_a_room_far_from_the_origin_looks_the_same(room, scan):
+def test_the_map_does_not_depend_on_the_distance_from_the_origin(room, scan):
     near, far = np.array([0.3, 0.2, 0.1]), np.array([1000.3, -499.8, 0.1])
     here = map_of([near], [scan(room, near, BEAMS)])
     there = map_of([far], [scan(room + (far - near)[:2], far, BEAMS)])
@@ -134,7 +134,7 @@ def test_a_room_far_from_the_origin_looks_the_same(room, scan):
     assert np.mean(level != here.log_odds.ravel()) < 1e-3
 
 
-def test_certainty_is_bounded_on_both_sides(room, scan):
+def test_log_odds_are_bounded_on_both_sides(room, scan):
     pose = np.array([0.0, 0.0, 0.0])
     grid = OccupancyGrid(CELL_M, RANGE_MAX_M, BEAMS)
     for _ in range(100):
@@ -143,7 +143,7 @@ def test_certainty_is_bounded_on_both_sides(room, scan):
     assert (log_odds.min(), log_odds.max()) == (LOG_ODDS_MIN, LOG_ODDS_MAX)
 
 
-def test_one_beam_is_one_hit_however_many_fall_into_the_cell():
+def test_several_beams_of_a_scan_in_a_cell_count_as_one_hit():
     ranges = np.full(BEAMS, 0.2)
     grid = map_of([(0.05, 0.05, 0.0)], [ranges])
     assert grid.log_odds.max() <= 2 * LOG_ODDS_HIT
@@ -167,7 +167,7 @@ def test_cells_and_points_are_inverse_to_each_other(room, scan):
     assert levels.tolist() == [*grid.log_odds.ravel().tolist(), 0]
 
 
-def test_what_stands_there_in_short_knows_a_wall_at_the_border_when_the_map_grows():
+def test_cell_kinds_include_walls_at_the_border_when_the_map_grows():
     grid = OccupancyGrid(CELL_M, RANGE_MAX_M, 180)
     grid.integrate(np.zeros((1, 3)), np.full((1, 180), 5.0))
     border = OccupancyGrid.PADDING_M + 5.0  # left of the origin
@@ -182,7 +182,7 @@ def test_what_stands_there_in_short_knows_a_wall_at_the_border_when_the_map_grow
 
 @settings(max_examples=10)
 @given(st.integers(0, 10_000))
-def test_what_stands_there_in_short_keeps_up_with_scans_growth_and_redrawing(seed):
+def test_cell_kinds_are_updated_by_scans_growth_and_redrawing(seed):
     random = np.random.default_rng(seed)
     grid = OccupancyGrid(CELL_M, RANGE_MAX_M, 90)
     for turn in range(8):
@@ -200,7 +200,7 @@ def test_what_stands_there_in_short_keeps_up_with_scans_growth_and_redrawing(see
 
 @settings(max_examples=15)
 @given(st.integers(0, 10_000))
-def test_a_block_that_bears_the_number_it_bore_shows_what_it_showed(seed):
+def test_blocks_with_an_unchanged_number_have_unchanged_cells(seed):
     random = np.random.default_rng(seed)
     grid, before = OccupancyGrid(CELL_M, RANGE_MAX_M, 90), None
     for _ in range(8):
@@ -216,7 +216,7 @@ def test_a_block_that_bears_the_number_it_bore_shows_what_it_showed(seed):
         before = now, now.log_odds.copy(), now.touched.copy()
 
 
-def test_cells_that_lie_elsewhere_are_another_map():
+def test_a_grid_that_has_grown_or_was_cleared_is_a_new_map():
     grid, scan = OccupancyGrid(CELL_M, RANGE_MAX_M, 90), np.full((1, 90), 2.0)
     grid.integrate(np.zeros((1, 3)), scan)
     first = grid.snapshot()
@@ -242,13 +242,13 @@ def test_scans_that_end_at_the_border_are_kept_when_the_grid_grows_elsewhere():
 
 
 @pytest.mark.parametrize("poses", [[(2**58.5 + 459 * 2**50, 0.0, 0.0)], [(0.0, 0.0, 0.0), (8e4, 5e4, 0.0)]])
-def test_scans_that_no_grid_can_hold_are_refused(poses):
-    """Cells cannot be told apart there, or would fill 800 GB."""
+def test_scans_too_far_away_for_a_grid_are_rejected(poses):
+    """Cell coordinates are not exact there, or the grid would need 800 GB."""
     with pytest.raises(DataError, match=r"no grid of .* holds scans that reach .* units of odometry"):
         map_of(poses, [np.full(BEAMS, 9.0)] * len(poses))
 
 
 @pytest.mark.parametrize("pose", [(np.nan, 0.0, 0.0), (0.0, np.inf, 0.0), (0.0, 0.0, np.nan)])
-def test_poses_that_are_no_place_are_refused_with_their_values(pose):
+def test_the_error_of_invalid_poses_states_their_values(pose):
     with pytest.raises(DataError, match=r"must be finite; got \[.*(nan|inf)"):
         map_of([(0.0, 0.0, 0.0), pose], [np.full(BEAMS, 2.0)] * 2)

@@ -10,7 +10,7 @@ PLACES = np.array([0, 5, 9, 40, 41, 120, 200])
 
 
 @pytest.mark.parametrize("wrong", [Calibration(curl_rad_m=1e-4), Calibration(turn=1e-4)])
-def test_constant_errors_bend_the_ways_between_places_as_they_bend_each_step(wrong):
+def test_constant_errors_of_steps_give_the_expected_error_between_places(wrong):
     right = between_places(STEPS, PLACES)
     straight = between_places(Motions(wrong.applied(STEPS).motion, wrong.applied(STEPS).turned_rad), PLACES)
     bent = wrong.applied(right)
@@ -20,6 +20,6 @@ def test_constant_errors_bend_the_ways_between_places_as_they_bend_each_step(wro
     assert np.abs(expected[:, :2]).max() > 1e-3
 
 
-def test_a_robot_that_stands_still_tells_no_scale():
+def test_a_robot_at_rest_does_not_determine_the_scale():
     still = Motions(np.zeros((4, 3)), np.zeros(4))
     assert calibration(still, np.zeros((5, 3))) == Calibration()

@@ -15,7 +15,7 @@ CONFIG = OdometryFilterConfig()
 
 
 class Single:
-    """The second of two robots' filters; the first must never stir."""
+    """The filter of the second of two robots; the state of the first must never change."""
 
     def __init__(self, kind, config):
         self._filters, self._robots = kind(config, 2), np.array([1])
@@ -74,7 +74,7 @@ def test_the_compiled_filter_equals_filterpy_over_two_hundred_steps(seed):
 
 
 @BOTH
-def test_perfect_odometry_is_followed_exactly(kind):
+def test_perfect_odometry_is_integrated_exactly(kind):
     random, ekf, true = np.random.default_rng(3), kind(CONFIG), np.zeros(3)
     for _ in range(300):
         motion = random.normal(0, 1, 3) * (0.1, 0.02, 0.15)
@@ -86,7 +86,7 @@ def test_perfect_odometry_is_followed_exactly(kind):
 
 
 @BOTH
-def test_the_bias_of_the_gyro_is_learned_from_the_odometry(kind):
+def test_the_gyro_bias_is_estimated_from_the_odometry(kind):
     random, bias = np.random.default_rng(1), 0.03
     ekf = kind(CONFIG)
     for _ in range(600):
@@ -98,7 +98,7 @@ def test_the_bias_of_the_gyro_is_learned_from_the_odometry(kind):
 
 
 @BOTH
-def test_the_bias_of_the_gyro_is_learned_from_measured_poses_too(kind):
+def test_the_gyro_bias_is_estimated_from_measured_poses(kind):
     bias, true = 0.03, np.zeros(3)
     ekf = kind(CONFIG)
     for _ in range(400):
@@ -112,7 +112,7 @@ def test_the_bias_of_the_gyro_is_learned_from_measured_poses_too(kind):
 
 @BOTH
 @pytest.mark.parametrize("too_long", [0.04, -0.03, 0.0])
-def test_the_scale_of_the_odometry_is_learned_in_rooms_and_carries_through_corridors(kind, too_long):
+def test_the_odometry_scale_is_estimated_in_rooms_and_used_in_corridors(kind, too_long):
     random, ekf, true = np.random.default_rng(4), kind(CONFIG), np.zeros(3)
     for step in range(600):
         motion = np.array([0.05, 0.0, 0.03 if step < 400 else 0.0])
@@ -129,14 +129,14 @@ def test_the_scale_of_the_odometry_is_learned_in_rooms_and_carries_through_corri
 
 
 @BOTH
-def test_walls_first_seen_at_the_end_of_a_corridor_do_not_confirm_the_scale_that_led_there(kind):
+def test_walls_first_seen_at_the_end_of_a_corridor_do_not_confirm_the_scale(kind):
     ekf, random = kind(CONFIG), np.random.default_rng(3)
     for step in range(401):
         ekf.predict(np.array([0.1, 0.0, 0.0]), 0.0, DT_S)
         askew = random.normal(0.0, 0.01)
         across = np.array([-np.sin(askew), np.cos(askew)])
         information = SHARP.copy()
-        if step < 400:  # walls whose direction is told a little wrongly: nothing is told of the way along them
+        if step < 400:  # walls with slightly wrong directions: no information along the path
             information[:2, :2] = 1e4 * np.outer(across, across)
         ekf.update(ekf.state[:3].copy(), information)
     assert ekf.covariance[4, 4] ** 0.5 == pytest.approx(CONFIG.odometry_scale_std, rel=0.05)
@@ -145,8 +145,8 @@ def test_walls_first_seen_at_the_end_of_a_corridor_do_not_confirm_the_scale_that
 
 @pytest.mark.parametrize("worse", [1.0, 2.0])
 @pytest.mark.parametrize("too_long", [0.02, -0.02])
-def test_noise_of_the_odometry_does_not_pull_the_scale(too_long, worse):
-    """Not even where odometry is worse than the filter thinks."""
+def test_odometry_noise_does_not_bias_the_scale(too_long, worse):
+    """Not even if odometry is worse than the filter assumes."""
     count, random = 200, np.random.default_rng(7)
     filters, robots, true = CompiledFilters(CONFIG, count), np.arange(count), np.zeros((count, 3))
     information, always = np.tile(SHARP, (count, 1, 1)), np.ones(count, bool)
@@ -165,7 +165,7 @@ def test_noise_of_the_odometry_does_not_pull_the_scale(too_long, worse):
     assert error.std() < 1.1 * worse * claimed
 
 
-def test_an_odometry_that_is_believed_teaches_no_scale():
+def test_odometry_without_scale_uncertainty_gets_no_scale_estimate():
     ekf, true = Single(CompiledFilters, OdometryFilterConfig(odometry_scale_std=0.0)), np.zeros(3)
     for _ in range(100):
         true = compose(true, [0.05, 0.0, 0.02])
@@ -175,7 +175,7 @@ def test_an_odometry_that_is_believed_teaches_no_scale():
 
 
 @BOTH
-def test_a_match_that_contradicts_the_prediction_is_left_out(kind):
+def test_a_match_that_contradicts_the_prediction_is_rejected(kind):
     ekf = kind(CONFIG)
     for _ in range(60):
         ekf.predict(np.array([0.1, 0.0, 0.0]), 0.0, DT_S)
@@ -189,7 +189,7 @@ def test_a_match_that_contradicts_the_prediction_is_left_out(kind):
 
 
 @BOTH
-def test_a_match_that_contradicts_the_prediction_is_a_slip_where_it_is_clear_and_teaches_nothing_else(kind):
+def test_a_clear_match_that_contradicts_the_prediction_is_a_slip_and_updates_no_other_state(kind):
     ekf = kind(CONFIG)
     for _ in range(60):
         ekf.predict(np.array([0.1, 0.0, 0.0]), 0.0, DT_S)
@@ -205,7 +205,7 @@ def test_a_match_that_contradicts_the_prediction_is_a_slip_where_it_is_clear_and
 
 
 @BOTH
-def test_the_covariance_stays_symmetric_and_positive(kind):
+def test_the_covariance_stays_symmetric_and_positive_definite(kind):
     random, ekf = np.random.default_rng(2), kind(CONFIG)
     for step in range(500):
         ekf.predict(random.normal(0, 0.1, 3), random.normal(0, 1), DT_S)
@@ -228,7 +228,7 @@ def test_uncertainty_grows_with_motion_and_shrinks_with_a_match(kind):
 
 @BOTH
 @pytest.mark.parametrize("side", [1, -1])
-def test_a_measured_heading_across_the_seam_is_taken_the_short_way(kind, side):
+def test_heading_residuals_wrap_at_pi(kind, side):
     ekf = kind(CONFIG)
     for _ in range(31):
         ekf.predict(np.array([0.0, 0.0, 0.1 * side]), side / 1.0, DT_S)
@@ -251,7 +251,7 @@ def test_a_measurement_without_information_changes_nothing(kind):
 
 
 @BOTH
-def test_a_corridor_match_corrects_across_and_leaves_the_axis_alone(kind):
+def test_a_corridor_match_corrects_only_across_the_axis(kind):
     ekf = kind(CONFIG)
     for _ in range(60):
         ekf.predict(np.array([0.1, 0.0, 0.0]), 0.0, DT_S)
@@ -264,7 +264,7 @@ def test_a_corridor_match_corrects_across_and_leaves_the_axis_alone(kind):
 
 
 @pytest.mark.parametrize("kind", [CompiledFilters, FilterpyFilters])
-def test_measuring_leaves_the_measurement_alone(kind):
+def test_an_update_does_not_modify_the_measurement(kind):
     filters, robots = kind(CONFIG, 1), np.zeros(1, np.int64)
     poses, information = np.array([[0.1, 0.0, 3.0]]), np.diag([100.0, 100.0, 100.0])[None]
     filters.predict(robots, np.array([[0.1, 0.0, 0.0]]), np.zeros(1), np.full(1, DT_S))
@@ -273,6 +273,6 @@ def test_measuring_leaves_the_measurement_alone(kind):
     assert np.array_equal(information[0], np.diag([100.0, 100.0, 100.0]))
 
 
-def test_the_config_names_the_filter():
+def test_the_config_selects_the_filter():
     assert isinstance(make_filters(OdometryFilterConfig(backend="compiled"), 1), CompiledFilters)
     assert isinstance(make_filters(OdometryFilterConfig(backend="filterpy"), 1), FilterpyFilters)

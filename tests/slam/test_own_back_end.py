@@ -1,4 +1,4 @@
-"""A back end of one's own is named by its file."""
+"""Custom back ends, named by their file."""
 
 import json
 import re
@@ -35,7 +35,7 @@ class Answers:
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Where the back end of docs/library.md lies."""
+    """The working folder, with the back end of docs/library.md."""
     monkeypatch.chdir(tmp_path)
     text = LIBRARY.read_text().partition("### Your own back end")[2]
     (tmp_path / "trimmed.py").write_text(re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0])
@@ -43,7 +43,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def ring():
-    """A graph around a ring with two true closures and one false; start, and its parts."""
+    """A graph along a ring with two true closures and a false one: true poses, and initial poses with its parts."""
     turn = np.linspace(0, 2 * np.pi, 40)
     true = np.stack([5 * np.cos(turn), 5 * np.sin(turn), turn + np.pi / 2], axis=1)
     edges = np.array([(k, k + 1) for k in range(39)] + [(0, 39), (1, 38), (5, 20)])
@@ -54,7 +54,7 @@ def ring():
     return true, (start, edges, measured, information, np.arange(len(edges)) >= 39)
 
 
-def test_a_back_end_of_ones_own_says_which_closures_to_believe(folder):
+def test_a_custom_back_end_selects_the_closures(folder):
     true, graph = ring()
     result = robust_backend.solve(*graph, PoseGraphConfig(robust=OWN), fixed=3)
     assert np.flatnonzero(~result.accepted).tolist() == [41]
@@ -63,7 +63,7 @@ def test_a_back_end_of_ones_own_says_which_closures_to_believe(folder):
     assert between(result.poses[0], result.poses) == pytest.approx(between(true[0], true), abs=1e-3)
 
 
-def test_robots_meet_with_a_back_end_of_ones_own(folder, capsys):
+def test_robots_are_merged_with_a_custom_back_end(folder, capsys):
     settings = ["--set", f"{SETTING}={OWN}", "--map", "twin-01", "--steps", "700", "--seed", "1"]
     assert main(["explore", "--no-pictures", *settings, "--out", "run"]) == 0
     report = json.loads(Path("run/report.json").read_text())
@@ -71,7 +71,7 @@ def test_robots_meet_with_a_back_end_of_ones_own(folder, capsys):
     assert report["back_end_digest"] == digest_of(OWN)
 
 
-def test_odometry_is_believed_whatever_a_back_end_says_and_what_it_is_given_is_its_own(tmp_path):
+def test_a_custom_back_end_gets_copies_and_cannot_reject_odometry(tmp_path):
     path = tmp_path / "faulty.py"
     path.write_text(FAULTY.format(answer="poses.fill(0.0) or edges.fill(0) or (poses, edges[:, 0] > 0)"))
     start, *parts = ring()[1]
@@ -91,7 +91,7 @@ def test_odometry_is_believed_whatever_a_back_end_says_and_what_it_is_given_is_i
         ("(poses, edges[:, 0])", "must say of 42 edges, by a bool each"),
     ],
 )
-def test_answers_that_are_none_are_refused(answer, message, tmp_path):
+def test_invalid_results_of_a_back_end_are_rejected(answer, message, tmp_path):
     path = tmp_path / "faulty.py"
     path.write_text(FAULTY.format(answer=answer))
     with pytest.raises(DataError) as error:
@@ -102,7 +102,7 @@ def test_answers_that_are_none_are_refused(answer, message, tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"), [("Half", "has no solve: a back end has"), ("Whole", "there is no class 'Whole'")]
 )
-def test_a_back_end_that_is_none_is_refused_before_the_episode(name, message, tmp_path):
+def test_an_invalid_back_end_is_rejected_before_the_episode(name, message, tmp_path):
     path = tmp_path / "faulty.py"
     path.write_text(FAULTY.format(answer=None))
     env = twc_env.parallel_env(config={SETTING: f"{path}:{name}"})

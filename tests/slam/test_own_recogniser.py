@@ -1,4 +1,4 @@
-"""A place recogniser of one's own is named by its file."""
+"""Custom place recognisers, named by their file."""
 
 import json
 import re
@@ -23,7 +23,7 @@ SETTING = "slam.place_recognition.recogniser"
 
 @pytest.fixture
 def own(tmp_path, monkeypatch):
-    """The recogniser of docs/library.md, and one that lacks what all have."""
+    """A config, and overrides that select the recogniser of docs/library.md; its file also has an incomplete class."""
     monkeypatch.chdir(tmp_path)
     text = LIBRARY.read_text().partition("### Your own place recogniser")[2]
     code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0]
@@ -31,7 +31,7 @@ def own(tmp_path, monkeypatch):
     return EnvConfig(max_cycles=700), {SETTING: OWN, "slam.place_recognition.proximity_m": 0.0}
 
 
-def test_robots_meet_by_a_recogniser_of_ones_own(own, capsys):
+def test_robots_are_merged_with_a_custom_recogniser(own, capsys):
     config = override(*own)
     assert from_dict(to_dict(config)) == config
     settings = [f"--set={key}={value}" for key, value in own[1].items()]
@@ -44,7 +44,7 @@ def test_robots_meet_by_a_recogniser_of_ones_own(own, capsys):
     assert found["slam"]["place_recognition"]["recogniser"] == OWN
 
 
-def test_a_benchmark_runs_again_once_the_recogniser_changed(own, capsys):
+def test_a_benchmark_is_repeated_after_a_change_of_the_recogniser(own, capsys):
     settings = [f"--set={key}={value}" for key, value in own[1].items()]
     benchmark = ["benchmark", "--maps", "sfw-e1", "--seeds", "0", "--robots", "1", "--steps", "3", "--no-pictures"]
     assert main([*benchmark, *settings, "--out", "out"]) == 0 and main([*benchmark, *settings, "--out", "out"]) == 0
@@ -55,7 +55,7 @@ def test_a_benchmark_runs_again_once_the_recogniser_changed(own, capsys):
     assert "(reused)" not in capsys.readouterr().err
 
 
-def test_a_snapshot_holds_what_a_recogniser_of_ones_own_knows(own):
+def test_a_snapshot_contains_the_state_of_a_custom_recogniser(own):
     config, settings = own
     env = twc_env.parallel_env(config=override(config, settings))
     env.reset(seed=1)
@@ -73,12 +73,12 @@ def test_a_snapshot_holds_what_a_recogniser_of_ones_own_knows(own):
 
 
 @pytest.mark.parametrize("cue", ["text", "wifi", "lidar"])
-def test_a_recogniser_of_ones_own_stays_whatever_cue_is_missing(own, cue):
+def test_a_custom_recogniser_is_used_even_if_cues_are_disabled(own, cue):
     config = restricted_config(override(own[0], own[1] | {f"slam.cues.{cue}": False}))
     assert config.slam.place_recognition.recogniser == OWN
 
 
-def test_the_settings_say_that_a_class_of_ones_own_may_be_named():
+def test_the_settings_mention_custom_classes():
     assert "# one of twc, text, wifi, lidar, fused or FILE.py:CLASS" in as_toml(EnvConfig(), ["slam.place_recognition"])
 
 
@@ -91,7 +91,7 @@ def test_the_settings_say_that_a_class_of_ones_own_may_be_named():
         ("places", r"must be one of .*, fused or FILE\.py:CLASS; got 'places'"),
     ],
 )
-def test_what_is_no_recogniser_is_refused_with_the_remedy(own, name, remedy):
+def test_the_error_of_an_invalid_recogniser_names_the_remedy(own, name, remedy):
     with pytest.raises(ConfigError, match=remedy):
         make_recogniser(override(EnvConfig(), {SETTING: name}).slam.place_recognition, 8.0)
 
@@ -115,7 +115,7 @@ def test_what_is_no_recogniser_is_refused_with_the_remedy(own, name, remedy):
         ("[LoopCandidate((1, 3), (1, 3), [0.0, 0.0, 0.0], 'odd')]", r"shown before; got target \(1, 3\)"),
     ],
 )
-def test_candidates_that_do_not_fit_are_refused_before_the_engine_takes_them(own, keyframe, proposed, remedy):
+def test_invalid_candidates_are_rejected_before_the_engine_uses_them(own, keyframe, proposed, remedy):
     Path("odd.py").write_text(
         "from twc_env.messages import LoopCandidate\n\n\nclass Odd:\n    name = 'odd'\n\n"
         "    def __init__(self, *_):\n        pass\n\n    def forget(self, is_held):\n        pass\n\n"

@@ -7,12 +7,12 @@ from twc_env.slam.particle_filter import ParticleFilter, ParticleFilterSettings,
 
 BEAMS, RANGE_MAX_M = 180, 12.0
 HALF_M = np.array([4.0, 2.5])
-"""Half the sides of a room around 0, 0."""
+"""Half the side lengths of a room centred at (0, 0)."""
 SETTINGS = ParticleFilterSettings(particles=8, size_m=20.0)
 
 
 def scan_of_the_room(pose):
-    """Ranges from inside the room, and an alcove that tells its sides apart."""
+    """Ranges from a pose in the room, which an alcove makes asymmetric."""
     directions = beam_directions(BEAMS)
     c, s = np.cos(pose[2]), np.sin(pose[2])
     ray = np.stack([c * directions[:, 0] - s * directions[:, 1], s * directions[:, 0] + c * directions[:, 1]], axis=1)
@@ -23,7 +23,7 @@ def scan_of_the_room(pose):
 
 @pytest.fixture(scope="module")
 def drive():
-    """A round through the room on wheels that turn 5 % too far."""
+    """A loop through the room with odometry whose turns are 5 % too large."""
     angles = np.linspace(0.0, 2 * np.pi, 60)
     truth = np.stack([2.0 * np.cos(angles), 1.2 * np.sin(angles), angles + np.pi / 2], axis=1)
     frames = []
@@ -46,7 +46,7 @@ def test_the_path_follows_the_scans_and_not_the_drift(drive):
     assert (grid.log_odds < 0).sum() * 0.01 == pytest.approx(4 * HALF_M.prod(), rel=0.08)
 
 
-def test_a_path_is_that_of_one_ancestor_after_resampling(drive):
+def test_after_resampling_a_path_follows_one_ancestor(drive):
     frames, _ = drive
     particles = ParticleFilter(SETTINGS, RANGE_MAX_M, np.random.default_rng(1))
     for frame in frames:
@@ -57,7 +57,7 @@ def test_a_path_is_that_of_one_ancestor_after_resampling(drive):
     assert np.abs(steps - told).max() < 0.15
 
 
-def test_a_robot_that_stands_for_long_still_stands_on_free_floor():
+def test_a_robot_at_rest_stays_on_free_floor():
     pose = np.array([0.05, 0.05, 0.0])
     frames = [SensorFrame(0, k, 0.1 * k, np.zeros(3), 0.0, scan_of_the_room(pose)) for k in range(800)]
     settings = ParticleFilterSettings(particles=1, samples=1, size_m=12.0)

@@ -40,14 +40,14 @@ def remember(*keyframes):
     return memory
 
 
-def test_signs_back_to_back_on_one_wall_are_two_even_if_they_bear_one_number(seen):
+def test_signs_on_both_sides_of_a_wall_are_two_places_even_with_equal_numbers(seen):
     outside = [seen(0, k, "ROOM 3023", x=0.1 * k, facing=-math.pi / 2) for k in range(3)]
     inside = [seen(0, 3 + k, "PLAN 3023", x=0.1 * k, facing=math.pi / 2) for k in range(3)]
     memory = remember(*outside, *inside)
     assert [place.consensus for place in memory.signs[0]] == ["ROOM3023", "PLAN3023"]
 
 
-def test_a_door_and_the_plan_behind_it_stay_two_where_one_reading_of_the_plan_seems_turned(seen):
+def test_signs_on_both_sides_of_a_wall_stay_two_places_despite_a_wrong_facing(seen):
     outside = [seen(0, k, "A301 OPTICS LAB", x=0.1 * k, facing=-math.pi / 2) for k in range(3)]
     turned = seen(0, 3, "A301 OPTICS LAB PLAN", x=0.3, facing=-0.4)
     inside = [seen(0, 4 + k, "A301 OPTICS LAB PLAN", x=0.4 + 0.1 * k, facing=math.pi / 2) for k in range(4)]
@@ -55,7 +55,7 @@ def test_a_door_and_the_plan_behind_it_stay_two_where_one_reading_of_the_plan_se
     assert [place.consensus for place in memory.signs[0]] == ["A301OPTICSLAB", "A301OPTICSLABPLAN"]
 
 
-def test_a_fragment_of_a_plan_does_not_take_the_door_behind_it_for_the_plan(seen):
+def test_a_fragment_of_a_text_does_not_join_signs_on_both_sides_of_a_wall(seen):
     inside = [seen(0, k, "A303 SERVER ROOM PLAN", x=0.1 * k, facing=math.pi / 2) for k in range(3)]
     cut = seen(0, 3, "A303 SERVER ROO", x=0.3, facing=math.pi / 2)
     outside = [seen(0, 4 + k, "A303 SERVER ROOM", x=0.4 + 0.1 * k, facing=-math.pi / 2) for k in range(2)]
@@ -63,12 +63,12 @@ def test_a_fragment_of_a_plan_does_not_take_the_door_behind_it_for_the_plan(seen
     assert [place.consensus for place in memory.signs[0]] == ["A303SERVERROOMPLAN", "A303SERVERROOM"]
 
 
-def test_a_lost_space_is_no_mistake(seen):
+def test_spaces_are_ignored_in_texts(seen):
     (place,) = remember(seen(0, 0, "ROOM 3023"), seen(0, 1, "ROOM3023")).signs[0]
     assert (place.consensus, place.support) == ("ROOM3023", 2)
 
 
-def test_a_text_nobody_else_has_speaks_for_one_place_and_an_unlike_one_against(seen):
+def test_a_unique_text_is_evidence_for_one_place_and_a_different_one_against(seen):
     one, other, unlike = seen(0, 0, "A301 OPTICS LAB"), seen(1, 0, "A301 OPTICS LAB"), seen(2, 0, "A304 LIBRARY")
     memory = remember(one, other, unlike)
     assert weigh(memory, one, other).total > 3
@@ -83,14 +83,14 @@ def test_a_repeated_text_alone_is_no_evidence(seen):
     assert weigh(repeated, here, other).text < 0.5
 
 
-def test_a_repeated_text_that_is_elsewhere_by_its_radio_does_no_harm(seen):
+def test_a_repeated_text_with_another_fingerprint_does_not_reduce_the_evidence(seen):
     here, there, other = seen(0, 0, "EXIT"), seen(0, 1, "EXIT", x=15.0, rssi_dbm=FAR_DBM), seen(1, 0, "EXIT")
     memory = remember(here, there, other)
     assert weigh(memory, here, other).total > 3
     assert weigh(memory, there, other).total < -3
 
 
-def test_readings_of_one_pass_outvote_a_fragment(seen):
+def test_complete_readings_of_one_pass_outvote_a_fragment(seen):
     readings = [seen(0, k, text, x=0.1 * k) for k, text in enumerate(("OPTI", "A301 OPTICS LAB", "A301 OPTICS LAB"))]
     for k in readings:  # the sign itself stays where it is
         k.signs[0].position_m[0] -= k.pose_odom[0]
@@ -100,12 +100,12 @@ def test_readings_of_one_pass_outvote_a_fragment(seen):
     assert memory.place_of((readings[0], readings[0].signs[0])) is place
 
 
-def test_signs_that_face_away_from_each_other_are_two(seen):
+def test_signs_with_opposite_facings_are_two_places(seen):
     memory = remember(seen(0, 0, "EXIT"), seen(0, 1, "EXIT", x=1.5, facing=0.0))
     assert len(memory.signs[0]) == 2
 
 
-def test_a_sign_on_the_wrong_neighbour_speaks_against_one_place(keyframe):
+def test_a_different_neighbouring_sign_is_evidence_against_one_place(keyframe):
     def room(robot, label):
         signs = [sign("FIRE CABINET"), sign(label, (2.0, 2.5))]
         return keyframe(robot, signs=signs, macs=MACS, rssi_dbm=NEAR_DBM, ranges_m=np.full(90, RANGE_MAX_M))
@@ -115,9 +115,9 @@ def test_a_sign_on_the_wrong_neighbour_speaks_against_one_place(keyframe):
     assert weigh(memory, one, alike).neighbours < -1 < 0.5 < weigh(memory, one, same).neighbours
 
 
-def test_the_way_to_a_sign_speaks_for_one_place_where_the_radio_agrees_along_it_and_against_where_not(keyframe):
+def test_radio_along_the_path_to_a_sign_is_evidence_for_or_against_one_place(keyframe):
     def path(robot, end_dbm):
-        """Past a sign that all read alike, at which the radio is alike as well; before and after it may differ."""
+        """Past a sign with equal text and fingerprint for all robots; the fingerprints before and after may differ."""
         ways = [(x, NEAR_DBM if x == 4 else end_dbm) for x in (1.9, 4, 6.1)]  # too near for radio statistics
         return [
             keyframe(
@@ -135,6 +135,6 @@ def test_the_way_to_a_sign_speaks_for_one_place_where_the_radio_agrees_along_it_
     assert there.total == pytest.approx(there.text + there.radio + there.geometry + there.neighbours + there.sequence)
 
 
-def test_what_was_never_seen_gives_no_evidence(seen):
+def test_unknown_places_give_no_evidence(seen):
     known, unknown = seen(0, 0, "EXIT"), seen(1, 0, "EXIT")
     assert weigh(remember(known), known, unknown) is NO_EVIDENCE

@@ -22,7 +22,7 @@ def sign(text="EXIT", position=(2.0, 0.0), facing=math.pi) -> SignObservation:
 
 @pytest.fixture
 def place(keyframe):
-    """A keyframe that read one sign amid five transmitters."""
+    """A keyframe with one sign reading and five transmitters."""
 
     def make(robot=0, index=0, text="EXIT", macs=MACS, rssi_dbm=LEVELS_DBM, **rest):
         return keyframe(robot, index, signs=[sign(text)], macs=macs, rssi_dbm=rssi_dbm, **rest)
@@ -36,7 +36,7 @@ def candidates(first, second, **rule):
     return recogniser.propose(second)
 
 
-def test_like_text_and_like_radio_make_a_candidate(place):
+def test_similar_text_and_radio_give_a_candidate(place):
     (found,) = candidates(place(0, 4), place(1, 7))
     assert (found.target, found.source, found.recogniser) == ((0, 4), (1, 7), "twc")
     assert (found.text_similarity, found.mac_similarity, found.rssi_similarity) == (1.0, 1.0, 1.0)
@@ -54,7 +54,7 @@ def test_like_text_and_like_radio_make_a_candidate(place):
         ({"rssi_dbm": np.array(LEVELS_DBM) - 6.26}, {"rssi_similarity_min": 0.8}, 0),
     ],
 )
-def test_what_is_exactly_at_its_threshold_passes(place, other, rule, count):
+def test_values_at_a_threshold_pass(place, other, rule, count):
     assert len(candidates(place(0), place(1, **other), **rule)) == count
 
 
@@ -62,7 +62,7 @@ def test_what_is_exactly_at_its_threshold_passes(place, other, rule, count):
     "change",
     [{"text": "A301 OPTICS"}, {"macs": (6, 7, 8, 9, 10)}, {"rssi_dbm": LEVELS_DBM[::-1]}, {"macs": (), "rssi_dbm": ()}],
 )
-def test_each_cue_alone_can_refuse(place, change):
+def test_each_cue_alone_can_reject(place, change):
     assert candidates(place(0), place(1, **change)) == []
 
 
@@ -78,7 +78,7 @@ def test_a_keyframe_is_never_its_own_candidate(keyframe):
     assert TextWifiRecogniser(rule).propose(twice) == []
 
 
-def test_the_better_of_two_texts_speaks_for_a_pair(keyframe):
+def test_the_more_similar_of_two_texts_is_used(keyframe):
     first = keyframe(0, signs=[sign("ROOM A301"), sign("ROOM A302", (0.0, 3.0))], macs=MACS, rssi_dbm=LEVELS_DBM)
     second = keyframe(1, signs=[sign("ROOM A302", (0.0, 1.0))], macs=MACS, rssi_dbm=LEVELS_DBM)
     (found,) = candidates(first, second)
@@ -86,7 +86,7 @@ def test_the_better_of_two_texts_speaks_for_a_pair(keyframe):
     assert found.guess == pytest.approx(np.array([0.0, 2.0, 0.0]), abs=1e-12)
 
 
-def test_each_earlier_place_gives_its_own_candidate(place):
+def test_each_earlier_place_gives_one_candidate(place):
     recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
     for index in range(3):
         assert recogniser.propose(place(0, index, travel_m=3.0 * index)) == []
@@ -94,7 +94,7 @@ def test_each_earlier_place_gives_its_own_candidate(place):
     assert sorted(c.target for c in found) == [(0, 0), (0, 1), (0, 2)]
 
 
-def test_a_text_read_from_keyframe_to_keyframe_is_remembered_once(place):
+def test_a_text_read_at_consecutive_keyframes_is_stored_once(place):
     recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
     for index in range(3):
         recogniser.propose(place(0, index, travel_m=0.2 * index))
@@ -108,7 +108,7 @@ def test_a_reading_on_no_known_wall_does_not_hide_the_next_one(keyframe, place):
     assert [c.target for c in recogniser.propose(place(1, 0))] == [(0, 1)]
 
 
-def test_the_printed_rule_accepts_large_distances_and_refuses_small_ones(place):
+def test_the_printed_rule_accepts_large_and_rejects_small_distances(place):
     far = place(1, rssi_dbm=np.array(LEVELS_DBM) - 20.0)
     near = place(1)
     (found,) = candidates(place(0), far, rssi_mode="paper", rssi_similarity_min=1.0)
@@ -125,7 +125,7 @@ def test_the_printed_rule_needs_a_shared_transmitter(place):
     assert len(candidates(place(0), place(1), **rule)) == 1
 
 
-def test_case_and_spaces_matter_only_where_they_are_asked_to(place):
+def test_case_and_spaces_matter_only_if_configured(place):
     loud, quiet = place(0, text="FIRE  CABINET "), place(1, text="fire cabinet")
     assert len(candidates(loud, quiet, text_similarity_min=1.0)) == 1
     assert candidates(loud, quiet, text_similarity_min=1.0, normalise_text=False) == []
@@ -156,7 +156,7 @@ def test_two_views_of_one_sign_give_the_exact_pose_between_them(keyframe, first,
     assert between(between(first, second), found.guess) == pytest.approx(np.zeros(3), abs=1e-9)
 
 
-def test_a_place_is_tried_again_only_when_an_end_has_moved_on(keyframe):
+def test_a_place_is_proposed_again_only_after_further_travel(keyframe):
     tried = ProposalFilter()
 
     def at(robot, travel_m):
@@ -170,7 +170,7 @@ def test_a_place_is_tried_again_only_when_an_end_has_moved_on(keyframe):
     assert tried.is_new(at(0, 5.0), at(2, 8.0), 2.0)
 
 
-def test_places_met_before_a_receiver_was_known_to_be_odd_are_compared_anew(place):
+def test_earlier_places_are_compared_again_once_a_device_offset_is_known(place):
     recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
     names, offset_db, found = ("A101", "A102", "A103"), 12.0, []
     for k, name in enumerate(names):
@@ -184,7 +184,7 @@ def test_places_met_before_a_receiver_was_known_to_be_odd_are_compared_anew(plac
     assert all(c.rssi_similarity == 1.0 for c in found[2])
 
 
-def test_an_odd_receiver_is_not_compared_anew_with_robots_that_are_skipped(place):
+def test_skipped_robots_are_not_compared_again_after_a_new_device_offset(place):
     recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
     for k, name in enumerate(("A101", "A102", "A103")):
         recogniser.propose(place(0, k, name))
@@ -192,29 +192,29 @@ def test_an_odd_receiver_is_not_compared_anew_with_robots_that_are_skipped(place
         assert found == []
 
 
-def test_what_a_weaker_receiver_cannot_hear_is_not_missed(place):
+def test_transmitters_below_the_sensitivity_of_a_receiver_do_not_count_as_missing(place):
     recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
     far = (*MACS, 6, 7, 8)
     for k, name in enumerate(("A101", "A102", "A103", "A104")):
         recogniser.propose(place(0, k, name))
-        loud = np.array([*LEVELS_DBM, -85.0, -86.0, -87.0]) + 12.0  # the last three lie below what robot 0 hears
+        loud = np.array([*LEVELS_DBM, -85.0, -86.0, -87.0]) + 12.0  # robot 0 cannot receive the last three
         found = recogniser.propose(place(1, k, name, macs=far, rssi_dbm=loud, travel_m=30.0 * k))
     assert [(c.target, c.mac_similarity) for c in found] == [((0, 3), 1.0)]
-    near = np.array([*LEVELS_DBM, -50.0, -50.0, -50.0]) + 12.0  # these, robot 0 would have heard
+    near = np.array([*LEVELS_DBM, -50.0, -50.0, -50.0]) + 12.0  # robot 0 would receive these
     assert recogniser.propose(place(1, 9, "A104", macs=far, rssi_dbm=near, travel_m=200.0)) == []
 
 
 @pytest.mark.parametrize(("time_s", "count"), [(30.0, 1), (5.0, 0)])
-def test_signs_alone_speak_for_a_robot_that_has_long_heard_nothing(place, time_s, count):
+def test_a_robot_without_radio_for_long_is_recognised_by_signs_alone(place, time_s, count):
     recogniser = TextWifiRecogniser(PlaceRecognitionConfig())
     deaf = replace(place(0, macs=(), rssi_dbm=()), time_s=time_s)
     assert recogniser.propose(deaf) == []
     assert len(recogniser.propose(replace(place(1), time_s=time_s))) == count
-    recogniser.propose(replace(place(0, 1, travel_m=9.0), time_s=time_s + 1.0))  # it hears after all
+    recogniser.propose(replace(place(0, 1, travel_m=9.0), time_s=time_s + 1.0))  # the first readings of robot 0
     assert [c.target for c in recogniser.propose(replace(place(2), time_s=time_s + 2.0))] == [(1, 0), (0, 1)]
 
 
-def test_a_pair_that_is_not_wanted_becomes_no_candidate_and_is_remembered_all_the_same(place):
+def test_skipped_pairs_give_no_candidate_but_are_stored(place):
     recogniser, asked = TextWifiRecogniser(PlaceRecognitionConfig()), []
     recogniser.is_wanted = lambda target, source: bool(asked.append((target.key, source.key)))
     recogniser.propose(place(0, 0))

@@ -17,14 +17,14 @@ def cloud(count=400):
     return np.random.default_rng(0).uniform(-5.0, 5.0, (count, 2))
 
 
-def test_points_seen_from_two_places_are_laid_on_each_other_exactly():
+def test_points_seen_from_two_poses_are_aligned_exactly():
     points = cloud()
     match = match_points(points, transform_points(inverse(POSE), points), compose(POSE, [0.05, -0.05, 0.01]))
     assert match.pose == pytest.approx(POSE, abs=1e-9)
     assert match.fitness_m2 == pytest.approx(0.0, abs=1e-12) and match.inlier_ratio == 1.0
 
 
-def test_a_guess_that_is_off_by_a_metre_and_twenty_degrees_is_survived_in_a_room(walls, scan):
+def test_in_a_room_a_guess_may_be_wrong_by_a_metre_and_twenty_degrees(walls, scan):
     room = walls((-4, -3), (5, -3), (5, 1), (1, 1), (1, 4), (-4, 4))
     poses, beams = np.array([(0.0, 0.3, 1.2), (-0.6, 0.8, -2.2)]), 600
     angle = np.arange(beams) * 2 * math.pi / beams
@@ -46,13 +46,13 @@ def test_the_fitness_is_the_mean_squared_distance_of_the_pairs():
     assert match.fitness_m2 == pytest.approx(0.01, rel=0.05)
 
 
-def test_clouds_that_share_nothing_are_no_match():
+def test_point_clouds_without_overlap_do_not_match():
     for source in (cloud() + 100.0, np.zeros((0, 2))):
         match = match_points(cloud(), source, np.zeros(3))
         assert match.inlier_ratio == 0.0 and math.isnan(match.fitness_m2) and not match.hessian.any()
 
 
-def test_the_verifier_matches_points_where_it_is_told_to(office, path_of):
+def test_the_config_selects_point_matching_in_the_verifier(office, path_of):
     first, second = [(-1.0, -1.0, 0.0), (0.0, 0.3, 1.2)], [(0.5, 1.2, -2.5), (-0.3, 0.6, -2.2)]
     true = between(np.array(first[-1]), np.array(second[-1]))
     verifier = LoopVerifier(VerificationConfig(method="point-to-point"), OdometryFilterConfig(), LidarConfig())
@@ -62,7 +62,7 @@ def test_the_verifier_matches_points_where_it_is_told_to(office, path_of):
     assert np.abs(between(true, closure.pose_target_source)).max() < 0.1
 
 
-def test_points_paired_along_a_corridor_seem_to_fix_its_axis_which_lines_of_walls_do_not(walls, path_of):
+def test_point_matching_underestimates_the_uncertainty_along_a_corridor_and_line_matching_does_not(walls, path_of):
     corridor = walls((-40, -1.2), (40, -1.2), (40, 1.2), (-40, 1.2))
     paths = path_of(0, corridor, [(0, 0, 0), (1, 0.1, 0)]), path_of(1, corridor, [(3, 0.2, 0), (4, 0.1, 0)])
     candidate = LoopCandidate((0, 1), (1, 1), np.array([0.4, 0.0, 0.0]), "proximity")
@@ -85,10 +85,10 @@ def test_points_paired_along_a_corridor_seem_to_fix_its_axis_which_lines_of_wall
         ({"guess": [0.0, 0.0, np.nan]}, "guess must be a finite pose"),
     ],
 )
-def test_what_is_no_points_or_guess_is_refused(changes, message):
+def test_invalid_points_and_guesses_are_rejected(changes, message):
     with pytest.raises(DataError, match=message):
         match_points(**{"target": cloud(9), "source": cloud(9), "guess": np.zeros(3), **changes})
 
 
-def test_lists_of_points_match_as_arrays_do():
+def test_lists_of_points_are_accepted():
     assert match_points(cloud().tolist(), cloud().tolist(), [0, 0, 0]).pose == pytest.approx(np.zeros(3), abs=1e-9)

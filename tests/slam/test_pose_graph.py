@@ -28,7 +28,7 @@ def chi2(poses: np.ndarray, graph: Graph) -> float:
 
 
 def random_graph(seed: int, count: int = 12, closures: int = 6) -> tuple[np.ndarray, Graph]:
-    """True poses of a walk, and what is measured along it and by closures, with noise."""
+    """True poses of a random path, and a graph of noisy odometry and closures."""
     random = np.random.default_rng(seed)
     true = np.zeros((count, 3))
     for i in range(1, count):
@@ -43,7 +43,7 @@ def random_graph(seed: int, count: int = 12, closures: int = 6) -> tuple[np.ndar
 
 
 def with_closures(graph: Graph, ends, measured) -> Graph:
-    """With some more closures, each as sure as the others are on average."""
+    """The graph with further closures, whose information is the mean of the others'."""
     usual = graph.information[graph.is_closure].mean(axis=0)
     return Graph(
         np.concatenate([graph.edges, ends]),
@@ -55,7 +55,7 @@ def with_closures(graph: Graph, ends, measured) -> Graph:
 
 @pytest.fixture
 def square():
-    """Twenty steps around a square with a heading drift, and the closure that ends it."""
+    """Twenty steps around a square with heading drift, and a closure at the end."""
     count = 21
     true = np.zeros((count, 3))
     for i in range(1, count):
@@ -68,7 +68,7 @@ def square():
     return true, Graph(edges, measured, information, np.arange(len(edges)) == count - 1)
 
 
-def test_a_residual_is_the_measured_pose_undone(square):
+def test_residuals_are_relative_to_the_measured_pose(square):
     true, graph = square
     expected = between(graph.measured, between(*true[graph.edges.T]))
     assert pose_graph.residuals(true, graph.edges, graph.measured) == pytest.approx(expected, abs=1e-12)
@@ -112,7 +112,7 @@ def test_small_graphs_agree_with_scipy(seed):
 
 @settings(max_examples=15)
 @given(st.integers(0, 10_000))
-def test_no_iteration_raises_the_error_however_far_the_start(seed):
+def test_no_iteration_increases_the_error_from_any_start(seed):
     true, graph = random_graph(seed)
     start = compose(true, np.random.default_rng(seed).normal(0, 1, true.shape) * (3.0, 3.0, 1.5))
     errors = [chi2(start, graph)]
@@ -136,7 +136,7 @@ def test_the_fixed_pose_stays_and_the_others_move_with_it():
 
 
 @pytest.mark.parametrize("strange", [-1, 60])
-def test_edges_from_poses_that_are_not_there_are_refused(strange):
+def test_edges_to_missing_poses_are_rejected(strange):
     true, graph = random_graph(3)
     graph.edges[-1, 0] = strange
     with pytest.raises(DataError, match=r"edges join poses 0 to \d+; got"):
@@ -144,7 +144,7 @@ def test_edges_from_poses_that_are_not_there_are_refused(strange):
 
 
 def false_closure_error(robust: str) -> float:
-    """How far one false closure among forty moves the poses [m]."""
+    """Largest displacement [m] of the poses by one false closure among forty."""
     true, graph = random_graph(7, count=60, closures=40)
     config = PoseGraphConfig(robust=robust, iterations_max=100)
     good = pose_graph.optimise(true, *graph.parts, config)
@@ -153,11 +153,11 @@ def false_closure_error(robust: str) -> float:
     return float(np.hypot(*(bad - good)[:, :2].T).max())
 
 
-def test_one_false_closure_among_many_bends_the_map_only_without_a_robust_loss():
+def test_one_false_closure_changes_the_map_only_without_a_robust_loss():
     assert false_closure_error("dcs") < 0.02 < 0.3 < false_closure_error("plain")
 
 
-def test_robust_weights_leave_odometry_alone():
+def test_robust_weights_do_not_apply_to_odometry():
     squared, is_closure = np.array([0.0, 1e6, 1e6]), np.array([True, True, False])
     for robust in ("dcs", "cauchy", "plain"):
         weights = pose_graph.robust_weights(squared, is_closure, PoseGraphConfig(robust=robust))
@@ -173,7 +173,7 @@ def test_robust_weights_fall_with_the_error(robust):
     assert np.all((weights > 0) & (weights <= 1))
 
 
-def test_headings_across_the_seam_are_taken_the_short_way():
+def test_heading_residuals_wrap_at_pi():
     edges, measured = np.array([[0, 1]]), np.array([[1.0, 0.0, 0.1]])
     start = np.array([[0.0, 0.0, 3.1], [-1.0, 0.0, -3.1]])
     poses = pose_graph.optimise(start, edges, measured, information_of(1), np.array([False]), PLAIN)
@@ -208,7 +208,7 @@ def test_manhattan_reaches_its_optimum_from_odometry():
 
 @needs_data
 def test_a_start_forty_metres_off_ends_in_a_bounded_error():
-    """From raw odometry the MIT graph has bad minima; the error must still fall by six orders of magnitude."""
+    """From raw odometry the MIT graph has bad local minima; the error must still fall by six orders of magnitude."""
     graph = public_graph("MIT")
     start = dead_reckoning(graph)
     poses = pose_graph.optimise(start, *graph.parts, PLAIN)
@@ -217,7 +217,7 @@ def test_a_start_forty_metres_off_ends_in_a_bounded_error():
 
 @needs_data
 @pytest.mark.parametrize(("name", "error_max_m"), [("ring", 1.6), ("ringCity", 1.6)])
-def test_simulated_public_graphs_come_out_where_their_truth_is(name, error_max_m):
+def test_simulated_public_graphs_converge_to_ground_truth(name, error_max_m):
     graph = public_graph(name)
     truth = read_g2o(DATA / "posegraph" / f"{name}_groundtruth.g2o.gz")["nodes"]
     start = dead_reckoning(graph)
@@ -227,7 +227,7 @@ def test_simulated_public_graphs_come_out_where_their_truth_is(name, error_max_m
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_several_held_poses_keep_their_bits_and_the_others_fit_best(seed):
+def test_fixed_poses_stay_bit_identical_and_the_others_are_optimal(seed):
     true, graph = random_graph(seed)
     random, held = np.random.default_rng(seed), np.array([0, 1, 2, 7])
     start = true + random.normal(0, 0.05, true.shape)

@@ -10,7 +10,7 @@ AWAY_M = np.linalg.norm(PLACES[:, None] - BOXES, axis=2)
 HEARD = np.maximum(65 - 30 * np.log10(np.maximum(AWAY_M, 1.0)) + RANDOM.normal(size=AWAY_M.shape), 0.0)
 
 
-def test_the_true_layout_has_more_evidence_than_a_bent_one_and_that_more_than_chance():
+def test_the_true_layout_has_more_evidence_than_a_bent_and_a_random_one():
     evidence = FieldEvidence(HEARD)
     bent = PLACES + np.column_stack([0.01 * PLACES[:, 1] ** 2, np.zeros(80)])
     folded = np.column_stack([np.abs(PLACES[:, 0] - 20.0), PLACES[:, 1]])
@@ -18,14 +18,14 @@ def test_the_true_layout_has_more_evidence_than_a_bent_one_and_that_more_than_ch
     assert true > bent + 0.5 and bent > folded + 10.0
 
 
-def test_evidence_does_not_depend_on_where_the_layout_lies():
+def test_evidence_is_invariant_to_rigid_motions_of_the_layout():
     evidence = FieldEvidence(HEARD)
     turned = PLACES @ np.array([[0.6, 0.8], [-0.8, 0.6]]) + [100.0, -30.0]
     assert evidence.of(turned) == pytest.approx(evidence.of(PLACES), abs=1e-3)
 
 
 @pytest.mark.parametrize("travel_m", [None, np.linspace(0.0, 160.0, 80)])
-def test_slopes_are_those_of_the_evidence(travel_m):
+def test_the_gradient_is_that_of_the_evidence(travel_m):
     evidence = FieldEvidence(HEARD, travel_m)
     squared = ((PLACES[:, None] - PLACES) ** 2).sum(axis=2)
     logs = np.log([0.7, 0.2, 12.0, 4.0, 0.1, 0.2, 6.0][: 5 if travel_m is None else 7])
@@ -37,7 +37,7 @@ def test_slopes_are_those_of_the_evidence(travel_m):
         assert slopes[k] == pytest.approx(difference / 2e-5, rel=1e-3, abs=1e-3)
 
 
-def test_slopes_by_places_are_those_of_the_evidence():
+def test_the_gradient_by_positions_is_that_of_the_evidence():
     evidence = FieldEvidence(HEARD)
     logs = np.log([0.7, 0.2, 12.0, 4.0, 0.1])
     slopes, _ = evidence.gradient(PLACES, logs)
@@ -48,7 +48,7 @@ def test_slopes_by_places_are_those_of_the_evidence():
         assert slopes[place, axis] == pytest.approx((ahead - behind) / 2e-4, rel=1e-3)
 
 
-def test_the_information_is_the_spread_of_slopes_over_what_may_be_heard():
+def test_the_information_is_the_covariance_of_gradients_over_possible_readings():
     logs = np.log([0.7, 0.2, 12.0, 4.0, 0.1])
     places = PLACES[:12]
     squared = ((places[:, None] - places) ** 2).sum(axis=2)

@@ -23,7 +23,7 @@ def place(*macs: int, rssi_dbm=None) -> Fingerprint:
 
 
 def clipped_mean(values, divisor: float) -> float:
-    """Equations 7 and 8 for one transmitter, reading by reading."""
+    """Equations 7 and 8 for one transmitter, without array functions."""
     mean = sum(values) / len(values)
     spread = (sum((v - mean) ** 2 for v in values) / divisor) ** 0.5
     kept = [v for v in values if abs(v - mean) <= spread + 1e-9]
@@ -45,11 +45,11 @@ def test_the_repaired_spread_rejects_an_outlier():
     assert fingerprint(one_mac(values), 0.0, "paper").rssi_dbm[0] == pytest.approx(-65.0)
 
 
-def test_readings_repeated_from_too_long_ago_are_left_out():
+def test_repeated_readings_that_are_too_old_are_ignored():
     scan = WifiScan(np.array([3, 7, 9]), np.array([-50.0, -60.0, -70.0]), np.array([0.0, 4.0, 4.5]))
     assert fingerprint([scan], 0.4, age_max_s=4.0).macs.tolist() == [3, 7]
     assert fingerprint([scan], 0.4).macs.tolist() == [3, 7, 9]
-    # Heard afresh in one scan of two, remembered in the other: half of the scans.
+    # A new reading in one of two scans and a repeated one in the other: heard in half of the scans.
     fresh = WifiScan(np.array([9]), np.array([-72.0]), np.array([0.0]))
     assert fingerprint([scan, fresh], 0.5, age_max_s=4.0).rssi_dbm.tolist()[-1] == -72.0
 
@@ -60,7 +60,7 @@ def test_two_readings_tie_with_their_spread_and_both_count(mode, values):
     assert fingerprint(one_mac(values), 0.0, mode).rssi_dbm[0] == pytest.approx(np.mean(values), abs=1e-9)
 
 
-def test_a_transmitter_heard_too_rarely_is_no_part_of_the_place():
+def test_a_transmitter_heard_too_rarely_is_not_in_the_fingerprint():
     heard = scans_of({1: -50.0, 2: -80.0}, {1: -50.0}, {1: -50.0}, {1: -50.0, 3: -85.0}, {1: -50.0, 3: -85.0})
     assert fingerprint(heard, 0.4).macs.tolist() == [1, 3]
     assert fingerprint(heard, 0.2).macs.tolist() == [1, 2, 3]
@@ -73,7 +73,7 @@ def test_empty_scans_count_as_not_heard():
 
 
 @pytest.mark.parametrize("scans", [[], scans_of({}), scans_of({}, {})])
-def test_nothing_heard_gives_an_empty_fingerprint(scans):
+def test_no_readings_give_an_empty_fingerprint(scans):
     found = fingerprint(scans, 0.4)
     assert (len(found.macs), len(found.rssi_dbm)) == (0, 0)
 

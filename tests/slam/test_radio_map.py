@@ -21,7 +21,7 @@ def surveyed() -> RadioMap:
     return RadioMap(places, [heard_at(p, k) for k, p in enumerate(places)])
 
 
-def test_both_ways_find_new_places_and_the_gaussian_process_finds_them_better():
+def test_both_methods_locate_new_fingerprints_and_the_gaussian_process_is_better():
     radio_map = surveyed()
     process = GaussianProcessMap(radio_map)
     random = np.random.default_rng(1)
@@ -32,8 +32,8 @@ def test_both_ways_find_new_places_and_the_gaussian_process_finds_them_better():
     assert gaussian < nearest < 3.0
 
 
-def test_the_gaussian_process_by_hand():
-    """Two places and one transmitter: mean and variance at candidates, and what a reading makes of them."""
+def test_the_gaussian_process_matches_a_manual_computation():
+    """Two places and one transmitter: mean and variance at candidate positions, and the estimate from a reading."""
     places, levels = np.array([[0.0, 0.0], [8.0, 0.0]]), np.array([-50.0, -70.0])
     radio_map = RadioMap(places, [Fingerprint(np.array([1]), levels[k : k + 1]) for k in range(2)])
     found, spread = GaussianProcessMap(radio_map, 6.0, 8.0, 4.0).locate(Fingerprint(np.array([1]), np.array([-54.0])))
@@ -51,7 +51,7 @@ def test_the_gaussian_process_by_hand():
     assert spread == pytest.approx(away.T @ (away * weight[:, None]))
 
 
-def test_no_more_is_held_at_a_time_than_some_places_beside_all():
+def test_memory_is_bounded_by_processing_places_in_batches():
     places = np.random.default_rng(0).uniform(0, 30, (700, 2))
     radio_map = RadioMap(places, [heard_at(p, k) for k, p in enumerate(places)])
     tracemalloc.start()
@@ -60,12 +60,21 @@ def test_no_more_is_held_at_a_time_than_some_places_beside_all():
         held_bytes = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert held_bytes < 9 * 700 * 700 * 8 / 2  # all candidates beside all places would be 9 x 700 x 700 numbers
+    assert held_bytes < 9 * 700 * 700 * 8 / 2  # a matrix of all candidates and places has 9 x 700 x 700 numbers
 
 
-def test_silence_is_nowhere_in_particular():
+def test_an_empty_fingerprint_has_no_preferred_position():
     radio_map = surveyed()
     assert radio_map.nearest(Fingerprint(np.zeros(0, np.int64), np.zeros(0))) == pytest.approx([15.0, 15.0])
+
+
+@pytest.mark.parametrize("macs", [[], [999]])
+def test_the_gaussian_process_is_not_sure_of_a_place_where_none_of_its_transmitters_was_heard(macs):
+    places = np.random.default_rng(0).uniform(0.0, 30.0, (60, 2))
+    process = GaussianProcessMap(RadioMap(places, [heard_at(place, k) for k, place in enumerate(places)]))
+    found, spread = process.locate(Fingerprint(np.array(macs, np.int64), np.full(len(macs), -50.0)))
+    assert found == pytest.approx(places.mean(axis=0))
+    assert np.sqrt(np.diag(spread)) == pytest.approx(places.std(axis=0), abs=0.1)
 
 
 def test_a_map_needs_a_position_for_each_fingerprint():
@@ -84,7 +93,7 @@ def test_a_map_needs_a_position_for_each_fingerprint():
         (Fingerprint(np.array([1]), ["loud"]), "must hold numbers"),
     ],
 )
-def test_what_no_receiver_hears_is_refused(fingerprint, message):
+def test_impossible_readings_are_rejected(fingerprint, message):
     radio_map = RadioMap(np.zeros((1, 2)), [heard_at((0, 0), 0)])
     process = GaussianProcessMap(radio_map)
     for call in (
@@ -96,13 +105,13 @@ def test_what_no_receiver_hears_is_refused(fingerprint, message):
             call()
 
 
-def test_lists_of_what_was_heard_do_as_well():
+def test_lists_of_fingerprints_are_accepted():
     scan = heard_at((3, 3), 0)
     listed = Fingerprint(scan.macs.tolist(), scan.rssi_dbm.tolist())
     assert np.array_equal(RadioMap([[1, 2]], [listed]).nearest(listed), [1.0, 2.0])
 
 
-def test_sizes_of_a_radio_map_that_cannot_be_meant_are_refused():
+def test_invalid_sizes_of_a_radio_map_are_rejected():
     radio_map = surveyed()
     with pytest.raises(DataError, match="neighbours must be 1 or more"):
         radio_map.nearest(heard_at((0, 0), 0), 0)

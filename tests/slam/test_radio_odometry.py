@@ -1,4 +1,4 @@
-"""Odometry put right by radio while the robot goes on: keyframes along the made world of `test_radio_slam`."""
+"""Online correction of odometry by radio: keyframes in the synthetic world of `test_radio_slam`."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def keyframes(log) -> list[Keyframe]:
 
 
 def tied(log, has_laser: bool, is_last: bool = False) -> np.ndarray:
-    """Poses (n, 3) of one robot that went along a log, tied every time that was due."""
+    """Poses (n, 3) of one robot along a log, corrected whenever due."""
     ties, count = RadioConstraints(RadioSlamConfig(), 1, has_laser), len(log.fingerprints)
     chain = np.column_stack([np.arange(count - 1), np.arange(1, count)])
     information = np.tile(np.diag([400.0, 400.0, 1e4]), (count - 1, 1, 1))
@@ -45,7 +45,7 @@ def log_and_truth():
     return made_log()
 
 
-def test_without_laser_the_odometry_of_a_map_is_put_right(log_and_truth):
+def test_without_laser_radio_corrects_the_odometry(log_and_truth):
     log, truth = log_and_truth
     by_odometry, by_ties, right = (
         absolute_trajectory_error_m(poses, truth) for poses in (log.odometry, tied(log, True), tied(log, False))
@@ -54,7 +54,7 @@ def test_without_laser_the_odometry_of_a_map_is_put_right(log_and_truth):
     assert right < 0.1 * by_odometry
 
 
-def test_at_the_end_the_way_is_what_radio_slam_makes_of_the_log(log_and_truth):
+def test_the_final_path_equals_that_of_offline_radio_slam(log_and_truth):
     log, _ = log_and_truth
     own = RadioOdometry(RadioSlamConfig())
     for keyframe in keyframes(log):
@@ -65,7 +65,7 @@ def test_at_the_end_the_way_is_what_radio_slam_makes_of_the_log(log_and_truth):
     assert poses_along(own.motions) == pytest.approx(solved.poses, abs=1e-6)
 
 
-def test_a_way_is_solved_the_less_often_the_longer_it_is(log_and_truth, monkeypatch):
+def test_longer_paths_are_solved_less_often(log_and_truth, monkeypatch):
     log, _ = log_and_truth
     lengths_m = []
     solve = radio_slam.solve
@@ -79,7 +79,7 @@ def test_a_way_is_solved_the_less_often_the_longer_it_is(log_and_truth, monkeypa
     assert (np.diff(lengths_m) > 0.9 * (GROWTH - 1.0) * np.array(lengths_m[:-1])).all()
 
 
-def test_where_nothing_is_heard_odometry_stays_as_it_is(log_and_truth):
+def test_without_readings_the_odometry_is_unchanged(log_and_truth):
     log, _ = log_and_truth
     silent = radio_slam.RadioLog(log.motions, log.turned_rad, [SILENCE] * len(log.fingerprints))
     assert tied(silent, False, is_last=True) == pytest.approx(log.odometry, abs=1e-9)
@@ -90,7 +90,7 @@ def test_where_nothing_is_heard_odometry_stays_as_it_is(log_and_truth):
     assert not own.is_corrected and own.motions == pytest.approx(log.motions, abs=1e-9)
 
 
-def test_beyond_a_kilometre_only_the_end_is_solved(log_and_truth):
+def test_of_paths_over_a_kilometre_only_the_end_is_solved(log_and_truth):
     log, _ = log_and_truth
     own = RadioOdometry(RadioSlamConfig())
     last = keyframes(log)[0]

@@ -18,7 +18,7 @@ AWAY_M = np.linalg.norm(TRUTH[:, None, :2] - BOXES, axis=2)
 HEARD = np.maximum(65 - 30 * np.log10(np.maximum(AWAY_M, 1.0)) + RANDOM.normal(size=AWAY_M.shape), 0.0)
 
 
-def test_slopes_by_motions_are_those_of_the_places():
+def test_the_gradient_by_motions_follows_from_that_by_positions():
     slopes = jacobian(TRUTH)
     for motion, axis in ((0, 2), (30, 0), (60, 1), (78, 2)):
         step = np.zeros_like(MOTIONS)
@@ -28,7 +28,7 @@ def test_slopes_by_motions_are_those_of_the_places():
 
 
 @pytest.mark.parametrize("noise", [0.5, 2.0])
-def test_the_view_of_a_path_is_a_gaussian_in_closed_form(noise):
+def test_the_closed_form_gaussian_of_a_path_is_correct(noise):
     random = np.random.default_rng(2)
     places, motions = 5, 4
     slopes, missed = random.normal(size=(places, 2, motions, 3)), random.normal(size=(motions, 3))
@@ -45,7 +45,7 @@ def test_the_view_of_a_path_is_a_gaussian_in_closed_form(noise):
     assert view.volume(noise) == pytest.approx(0.5 * np.linalg.slogdet(both)[1], rel=1e-6)
 
 
-def test_what_is_heard_takes_the_noise_out_of_a_path():
+def test_radio_reduces_the_noise_of_a_path():
     std = np.array([0.05, 0.05, 0.02])
     noisy = MOTIONS + std * RANDOM.normal(size=MOTIONS.shape)
     before = poses_along(noisy)
@@ -55,7 +55,7 @@ def test_what_is_heard_takes_the_noise_out_of_a_path():
     assert errors[1] < 0.5 * errors[0]
 
 
-def test_a_map_of_another_size_is_brought_to_that_of_the_odometry():
+def test_the_scale_of_a_map_is_corrected_to_that_of_the_odometry():
     information = np.tile(np.diag([400.0, 400.0, 2500.0]), (len(MOTIONS), 1, 1))
     small = TRUTH * [0.85, 0.85, 1.0]
     after = refined(small, Motions(MOTIONS, MOTIONS[:, 2]), information, [FieldEvidence(HEARD)])
@@ -66,7 +66,7 @@ def test_a_map_of_another_size_is_brought_to_that_of_the_odometry():
     assert nothing.misfit == pytest.approx(0.0, abs=1e-6)
 
 
-def test_of_two_paths_the_one_that_explains_what_was_heard_fits_better():
+def test_the_path_that_explains_the_readings_fits_better():
     information = np.tile(np.diag([400.0, 400.0, 2500.0]), (len(MOTIONS), 1, 1))
     other = np.random.default_rng(1).permutation(HEARD)
     right, wrong = (
@@ -76,8 +76,8 @@ def test_of_two_paths_the_one_that_explains_what_was_heard_fits_better():
     assert right < wrong
 
 
-def test_ways_along_walls_keep_the_heading_of_a_map():
-    """Twelve corridors at right angles, heard blurred: odometry curls anew at every corner."""
+def test_motion_along_walls_keeps_the_heading_of_a_map():
+    """Corridors at right angles with noisy RSSI, and noisy odometry."""
     random, corners = np.random.default_rng(5), np.repeat([0, 1, 1, 0, 1, 1], 2)
     turns = np.where(np.arange(120) % 10 == 9, np.tile(corners, 10) * np.pi / 2, 0.0)
     motions = np.column_stack([np.full(120, 3.0), np.zeros(120), turns])
@@ -96,7 +96,7 @@ def test_ways_along_walls_keep_the_heading_of_a_map():
 
 
 @pytest.mark.parametrize("noise", [0.2, 3.0])
-def test_how_noisy_the_odometry_is_follows_from_what_was_heard(noise):
+def test_the_odometry_noise_is_estimated_from_the_readings(noise):
     std = np.array([0.05, 0.05, 0.02])
     random = np.random.default_rng(11)
     noisy = MOTIONS + noise * std * random.normal(size=MOTIONS.shape)

@@ -39,14 +39,14 @@ def test_the_cosine_is_one_for_itself_symmetric_and_zero_without_a_common_transm
     assert cosine(a, heard({}), mode) == 0.0
 
 
-def test_equation_two_by_hand():
+def test_equation_two_matches_a_manual_computation():
     a, b = heard({1: -50, 2: -70}), heard({1: -40, 3: -60})
     assert cosine(a, b) == pytest.approx(50 * 60 / np.hypot(50, 30) / np.hypot(60, 40), rel=1e-6)
     assert cosine(a, b, "raw") == pytest.approx(50 * 40 / np.hypot(50, 70) / np.hypot(40, 60), rel=1e-6)
     assert cosine(a, b, "linear") == pytest.approx(1 / np.hypot(1, 0.1) / np.hypot(1, 0.1), rel=1e-6)
 
 
-def test_features_are_averaged_along_the_path_with_weights_that_fall_to_nothing_at_the_reach():
+def test_features_are_averaged_along_the_path_with_weights_that_vanish_at_the_reach():
     rows = csr_array(np.array([[8.0, 0.0], [4.0, 2.0], [0.0, 6.0], [0.0, 9.0]]))
     travel_m = np.array([0.0, 1.0, 3.0, 7.0])
     near = averaged(rows, travel_m, 4.0, np.array([1, 3])).toarray()
@@ -71,7 +71,7 @@ def test_all_pairs_and_the_store_agree_with_a_dense_product():
     assert similarity == pytest.approx(np.sort(expected[7])[::-1][:5], abs=1e-5)
 
 
-def test_who_is_among_the_most_alike_does_not_hang_on_how_many_are_asked_for():
+def test_the_most_similar_rows_do_not_depend_on_the_number_requested():
     store = FingerprintStore()
     for k in range(60):
         store.add(heard({1: -50} if k % 3 else {1: -50, 2: -60}))
@@ -81,13 +81,13 @@ def test_who_is_among_the_most_alike_does_not_hang_on_how_many_are_asked_for():
         assert fewer.tolist() == best[:count].tolist() and their_similarity.tolist() == similarity[:count].tolist()
 
 
-def test_a_transmitter_that_the_store_never_heard_makes_a_print_less_alike():
+def test_an_unknown_transmitter_lowers_the_similarity():
     store = FingerprintStore()
     store.add(heard({1: -50}))
     assert store.similarities(heard({1: -50, 2: -50}))[0] == pytest.approx(np.sqrt(0.5), abs=1e-6)
 
 
-def test_wifi_and_lte_are_told_apart_by_their_numbers():
+def test_wifi_and_lte_are_distinguished_by_their_ids():
     cues = split_cues(heard({5: -60, CELL_ID_MIN + 1: -100}))
     assert cues["wifi"].macs.tolist() == [5] and cues["lte"].macs.tolist() == [CELL_ID_MIN + 1]
     assert feature_rows([cues["lte"]]).toarray().tolist() == [[20.0]]

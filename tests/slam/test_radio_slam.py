@@ -1,4 +1,4 @@
-"""Radio SLAM on a made world: transmitters over a square, strengths that fall with distance, a robot that curls."""
+"""Radio SLAM in a synthetic world: transmitters over a square, RSSI by distance, odometry with a heading drift."""
 
 import dataclasses
 import functools
@@ -52,7 +52,7 @@ def made_log(
 
 
 def heard_both(seed: int) -> tuple[RadioLog, np.ndarray]:
-    """WiFi of `made_log`, and LTE cells beside it."""
+    """`made_log` with WiFi and LTE cells."""
     wifi, truth = made_log(seed=seed)
     lte, _ = made_log(seed=seed + 5, first_mac=CELL_ID_MIN)
     both = [
@@ -71,7 +71,7 @@ def error_m(poses: np.ndarray) -> float:
     return absolute_trajectory_error_m(poses, true_path())
 
 
-def test_radio_takes_the_drift_out_of_odometry():
+def test_radio_removes_the_drift_of_odometry():
     log, _ = made_log()
     ours = error_m(solved(made_log, 0).poses)
     assert error_m(log.odometry) > 10.0 and ours < 1.0
@@ -89,14 +89,14 @@ def test_a_fifth_of_false_closures_changes_little():
     assert error_m(solve(log, RadioSlamConfig(), false_closures=false).poses) < 1.5
 
 
-def test_one_transmitter_heard_everywhere_leaves_the_odometry_alone():
+def test_one_transmitter_with_constant_rssi_does_not_change_the_odometry():
     log, _ = made_log(laps=2)
     alike = [Fingerprint(np.array([CELL_ID_MIN]), np.array([-80.0]))] * len(log.fingerprints)
     result = solve(dataclasses.replace(log, fingerprints=alike), RadioSlamConfig(), ("lte",))
     assert result.fell_back and result.poses == pytest.approx(log.odometry, abs=1e-9)
 
 
-def test_fingerprints_that_tell_nothing_leave_the_odometry_alone():
+def test_uninformative_fingerprints_do_not_change_the_odometry():
     log, _ = made_log()
     random = np.random.default_rng(2)
     shuffled = dataclasses.replace(
@@ -111,15 +111,15 @@ def test_fingerprints_that_tell_nothing_leave_the_odometry_alone():
 
 
 @pytest.mark.parametrize("seed", [0, 3])
-def test_a_better_path_is_kept_where_most_places_have_nothing_in_common(seed):
-    """Of places that hear nothing in common none is less alike than another, however far they are."""
+def test_a_better_path_is_kept_if_most_places_share_no_transmitter(seed):
+    """Places without a common transmitter all have the same similarity, whatever their distance."""
     log, truth = made_log(0.002, seed, noise_db=4.0, laps=2, slope_db=50.0, floor_dbm=-75.0, power_std_db=15.0)
     result = solve(log, RadioSlamConfig())
     assert absolute_trajectory_error_m(log.odometry, truth) > 2.5
     assert absolute_trajectory_error_m(result.poses, truth) < 0.6
 
 
-def test_wifi_and_lte_are_heard_apart_and_together():
+def test_wifi_and_lte_can_be_used_separately_and_together():
     together, result = heard_both(0)[0], solved(heard_both, 0)
     assert sorted(result.models) == ["lte", "wifi"]
     assert error_m(result.poses) < 1.0
@@ -127,8 +127,8 @@ def test_wifi_and_lte_are_heard_apart_and_together():
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_lte_beside_wifi_does_not_hurt(seed):
-    """Odometry counts 2 % too many metres, of which radio knows nothing: that alone is 0.44 m."""
+def test_adding_lte_to_wifi_does_not_increase_the_error(seed):
+    """Odometry has a scale error of 2 %, which radio cannot observe: that alone gives 0.44 m."""
     alone = error_m(solved(made_log, seed).poses)
     assert error_m(solved(heard_both, seed).poses) < min(alone + 0.05, 0.6)
 
@@ -149,7 +149,7 @@ def test_lte_beside_wifi_does_not_hurt(seed):
         ({"fingerprints": [Fingerprint(np.array([1]), np.array([np.nan]))] * 5}, "strength that is not finite"),
     ],
 )
-def test_a_log_whose_parts_do_not_fit_is_refused(changes, message):
+def test_a_log_with_parts_of_unequal_length_is_rejected(changes, message):
     heard = Fingerprint(np.array([1]), np.array([-50.0]))
     parts = {"motions": np.zeros((4, 3)), "turned_rad": np.zeros(4), "fingerprints": [heard] * 5}
     with pytest.raises(DataError, match=message):
@@ -158,17 +158,17 @@ def test_a_log_whose_parts_do_not_fit_is_refused(changes, message):
 
 
 @pytest.mark.parametrize("cues", ["wifi", ["wifi", "smell"]])
-def test_cues_that_there_are_not_are_refused(cues):
+def test_unknown_cues_are_rejected(cues):
     with pytest.raises(DataError, match="cues must be a list of some of wifi, lte"):
         solve(made_log()[0], RadioSlamConfig(), cues)
 
 
-def test_the_same_log_gives_the_same_bytes():
+def test_the_result_is_deterministic():
     log, _ = made_log()
     assert solve(log, RadioSlamConfig()).poses.tobytes() == solved(made_log, 0).poses.tobytes()
 
 
-def test_calibration_finds_scale_curl_and_turn_factor():
+def test_calibration_recovers_scale_curl_and_turn_factor():
     truth = true_path(8)
     motion = between(truth[:-1], truth[1:])
     turned = motion[:, 2].copy()
@@ -181,14 +181,14 @@ def test_calibration_finds_scale_curl_and_turn_factor():
     assert left < 0.5 * before
 
 
-def test_closures_that_stand_alone_are_not_believed_however_long_the_way():
+def test_isolated_closures_are_rejected_at_any_path_length():
     travel = 1e8 + np.arange(0.0, 200.0, 2.0)
     i, j = np.array([10, 11, 12, 40]), np.array([80, 81, 82, 70])
     assert radio_closures.with_support(i, j, travel).tolist() == [True, True, True, False]
     assert radio_closures.with_support(i[:0], j[:0], travel).tolist() == []
 
 
-def test_a_robot_that_stands_for_an_hour_needs_no_memory_for_pairs_of_its_scans():
+def test_memory_does_not_grow_with_pairs_of_scans_of_a_robot_at_rest():
     log, _ = made_log()
     standing = 2000
     still = RadioLog(
@@ -205,7 +205,7 @@ def test_a_robot_that_stands_for_an_hour_needs_no_memory_for_pairs_of_its_scans(
     assert peak < 40e6
 
 
-def test_of_each_pair_of_stretches_the_strongest_closure_stays():
+def test_the_strongest_closure_of_each_pair_of_segments_is_kept():
     travel = np.arange(0.0, 100.0, 2.0)
     i, j, s = np.array([0, 1, 20]), np.array([30, 31, 45]), np.array([0.8, 0.9, 0.7])
     assert sorted(radio_closures.strongest_per_cell(i, j, s, travel, 6.0).tolist()) == [1, 2]
@@ -214,7 +214,7 @@ def test_of_each_pair_of_stretches_the_strongest_closure_stays():
     assert kept.tolist() == [False, True, False, True]
 
 
-def test_closures_are_alike_apart_and_one_for_each_pair_of_stretches():
+def test_closures_are_similar_distant_along_the_path_and_unique_per_pair_of_segments():
     travel = np.arange(0.0, 100.0, 2.0)
     similarity = np.full((50, 50), 0.1)
     similarity[0, 30], similarity[1, 31], similarity[20, 45], similarity[10, 14] = 0.8, 0.9, 0.75, 0.95
@@ -224,7 +224,7 @@ def test_closures_are_alike_apart_and_one_for_each_pair_of_stretches():
     assert found.distance_m == pytest.approx([2.0, 5.0]) and found.variance_m2 == pytest.approx([1.0, 3.25])
 
 
-def test_what_a_difference_of_strengths_is_worth_does_not_depend_on_their_unit():
+def test_the_weight_of_rssi_differences_scales_with_their_unit():
     random = np.random.default_rng(3)
     places = np.column_stack([np.linspace(0.0, 40.0, 80), np.zeros(80)])
     feature = 50.0 + places @ random.normal(0.0, 1.0, (2, 12)) + random.normal(0.0, 2.0, (80, 12))
@@ -232,7 +232,7 @@ def test_what_a_difference_of_strengths_is_worth_does_not_depend_on_their_unit()
     assert told == pytest.approx(100.0 * tenfold, rel=1e-3) and 0.01 < told < 1.0
 
 
-def test_a_path_is_believed_only_where_what_was_heard_prefers_it_to_the_odometry():
+def test_a_path_is_accepted_only_if_readings_fit_it_better_than_the_odometry():
     log, truth = made_log()
     right = between(truth[:-1], truth[1:])
     solver = _Solver(dataclasses.replace(log, motions=right, turned_rad=right[:, 2]), RadioSlamConfig(), ("wifi",))
@@ -242,13 +242,13 @@ def test_a_path_is_believed_only_where_what_was_heard_prefers_it_to_the_odometry
     assert drifted._improves_on_odometry(between(truth[0], truth)[drifted._places])
 
 
-def test_fields_of_strength_find_a_displacement_and_its_direction():
+def test_signal_strength_fields_recover_a_displacement():
     random = np.random.default_rng(0)
     grid = np.stack(np.meshgrid(np.arange(0.0, 12.0, 1.5), np.arange(0.0, 12.0, 1.5)), axis=-1).reshape(-1, 2)
     slopes = random.normal(0, 1.0, (40, 2))
     feature = 50 + grid @ slopes.T
     shifted = grid.copy()
-    shifted[27] += (1.0, -0.5)  # believed to be there
+    shifted[27] += (1.0, -0.5)  # the estimated position
     travel = 100.0 * np.arange(len(grid))
     found = radio_field.field_constraints(feature, shifted, travel, 4.0, 30.0, 0.1)
     mine = found.pairs[:, 1] == 27
@@ -256,7 +256,7 @@ def test_fields_of_strength_find_a_displacement_and_its_direction():
     assert target == pytest.approx(np.tile(grid[27], (mine.sum(), 1)), abs=0.35)
 
 
-def test_poses_between_moved_ones_share_the_difference():
+def test_poses_between_corrected_ones_are_interpolated():
     path = np.column_stack([np.arange(5.0), np.zeros(5), np.zeros(5)])
     moved = spread(path, np.arange(5.0), np.array([0, 4]), np.array([[0, 0, 0], [4.0, 2.0, 0.0]]))
     assert moved[:, 1] == pytest.approx([0.0, 0.5, 1.0, 1.5, 2.0])

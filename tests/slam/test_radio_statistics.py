@@ -15,7 +15,7 @@ def test_the_radio_difference_has_a_closed_form_and_ignores_a_common_offset():
     assert radio_difference_db(louder, b) == pytest.approx(2.0)
 
 
-def test_a_transmitter_heard_on_one_side_only_counts_as_far_away():
+def test_a_transmitter_missing_on_one_side_counts_as_weak():
     a = Fingerprint(np.array([1, 2]), np.array([-40.0, -50.0]))
     b = Fingerprint(np.array([1]), np.array([-40.0]))
     assert radio_difference_db(a, b) == pytest.approx(20.0)  # differences 0 and 40
@@ -23,14 +23,14 @@ def test_a_transmitter_heard_on_one_side_only_counts_as_far_away():
     assert math.isnan(radio_difference_db(a, Fingerprint(np.zeros(0, int), np.zeros(0))))
 
 
-def test_one_transmitter_alone_tells_nothing_as_devices_may_differ_by_any_offset():
+def test_one_transmitter_alone_gives_no_difference_because_of_device_offsets():
     near, far = (Fingerprint(np.array([1]), np.array([level])) for level in (-40.0, -80.0))
     assert math.isnan(radio_difference_db(near, far)) and math.isnan(radio_difference_db(near, near))
     other = Fingerprint(np.array([2]), np.array([-80.0]))
     assert radio_difference_db(near, other) == pytest.approx(30.0)  # differences 50 and -10
 
 
-def test_the_radio_ratio_falls_with_the_difference_and_changes_sign_between_what_was_learned():
+def test_the_log_ratio_falls_with_the_difference_and_changes_sign_between_the_learned_means():
     statistics = RadioStatistics()
     random = np.random.default_rng(0)
     for _ in range(300):

@@ -18,7 +18,7 @@ def level(distance_m, walls):
     return -35.0 - 23.0 * np.log10(max(distance_m, 0.5)) - 10.0 * walls
 
 
-def test_clear_rays_become_free_and_rays_through_a_wall_doubtful():
+def test_clear_rays_become_free_and_rays_through_a_wall_uncertain():
     radio = RadioStructure(CONFIG, 0.1, 1)
     for angle in np.linspace(0, 2 * np.pi, 80):
         for distance in (0.5, 4.0):
@@ -33,7 +33,7 @@ def test_clear_rays_become_free_and_rays_through_a_wall_doubtful():
     assert at(2.0, 0.3) > at(-2.0, 0.3)
 
 
-def test_a_transmitter_is_placed_where_its_readings_fall_off_from():
+def test_a_transmitter_is_located_where_its_readings_are_strongest():
     radio = RadioStructure(CONFIG, 0.1, 1)
     for x in np.linspace(-3.0, 3.0, 40):
         for y in (-1.0, 1.5):
@@ -42,7 +42,7 @@ def test_a_transmitter_is_placed_where_its_readings_fall_off_from():
     assert np.linalg.norm(place - [0.7, 0.0]) < 0.3
 
 
-def test_the_map_moves_with_the_frame_and_is_kept_until_something_new_is_heard():
+def test_the_map_moves_with_the_frame_and_is_cached_until_new_readings():
     radio = RadioStructure(CONFIG, 0.1, 1)
     for x in np.linspace(0.4, 5.0, 30):
         radio.add(frame(level(x, 0)), np.array([x, 0.0, 0.0]))
@@ -53,7 +53,7 @@ def test_the_map_moves_with_the_frame_and_is_kept_until_something_new_is_heard()
 
 
 def walk(radio, count, seed=0):
-    """Scans of two transmitters on a way that leads away from both, one at a time; gives the picture after each."""
+    """Add scans of two transmitters along a path one by one; returns the map after each."""
     random = np.random.default_rng(seed)
     pictures = []
     for k in range(count):
@@ -65,7 +65,7 @@ def walk(radio, count, seed=0):
     return pictures
 
 
-def test_readings_added_one_at_a_time_give_the_map_of_all_at_once():
+def test_readings_added_one_by_one_give_the_same_map_as_all_at_once():
     several, at_once = RadioStructure(CONFIG, 0.1, 1), RadioStructure(CONFIG, 0.1, 1)
     for radio in (several, at_once):
         radio.give_transmitters(np.array([7, 9]), np.array([[0.0, 2.0], [6.0, -3.0]]), np.zeros((1, 3)))
@@ -79,7 +79,7 @@ def test_readings_added_one_at_a_time_give_the_map_of_all_at_once():
     assert pictures[0].grid.log_odds.shape < grid.log_odds.shape
 
 
-def test_a_reading_is_cast_a_few_times_however_many_follow(monkeypatch):
+def test_the_number_of_ray_casts_per_reading_is_bounded(monkeypatch):
     cast, draw = [], radio_structure._update_all
     monkeypatch.setattr(radio_structure, "_update_all", lambda *all: cast.append(len(all[3])) or draw(*all))
     radio = RadioStructure(CONFIG, 0.1, 1)
@@ -89,13 +89,13 @@ def test_a_reading_is_cast_a_few_times_however_many_follow(monkeypatch):
     assert sum(cast) < 10 * 600
 
 
-def test_a_transmitter_that_was_passed_nearly_is_in_the_next_picture():
+def test_a_transmitter_that_was_passed_closely_is_in_the_next_map():
     radio = RadioStructure(CONFIG, 0.1, 1)
     counts = [len(picture.transmitter_m) for picture in walk(radio, 60)]
     assert counts[0] == 1 and counts[-1] == 2 and sorted(counts) == counts
 
 
-def test_observations_hold_the_radio_map_only_when_asked_for():
+def test_observations_contain_the_radio_map_only_if_enabled():
     plain = twc_env.parallel_env(map="sfw-e4", robots=1)
     assert "radio" not in plain.observation_space("robot_0").spaces
     env = twc_env.parallel_env(map="sfw-e4", robots=1, max_cycles=40, config={"slam.k_visibility.enabled": True})
@@ -107,7 +107,7 @@ def test_observations_hold_the_radio_map_only_when_asked_for():
     assert env.belief("robot_0").radio_map is not None
 
 
-def test_readings_that_a_scan_repeats_from_elsewhere_are_no_new_ones():
+def test_repeated_readings_of_earlier_sweeps_are_ignored():
     plain, repeating = RadioStructure(CONFIG, 0.1, 1), RadioStructure(CONFIG, 0.1, 1)
     macs, heard_m = np.array([7, 9]), 0.0
     for k, x in enumerate(np.linspace(0.4, 8.0, 20)):
@@ -125,7 +125,7 @@ def test_readings_that_a_scan_repeats_from_elsewhere_are_no_new_ones():
     assert np.array_equal(one.transmitter_m, other.transmitter_m)
 
 
-def test_a_robot_that_only_repeats_what_it_heard_adds_nothing():
+def test_scans_with_only_repeated_readings_add_nothing():
     radio = RadioStructure(CONFIG, 0.1, 1)
     for k in range(5):
         scan = WifiScan(np.array([7]), np.array([-50.0]), np.array([float(k)]))
@@ -133,7 +133,7 @@ def test_a_robot_that_only_repeats_what_it_heard_adds_nothing():
     assert len(radio._readings[0].macs) == 1
 
 
-def test_a_wall_already_found_on_a_ray_explains_its_loss_and_spares_the_other_cells():
+def test_a_known_wall_on_a_ray_explains_its_loss():
     signal, changes = (-40.0, 2.0, 8.0, 3.0), []  # power, exponent, wall loss and noise
     for level in (0, 40):
         log_odds = np.zeros((3, 60), np.int16)

@@ -1,4 +1,4 @@
-"""Radio SLAM scan by scan: laps of a made world, with room for fewer places than are visited."""
+"""Radio SLAM scan by scan: laps of a synthetic world, with memory for fewer places than are visited."""
 
 import pickle
 
@@ -19,7 +19,7 @@ LAPS = 10
 
 @pytest.fixture(scope="module")
 def run():
-    """Poses (scans, 3) seen from the first, truth, odometry, and what was kept in memory after each lap."""
+    """Poses (scans, 3) relative to the first: estimate, ground truth, odometry; and memory held after each lap."""
     log, truth = made_log(laps=LAPS)
     trail, poses, sizes = RadioTrail(CONFIG), [], []
     motions = np.concatenate([np.zeros((1, 3)), log.motions])
@@ -30,7 +30,7 @@ def run():
     return np.array(poses), between(truth[0], truth), log.odometry, sizes
 
 
-def test_the_last_lap_is_as_right_as_an_early_one_though_odometry_is_lost(run):
+def test_the_last_lap_is_as_accurate_as_an_early_one_despite_odometry_drift(run):
     poses, truth, odometry, _ = run
     away = np.linalg.norm(poses[:, :2] - truth[:, :2], axis=1)
     lost = np.linalg.norm(odometry[:, :2] - truth[:, :2], axis=1)
@@ -39,13 +39,13 @@ def test_the_last_lap_is_as_right_as_an_early_one_though_odometry_is_lost(run):
     assert laps[-1] < 1.3 * max(laps[2:5]) and laps[-1] < 2.0
 
 
-def test_what_is_kept_does_not_grow_once_the_place_is_known(run):
+def test_memory_does_not_grow_once_the_place_is_known(run):
     sizes = run[3]
     assert sizes[-1][0] == CONFIG.trail_places_max
     assert sizes[-1][1] <= 1.01 * sizes[2][1]
 
 
-def test_two_calibrations_in_a_row_are_one():
+def test_two_consecutive_calibrations_compose():
     motions = Motions(np.array([[2.0, 0.0, 0.3]]), np.array([0.3]))
     first, second = Calibration(1.1, 0.02, 0.1), Calibration(0.9, -0.01, 0.2)
     whole, parts = first.then(second).applied(motions), second.applied(first.applied(motions))
@@ -61,7 +61,7 @@ def test_two_calibrations_in_a_row_are_one():
         ([1.0, 0.0, 0.0], 0.0, np.nan, "not finite"),
     ],
 )
-def test_what_is_not_finite_is_refused_and_leaves_no_trace(motion, turned_rad, level, message):
+def test_non_finite_values_are_rejected_without_side_effects(motion, turned_rad, level, message):
     trail = RadioTrail(CONFIG)
     trail.add(np.zeros(3), 0.0, Fingerprint(np.array([1]), np.array([-50.0])))
     with pytest.raises(DataError, match=message):

@@ -1,4 +1,4 @@
-"""What all recognisers have in common, and what sets each apart."""
+"""Common behaviour of all recognisers, and their differences."""
 
 import math
 
@@ -32,7 +32,7 @@ def place(keyframe, scan, office):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_two_robots_at_one_place_are_a_candidate_with_the_turn_between_them(place, name):
+def test_two_robots_at_one_place_give_a_candidate_with_their_relative_heading(place, name):
     recogniser = make(name)
     assert recogniser.name == name
     assert recogniser.propose(place(0)) == []
@@ -42,7 +42,7 @@ def test_two_robots_at_one_place_are_a_candidate_with_the_turn_between_them(plac
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_skipped_robots_give_no_candidate_but_are_remembered(place, name):
+def test_skipped_robots_give_no_candidate_but_are_stored(place, name):
     recogniser = make(name)
     recogniser.propose(place(0))
     assert recogniser.propose(place(1), skipped_robots=(0,)) == []
@@ -50,7 +50,7 @@ def test_skipped_robots_give_no_candidate_but_are_remembered(place, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_robot_meets_its_own_places_only_after_enough_path(place, name):
+def test_a_robot_revisits_its_own_places_only_after_enough_travel(place, name):
     for travel_m, met in ((11.9, []), (12.0, [(0, 0)])):
         recogniser = make(name)
         recogniser.propose(place(0))
@@ -58,7 +58,7 @@ def test_a_robot_meets_its_own_places_only_after_enough_path(place, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_one_place_scores_higher_than_two_unlike_ones(place, hall, name):
+def test_one_place_scores_higher_than_two_different_ones(place, hall, name):
     recogniser = make(name)
     here, again = place(0), place(1, heading=0.6)
     elsewhere = place(2, text="QUIET PLEASE", rssi_dbm=LEVELS_DBM[::-1], walls=hall)
@@ -68,19 +68,19 @@ def test_one_place_scores_higher_than_two_unlike_ones(place, hall, name):
 
 
 @pytest.mark.parametrize("name", ["wifi", "lidar"])
-def test_some_need_no_sign(place, name):
+def test_some_recognisers_need_no_sign(place, name):
     recogniser = make(name)
     recogniser.propose(place(0, text=""))
     assert len(recogniser.propose(place(1, text=""))) == 1
 
 
-def test_text_alone_does_not_ask_the_radio(place):
+def test_the_text_recogniser_does_not_use_radio(place):
     recogniser = make("text")
     recogniser.propose(place(0))
     assert len(recogniser.propose(place(1, rssi_dbm=LEVELS_DBM[::-1]))) == 1
 
 
-def test_fused_forgives_a_misreading_that_the_hard_rule_does_not(place):
+def test_the_fused_recogniser_tolerates_a_misreading_that_the_hard_rule_rejects(place):
     counts = {}
     for name in ("twc", "fused"):
         recogniser = make(name)
@@ -89,7 +89,7 @@ def test_fused_forgives_a_misreading_that_the_hard_rule_does_not(place):
     assert counts == {"twc": 0, "fused": 1}
 
 
-def test_fused_says_how_sure_it_is_and_obeys_its_threshold(place):
+def test_the_fused_recogniser_reports_log_odds_and_applies_its_threshold(place):
     recogniser = make("fused")
     recogniser.propose(place(0))
     (found,) = recogniser.propose(place(1))
@@ -100,7 +100,7 @@ def test_fused_says_how_sure_it_is_and_obeys_its_threshold(place):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_engine_verifies_what_any_recogniser_proposes(recorded, name):
+def test_the_engine_verifies_candidates_of_every_recogniser(recorded, name):
     config, frames, _ = recorded
     engine = CooperativeSlam(override(config, {"slam.place_recognition.recogniser": name}), config.robots)
     for step in frames[:250]:

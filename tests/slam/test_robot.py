@@ -1,4 +1,4 @@
-"""Where a robot remembers a place."""
+"""When a robot takes a keyframe, and what its front end uses."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ ROUND_A_CORNER = [(-2, -1), (6, -1), (6, 8), (4, 8), (4, 1), (-2, 1)]
 
 
 def keyframes(scan, walls, corners, poses):
-    """Of a robot without noise that stands at these poses one after the other."""
+    """Keyframes of a robot without noise at a sequence of poses."""
     ends = FrontEnds(override(EnvConfig(), {"robots": 1}), 1)
     found, last = [], poses[0]
     for step, pose in enumerate(poses):
@@ -29,29 +29,27 @@ def straight(from_m, to_m):
     return np.stack([along, np.zeros_like(along), np.zeros_like(along)], axis=1)
 
 
-def test_in_a_room_that_it_sees_whole_a_robot_remembers_a_place_every_distance(scan, walls):
+def test_in_a_fully_visible_room_keyframes_are_evenly_spaced(scan, walls):
     found = keyframes(scan, walls, ROOM, straight(-2.0, 2.0))
     gaps_m = np.diff([k.travel_m for k in found[1:]])
     assert gaps_m == pytest.approx(EnvConfig().slam.keyframe.distance_m, abs=1.1 * STEP_M)
 
 
-def test_where_it_comes_to_see_round_a_corner_a_robot_remembers_places_sooner(scan, walls):
+def test_keyframes_are_denser_where_new_area_becomes_visible(scan, walls):
     found = keyframes(scan, walls, ROUND_A_CORNER, straight(-1.0, 5.0))
     travel_m = np.array([k.travel_m for k in found])
     gaps_m = np.diff(travel_m)[travel_m[1:] > 3.5]
     assert np.median(gaps_m) == pytest.approx(EnvConfig().slam.keyframe.distance_new_m, abs=1.1 * STEP_M)
 
 
-def test_a_robot_that_turns_on_the_spot_remembers_few_places(scan, walls):
+def test_a_robot_turning_on_the_spot_takes_few_keyframes(scan, walls):
     angles = np.arange(0.0, 2 * np.pi, STEP_RAD)
     found = keyframes(scan, walls, ROOM, np.stack([0 * angles, 0 * angles, angles], axis=1))
     assert 6 <= len(found) <= 8, "one every radian"
 
 
 @pytest.mark.parametrize("backend", ["compiled", "filterpy"])
-def test_a_match_that_contradicts_the_odometry_and_explains_little_more_tells_neither_pose_nor_graph_anything(
-    scan, walls, backend
-):
+def test_a_match_that_contradicts_the_odometry_without_better_fit_is_ignored(scan, walls, backend):
     poses, slip_m = straight(-2.0, 0.0), 0.03
     strict = {"slam.odometry_filter.match_gate": 1.0, "slam.odometry_filter.backend": backend}
     ends = FrontEnds(override(EnvConfig(), {"robots": 1, **strict}), 1)
@@ -65,14 +63,14 @@ def test_a_match_that_contradicts_the_odometry_and_explains_little_more_tells_ne
     assert ends.poses_odom[0, 0] - before[0] == pytest.approx(slip_m, abs=0.003)
 
 
-def test_robots_whose_clocks_differ_are_tracked_as_each_alone(scan, walls):
-    """Recordings of several robots may begin at any time, and one may take a step longer than another."""
+def test_robots_with_different_clocks_are_tracked_independently(scan, walls):
+    """The clocks of robots may start at any time, and their frame rates may differ."""
     poses, room = straight(-2.0, 1.0), walls(*ROOM)
     clocks = 0.1 * np.arange(len(poses)), 500.0 + 0.3 * np.arange(len(poses))
 
     def frame(robot, step):
         motion = np.array([STEP_M if step else 0.0, 0.0, 0.0])
-        turn_rate = 0.02  # the gyro is biased: what comes of it goes by the time between two frames
+        turn_rate = 0.02  # gyro bias, whose effect depends on the time between frames
         return SensorFrame(robot, step, clocks[robot][step], motion, turn_rate, scan(room, poses[step]), None, ())
 
     both = FrontEnds(override(EnvConfig(), {"robots": 2}), 2)
@@ -86,7 +84,7 @@ def test_robots_whose_clocks_differ_are_tracked_as_each_alone(scan, walls):
     assert not np.array_equal(both.poses_odom[0], both.poses_odom[1])
 
 
-def test_a_robot_that_waits_before_a_door_remembers_no_more_than_its_latest_readings(scan, walls):
+def test_a_waiting_robot_keeps_only_its_latest_sign_readings(scan, walls):
     room, ends = walls((-6, -6), (6, -6), (6, 6), (-6, 6)), FrontEnds(EnvConfig(robots=1), 1)
     ranges_m = scan(room, (0.0, 0.0, 0.0))
     for step in range(1000):
@@ -99,8 +97,8 @@ def test_a_robot_that_waits_before_a_door_remembers_no_more_than_its_latest_read
 
 
 @pytest.mark.parametrize("backend", ["compiled", "filterpy"])
-def test_without_laser_what_is_learned_of_the_gyro_moves_no_robot_that_turns_on_the_spot(backend):
-    """It would move the end of the whole way gone, and that would stand in the motion from one keyframe to the next."""
+def test_without_laser_gyro_bias_updates_do_not_move_a_robot_turning_on_the_spot(backend):
+    """Otherwise each update would move the end of the whole path, and hence change the motion between keyframes."""
     settings = {"robots": 1, "slam.cues.lidar": False, "slam.odometry_filter.backend": backend}
     ends, random, blind = FrontEnds(override(EnvConfig(), settings), 1), np.random.default_rng(0), np.zeros(180)
     found, gone_m = [], 30.0

@@ -20,12 +20,12 @@ def travelled(steps, count=3):
 
 
 def turning_step(steps) -> int:
-    """One at which robot 1 turns quickly."""
+    """A step at which robot 1 turns fast."""
     return max(range(50, 150), key=lambda step: abs(steps[step][1].turn_rate_rad_s))
 
 
 @pytest.mark.parametrize("jump_s", JUMPS_S)
-def test_a_robot_whose_clock_jumps_ahead_keeps_its_way(recorded, jump_s):
+def test_a_jump_of_a_clock_does_not_change_the_path(recorded, jump_s):
     _, steps, _ = recorded
     at = turning_step(steps)
     jumped = [[replace(f, time_s=f.time_s + jump_s * (f.robot == 1 and f.step >= at)) for f in step] for step in steps]
@@ -34,7 +34,7 @@ def test_a_robot_whose_clock_jumps_ahead_keeps_its_way(recorded, jump_s):
 
 @pytest.mark.parametrize("lost", [6, 8, 16])
 def test_a_gyro_sampled_after_lost_frames_does_not_turn_the_robot(recorded, lost):
-    """Odometry goes on counting while frames are lost; the gyro says only how fast the robot turns now."""
+    """Odometry accumulates while frames are lost; the gyro gives only the present turn rate."""
     _, steps, _ = recorded
     at = turning_step(steps)
     moved, kept = np.zeros(3), [list(frames) for frames in steps[:300]]
@@ -45,8 +45,8 @@ def test_a_gyro_sampled_after_lost_frames_does_not_turn_the_robot(recorded, lost
     assert np.allclose(travelled(kept), travelled(steps[:300]), atol=0.03)
 
 
-def test_robots_that_number_their_frames_each_in_its_own_way_make_the_same_map(recorded):
-    """Frames come one by one; the robot whose numbers are far ahead falls silent on the way."""
+def test_frame_numbers_of_robots_do_not_change_the_map(recorded):
+    """Frames arrive one by one; the frames of the robot whose numbers are far ahead end early."""
     config, steps, _ = recorded
     engines = [CooperativeSlam(config, 3) for _ in range(2)]
     for frames in steps:
@@ -64,7 +64,7 @@ def frame(time_s, turned_rad=0.0, turn_rate_rad_s=0.0) -> SensorFrame:
     return SensorFrame(0, 0, time_s, np.array([0.0, 0.0, turned_rad]), turn_rate_rad_s, np.full(4, 3.0))
 
 
-def test_a_gap_that_agrees_with_the_gyro_is_time_that_passed():
+def test_a_gap_that_agrees_with_the_gyro_is_real_time():
     clocks = RobotClocks(EnvConfig(), 1)
     given = [frame(5.0), frame(5.1, 0.1, 1.0), frame(7.1, 2.0, 1.0)]
     told = [clocks.corrected(each, k == 0) for k, each in enumerate(given)]
@@ -72,7 +72,7 @@ def test_a_gap_that_agrees_with_the_gyro_is_time_that_passed():
     assert [each.turn_rate_rad_s for each in told] == [0.0, 1.0, 1.0]
 
 
-def test_a_gap_that_contradicts_the_gyro_counts_as_one_step_in_which_odometry_turned():
+def test_a_gap_that_contradicts_the_gyro_counts_as_one_step_with_the_turn_of_the_odometry():
     clocks = RobotClocks(EnvConfig(), 1)
     given = [frame(5.0), frame(5.2, 0.1, 0.5), frame(3605.2, 0.3, 0.5), frame(3605.4, 0.1, 0.5)]
     told = [clocks.corrected(each, k == 0) for k, each in enumerate(given)]
@@ -80,7 +80,7 @@ def test_a_gap_that_contradicts_the_gyro_counts_as_one_step_in_which_odometry_tu
     assert [each.turn_rate_rad_s for each in told] == pytest.approx([0.0, 0.5, 1.5, 0.5])
 
 
-def test_a_stream_of_another_pace_has_no_gaps():
+def test_a_stream_with_another_frame_rate_has_no_gaps():
     clocks = RobotClocks(EnvConfig(), 1)
     given = [frame(float(k), 0.5, 0.5) for k in range(5)]
     assert [clocks.corrected(each, k == 0) for k, each in enumerate(given)] == given

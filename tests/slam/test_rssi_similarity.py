@@ -33,7 +33,7 @@ def fingerprints(second=SECOND):
 
 
 @pytest.mark.parametrize("mode", EXPECTED)
-def test_each_reading_is_its_formula(mode, keyframe):
+def test_each_variant_equals_its_formula(mode, keyframe):
     rule = PlaceRecognitionConfig(rssi_mode=mode)
     a, b = (replace(keyframe(robot), fingerprint=f) for robot, f in enumerate(fingerprints()))
     assert similarities(a, b, rule).rssi == pytest.approx(EXPECTED[mode])
@@ -41,13 +41,13 @@ def test_each_reading_is_its_formula(mode, keyframe):
 
 @pytest.mark.parametrize("mode", BY_DISTANCE)
 @given(st.floats(0, 200), st.floats(0, 200), st.integers(1, 40))
-def test_larger_distances_are_never_more_alike(mode, one, other, shared):
+def test_similarity_never_increases_with_distance(mode, one, other, shared):
     low, high = by_distance(mode, np.array(sorted([one, other])), np.array([shared, shared]), 5.0)
     assert 1.0 >= low >= high >= 0.0
     assert by_distance(mode, np.array([3.0]), np.array([0]), 5.0)[0] == 0.0
 
 
-def test_the_default_is_the_engines_own():
+def test_the_default_is_that_of_the_engine():
     distance, shared = rssi_distance_db(*fingerprints([-60, -40, -75, -90]))
     assert by_distance("saturating", distance, shared, 5.0) == pytest.approx(rssi_similarity(distance, shared, 5.0))
 

@@ -12,7 +12,7 @@ WAY += [(-0.7, 1.0, 2.9), (-1.8, 1.2, -2.8), (-2.9, 0.5, -2.0), (-3.2, -0.6, -1.
 
 
 def walked(walls, path_of, motion_std):
-    """Keyframes of a loop with noisy motions, its true poses from the first, and what noisy odometry says of them."""
+    """Keyframes of a loop with noisy motions, true poses relative to the first, and dead-reckoned poses."""
     random = np.random.default_rng(4)
     keyframes = path_of(0, walls, WAY)
     truth = np.array([k.pose_odom for k in keyframes])
@@ -26,7 +26,7 @@ def walked(walls, path_of, motion_std):
     return kept, truth, np.array(reckoned)
 
 
-def test_neighbouring_scans_put_a_loop_right_to_millimetres(office, path_of):
+def test_neighbouring_scans_correct_a_loop_to_millimetres(office, path_of):
     keyframes, truth, reckoned = walked(office, path_of, (0.03, 0.03, 0.01))
     poses = aligned(keyframes, reckoned, 10.0)
     before, after = between(truth, reckoned), between(truth, poses)
@@ -35,22 +35,22 @@ def test_neighbouring_scans_put_a_loop_right_to_millimetres(office, path_of):
     assert np.abs(after[:, 2]).max() < 0.002
 
 
-def test_on_a_small_round_no_pair_of_scans_is_laid_twice():
+def test_in_a_small_loop_no_pair_of_scans_is_matched_twice():
     travel_m = np.arange(30.0)
-    turn = travel_m * (2 * np.pi / 8)  # a metre of way each, on a circle of eight
+    turn = travel_m * (2 * np.pi / 8)  # one scan per metre on a circle with a circumference of 8 m
     poses = np.column_stack([4 / np.pi * np.cos(turn), 4 / np.pi * np.sin(turn), turn])
     pairs = _pairs(poses, travel_m)
     assert len(np.unique(pairs, axis=0)) == len(pairs)
     assert {tuple(pair) for pair in pairs.tolist()} >= {(k - back, k) for back in STEPS_BACK for k in range(back, 30)}
 
 
-def test_scans_without_returns_leave_the_odometry_alone(path_of):
+def test_scans_without_returns_do_not_change_the_odometry(path_of):
     keyframes, _, reckoned = walked(np.array([[(50.0, 50.0), (51.0, 50.0)]]), path_of, (0.03, 0.03, 0.01))
     np.testing.assert_allclose(aligned(keyframes, reckoned, 10.0), reckoned, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", [0, 2, 4])
-def test_one_match_in_six_that_is_a_decimetre_off_does_not_bend_a_corridor(seed):
+def test_one_wrong_match_in_six_does_not_bend_a_corridor(seed):
     random = np.random.default_rng(seed)
     truth = np.column_stack([0.5 * np.arange(60.0), np.zeros(60), np.zeros(60)])
     chain = np.array([(k - 1, k) for k in range(1, 60)])

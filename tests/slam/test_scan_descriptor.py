@@ -10,7 +10,7 @@ RANGE_MAX_M = 10.0
 
 
 @pytest.mark.parametrize("sectors", [0, 7, 25, -20])
-def test_a_turned_scan_is_the_same_place_and_tells_the_turn(scan, office, sectors):
+def test_a_rotated_scan_matches_and_gives_the_rotation(scan, office, sectors):
     turn = sectors * 2 * math.pi / SECTORS
     here, turned = (describe(scan(office, (0.3, 0.1, heading)), RANGE_MAX_M) for heading in (0.0, turn))
     similarity, found = compare(here, turned)
@@ -18,13 +18,13 @@ def test_a_turned_scan_is_the_same_place_and_tells_the_turn(scan, office, sector
     assert math.remainder(found - turn, 2 * math.pi) == pytest.approx(0.0, abs=2 * math.pi / SECTORS)
 
 
-def test_a_scan_is_like_itself_and_less_like_another_room(scan, office, hall):
+def test_a_scan_is_more_similar_to_itself_than_to_another_room(scan, office, hall):
     here, there = (describe(scan(walls, (0.0, 0.0, 0.0)), RANGE_MAX_M) for walls in (office, hall))
     assert compare(here, here) == (pytest.approx(1.0), 0.0)
     assert compare(here, there)[0] < 0.75
 
 
-def test_the_search_key_is_blind_to_turns_only(scan, office, hall):
+def test_the_search_key_is_invariant_to_rotations_only(scan, office, hall):
     keys = [
         ring_key(describe(scan(walls, (0.2, 0.0, heading)), RANGE_MAX_M))
         for walls, heading in ((office, 0.0), (office, 12 * 2 * math.pi / SECTORS), (hall, 0.0))
@@ -33,7 +33,7 @@ def test_the_search_key_is_blind_to_turns_only(scan, office, hall):
     assert np.abs(keys[0] - keys[2]).max() > 0.1
 
 
-def test_open_beams_and_team_mates_leave_no_mark():
+def test_open_beams_and_mates_are_ignored():
     ranges = np.full(180, RANGE_MAX_M)
     ranges[::2] = -2.0
     assert not describe(ranges, RANGE_MAX_M).any()
@@ -51,6 +51,6 @@ def test_scans_of_one_room_agree_at_the_true_pose_and_contradict_at_a_wrong_one(
     assert scan_agreement(b, a, inverse(wrong), RANGE_MAX_M) == pytest.approx(wrongly)
 
 
-def test_scans_without_a_common_wall_say_nothing():
+def test_scans_without_a_common_wall_give_no_verdict():
     nothing = np.full(90, RANGE_MAX_M)
     assert scan_agreement(nothing, nothing, np.zeros(3), RANGE_MAX_M) == (0.0, 0.0)

@@ -33,13 +33,13 @@ def corridor(walls):
     return walls((-40, -1.2), (40, -1.2), (40, 1.2), (-40, 1.2))
 
 
-def test_scan_points_lie_where_the_beams_ended_and_skip_those_without_return():
+def test_scan_points_are_the_beam_ends_without_beams_that_had_no_return():
     ranges = np.array([2.0, RANGE_MAX_M, 3.0, 1.0])
     assert scan_points(ranges, RANGE_MAX_M) == pytest.approx(np.array([[2, 0], [-3, 0], [0, -1]]), abs=1e-12)
     assert scan_points(np.full(8, RANGE_MAX_M), RANGE_MAX_M).shape == (0, 2)
 
 
-def test_scan_points_of_a_scan_lie_on_the_walls(office, scan):
+def test_scan_points_lie_on_the_walls(office, scan):
     pose = np.array([0.5, 0.6, 0.7])
     points = transform_points(pose, points_at(office, scan, pose))
     a, b = office[:, 0], office[:, 1]
@@ -51,7 +51,7 @@ def test_scan_points_of_a_scan_lie_on_the_walls(office, scan):
 
 @settings(max_examples=40)
 @given(st.integers(0, 10_000))
-def test_refining_recovers_a_known_offset_to_half_a_centimetre(office, scan, seed):
+def test_refinement_recovers_a_known_offset_to_half_a_centimetre(office, scan, seed):
     random = np.random.default_rng(seed)
     true = np.array([*random.uniform((-1.5, -0.3), (0.5, 0.8)), random.uniform(-3, 3)])
     field = field_of(office, scan, (0.0, 0.5, 0.0), (-1.0, 0.0, 1.0), (-1.5, -1.0, 2.0), (2.5, 1.5, 3.0))
@@ -61,7 +61,7 @@ def test_refining_recovers_a_known_offset_to_half_a_centimetre(office, scan, see
     assert not match.is_degenerate
 
 
-def test_refining_from_the_truth_stays_there(office, scan):
+def test_refinement_from_the_true_pose_stays_there(office, scan):
     pose = np.array([0.4, -0.4, 0.3])
     match = refine(field_of(office, scan, pose), points_at(office, scan, pose), pose)
     assert match.pose == pytest.approx(pose, abs=1.5e-3)  # a piece of wall may bend by 2 cm at a corner
@@ -77,7 +77,7 @@ def test_nothing_is_matched_where_there_are_no_walls(office, scan):
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.6, -2.5])
-def test_a_corridor_leaves_its_axis_to_odometry(corridor, scan, heading):
+def test_a_corridor_match_keeps_the_odometry_along_the_axis(corridor, scan, heading):
     field = field_of(corridor, scan, (0.0, 0.1, 0.0), (1.0, -0.2, 0.5), (2.0, 0.0, 0.0))
     true, guess = np.array([1.0, 0.1, heading]), np.array([1.3, 0.0, heading + 0.05])
     match = refine(field, points_at(corridor, scan, true), guess)
@@ -96,7 +96,7 @@ def test_a_corridor_match_carries_no_information_along_the_axis(corridor, scan):
     assert information[2, 2] > 100
 
 
-def test_two_beams_on_a_pillar_do_not_fix_the_axis(corridor, walls, scan):
+def test_two_beams_on_a_pillar_do_not_constrain_the_axis(corridor, walls, scan):
     pillar = walls((2.0, -1.2), (2.2, -1.2), (2.2, -0.9), (2.0, -0.9))
     both = np.concatenate([corridor, pillar])
     field = field_of(both, scan, np.zeros(3))
@@ -111,7 +111,7 @@ def test_two_beams_on_a_pillar_do_not_fix_the_axis(corridor, walls, scan):
     assert abs(fixed.pose[0]) < 0.05
 
 
-def test_a_turned_corridor_turns_its_free_direction(corridor, scan):
+def test_the_free_direction_rotates_with_the_corridor(corridor, scan):
     angle = 0.7
     c, s = math.cos(angle), math.sin(angle)
     turned = corridor @ np.array([[c, s], [-s, c]])
@@ -120,7 +120,7 @@ def test_a_turned_corridor_turns_its_free_direction(corridor, scan):
     assert abs(np.dot(weakest_direction(match.sums), [c, s])) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_a_room_fixes_all_three_directions(office, scan):
+def test_a_room_constrains_all_three_directions(office, scan):
     match = refine(field_of(office, scan, np.zeros(3)), points_at(office, scan, np.zeros(3)), np.zeros(3))
     information = match.information(0.04, 8.0)
     assert np.allclose(information, information.T)
@@ -135,7 +135,7 @@ def test_information_falls_with_noise_and_correlation(office, scan):
 
 
 @pytest.mark.parametrize("offset", [(1.4, -1.1, 0.45), (-1.5, 0.9, -0.5), (0.0, 1.45, 0.45)])
-def test_the_search_finds_an_offset_too_large_for_refining(office, scan, offset):
+def test_the_search_finds_an_offset_too_large_for_refinement(office, scan, offset):
     true = np.array([-0.5, 0.2, 0.4])
     field = field_of(office, scan, (0.0, 0.5, 0.0), (-1.5, -1.0, 2.0), (2.5, 1.5, 3.0))
     points = points_at(office, scan, true)
@@ -166,7 +166,7 @@ def test_the_share_near_walls_is_one_in_place_and_falls_away_from_it(office, sca
     assert field.share_near(np.zeros((0, 2)), pose, 0.15) == 0.0
 
 
-def test_a_wall_faces_who_looks_at_it(walls, scan):
+def test_the_facing_of_a_wall_points_to_the_observer(walls, scan):
     room = walls((-3, -2), (3, -2), (3, 2), (-3, 2))
     field = field_of(room, scan, np.zeros(3))
     seen_from = np.array([0.3, 0.2])
@@ -177,7 +177,7 @@ def test_a_wall_faces_who_looks_at_it(walls, scan):
     assert math.isnan(field.facing_at(np.array([400.0, -400.0]), seen_from))
 
 
-def test_moving_the_field_forgets_the_walls_and_matches_at_the_new_place(office, scan):
+def test_moving_the_field_clears_the_walls_and_matches_at_the_new_position(office, scan):
     field = field_of(office, scan, np.zeros(3))
     shift = np.array([300.0, -200.0])
     field.reset(shift)
@@ -208,13 +208,13 @@ def room_field():
         (np.zeros((1, 3)), np.zeros((1, 0))),
     ],
 )
-def test_scans_that_do_not_fit_their_poses_are_refused(poses, scans):
+def test_scans_and_poses_of_unequal_number_are_rejected(poses, scans):
     with pytest.raises(DataError, match="one pose"):
         LineField(24.0, 0.1, RANGE_MAX_M).add(poses, scans)
 
 
 def calls_of(field, points, guess):
-    """All that takes points and a pose from outside."""
+    """Functions that take points and a pose from users."""
     return (
         lambda: field.refine(points, guess, 0.5, 20, 0.04),
         lambda: field.correlate(points, guess, (0.5, 0.3), (0.1, 0.05)),
@@ -231,13 +231,13 @@ NO_POSES = [np.zeros(2), np.full(3, np.nan), np.zeros((1, 3)), "here"]
     [(points, np.zeros(3), "points must") for points in NO_POINTS]
     + [(scan_points(ROOM_M, RANGE_MAX_M), guess, "must be a finite pose") for guess in NO_POSES],
 )
-def test_what_are_no_points_or_no_pose_is_refused(points, guess, message):
+def test_invalid_points_and_poses_are_rejected(points, guess, message):
     for call in calls_of(room_field(), points, guess):
         with pytest.raises(DataError, match=message):
             call()
 
 
-def test_a_search_without_steps_is_refused():
+def test_a_search_without_steps_is_rejected():
     with pytest.raises(DataError, match="steps above 0"):
         room_field().correlate(np.ones((4, 2)), np.zeros(3), (0.5, 0.3), (0.0, 0.05))
 
@@ -245,12 +245,12 @@ def test_a_search_without_steps_is_refused():
 @pytest.mark.parametrize(
     "sizes", [(0, 0.1, 10), (24, 0, 10), (24, -0.1, 10), (math.nan, 0.1, 10), (24, 0.1, -1), (1e6, 0.1, 10)]
 )
-def test_fields_of_no_size_are_refused(sizes):
+def test_invalid_field_sizes_are_rejected(sizes):
     with pytest.raises(ConfigError, match="a field needs"):
         LineField(*sizes)
 
 
-def test_lists_match_as_arrays_do():
+def test_lists_are_accepted():
     field, points = LineField(24.0, 0.1, RANGE_MAX_M), scan_points(ROOM_M.tolist(), RANGE_MAX_M)
     guess = [0.05, 0.02, 0.01]
     field.add([[0.0, 0.0, 0.0]], [ROOM_M.tolist()])

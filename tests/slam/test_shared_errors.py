@@ -1,4 +1,4 @@
-"""Scale and curl that all odometry of a robot has in common: in the graph, along chains, and in what closures say."""
+"""Scale and curl errors shared by all odometry of a robot: in the graph, along chains, and in consistency checks."""
 
 from dataclasses import replace
 
@@ -21,14 +21,14 @@ PLAIN = PoseGraphConfig(robust="plain", iterations_max=100)
 
 
 def walk(turns, scale=0.0, curl_rad_m=0.0, noise=None):
-    """True poses (n, 3) with these turns between steps, and motions as odometry reads them."""
+    """True poses (n, 3) with these turns between steps, and the motions measured by odometry."""
     true = np.column_stack([np.full(len(turns), STEP_M), np.zeros(len(turns)), turns])
     read = true * (1.0 + scale, 1.0 + scale, 1.0) + (0.0, 0.0, curl_rad_m * STEP_M)
     return poses_along(true), read if noise is None else read + noise
 
 
 def graph_of(paths, closures=(), truth=None):
-    """Robots with these motions (n - 1, 3) each, and closures between poses (i, j) of all, as they truly lie."""
+    """Graph of robots with these motions (n - 1, 3) each, and true closures between poses (i, j) of all robots."""
     first = np.cumsum([0, *(len(motions) + 1 for motions in paths)])
     chain = np.concatenate(
         [
@@ -47,7 +47,7 @@ def graph_of(paths, closures=(), truth=None):
 
 
 def two_robots(turns, scale, curl_rad_m=0.0, noise=None):
-    """Truth and dead reckoning (2 n, 3) of two robots whose first poses are known, and their motions."""
+    """True and dead-reckoned poses (2 n, 3) of two robots with known first poses, and their motions."""
     true, motions = walk(turns, scale, curl_rad_m, noise)
     half = len(turns) // 2
     paths = [motions[:half], motions[half + 1 :]]
@@ -56,7 +56,7 @@ def two_robots(turns, scale, curl_rad_m=0.0, noise=None):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_poses_fit_best_together_with_the_errors_as_scipy_finds_them(seed):
+def test_the_joint_optimum_of_poses_and_shared_errors_equals_scipy(seed):
     random = np.random.default_rng(seed)
     true, start, paths = two_robots(random.normal(0, 0.5, 25), 0.04, 0.01, random.normal(0, 1, (25, 3)) * NOISE)
     graph = graph_of(paths, [(0, 11), (3, 15), (9, 22)], true)
@@ -78,7 +78,7 @@ def test_poses_fit_best_together_with_the_errors_as_scipy_finds_them(seed):
     assert graph.squared_errors(found).sum() == pytest.approx(2 * best.cost, rel=0.02)
 
 
-def test_what_a_closure_tells_of_one_stretch_it_tells_of_the_whole_way():
+def test_a_closure_corrects_the_scale_of_the_whole_path():
     true, motions = walk(np.zeros(100), scale=0.03)
     graph = graph_of([motions], [(0, 50)], true)
     start = poses_along(motions)
@@ -88,7 +88,7 @@ def test_what_a_closure_tells_of_one_stretch_it_tells_of_the_whole_way():
     assert np.hypot(*(found[-1] - true[-1])[:2]) < 0.1
 
 
-def test_what_one_robot_is_told_of_its_odometry_tells_nothing_of_another_s():
+def test_shared_errors_are_estimated_per_robot():
     true, start, paths = two_robots(np.zeros(101), 0.03)
     graph = graph_of(paths, [(0, 50), (0, 51)], true)
     found = pose_graph.optimise(start, *graph.parts, PLAIN, 0, graph.shared)
@@ -96,7 +96,7 @@ def test_what_one_robot_is_told_of_its_odometry_tells_nothing_of_another_s():
     assert between(found[51], found[-1]) == pytest.approx(between(start[51], start[-1]), abs=1e-6)
 
 
-def test_the_error_of_a_straight_stretch_grows_with_its_length():
+def test_the_error_of_a_straight_path_grows_with_its_length():
     _, motions = walk(np.zeros(200))
     graph, poses = graph_of([motions]), poses_along(motions)
     chains = Chains(graph, poses)
@@ -110,7 +110,7 @@ def test_the_error_of_a_straight_stretch_grows_with_its_length():
 
 
 @pytest.mark.parametrize("steps", [5, 20, 50, 100])
-def test_chains_err_as_their_covariance_says_however_long_they_are(steps):
+def test_the_errors_of_chains_match_their_covariance_at_any_length(steps):
     random, squared = np.random.default_rng(steps), []
     for _ in range(200):
         errors = random.normal(0, (SCALE_STD, CURL_STD_RAD_M))
@@ -125,7 +125,7 @@ def test_chains_err_as_their_covariance_says_however_long_they_are(steps):
     assert 0.8 < np.mean(squared) < 1.25
 
 
-def test_before_any_closure_is_believed_the_map_predicts_what_the_odometry_says():
+def test_without_accepted_closures_predictions_follow_the_odometry():
     true, motions = walk(np.full(60, 0.05), 0.02, 0.004)
     graph, poses = graph_of([motions], [(5, 45)], true), poses_along(motions)
     chains = Chains(graph, poses)
@@ -136,7 +136,7 @@ def test_before_any_closure_is_believed_the_map_predicts_what_the_odometry_says(
     assert prediction.drift(np.array([0])) == pytest.approx(expected, rel=1e-4, abs=1e-7)
 
 
-def test_closures_between_a_way_that_is_read_too_long_and_one_too_short_agree():
+def test_closures_between_paths_with_opposite_scale_errors_agree():
     (true, long), (_, short) = walk(np.zeros(80), scale=0.04), walk(np.zeros(80), scale=-0.04)
     poses = np.concatenate([poses_along(long), poses_along(short)])
     graph = graph_of([long, short], [(5, 86), (75, 156)], np.concatenate([true, true]))
@@ -151,7 +151,7 @@ def test_closures_between_a_way_that_is_read_too_long_and_one_too_short_agree():
 
 
 @pytest.mark.parametrize("robust", ["plain", "dcs", "gnc", "pcm", "ours"])
-def test_every_mode_closes_a_long_round_of_which_the_odometry_reads_too_much(robust):
+def test_every_mode_closes_a_long_loop_with_a_scale_error(robust):
     turns = np.where(np.arange(200) % 50 == 49, np.pi / 2, 0.0)
     true, motions = walk(turns, scale=0.05)
     ties = [(0, 199), (0, 200), (2, 200)]

@@ -15,7 +15,7 @@ def shown(signs):
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000))
-def test_what_is_no_news_changes_nothing_of_the_signs_that_any_group_knows(keyframe, seed):
+def test_readings_that_are_not_news_do_not_change_known_signs(keyframe, seed):
     random, readings, poses, skipped = np.random.default_rng(seed), SignReadings(3), np.zeros((60, 3)), 0
     known = {group: shown(readings.known(poses, group)) for group in GROUPS}
     for node in range(60):
@@ -37,7 +37,7 @@ def test_what_is_no_news_changes_nothing_of_the_signs_that_any_group_knows(keyfr
 
 
 @pytest.mark.parametrize("is_same_step", [True, False])
-def test_what_was_no_news_is_when_the_map_moves_in_the_same_step(keyframe, is_same_step):
+def test_a_reading_becomes_news_if_the_map_moves_in_the_same_step(keyframe, is_same_step):
     readings, poses = SignReadings(1), np.zeros((3, 3))
     for node in range(3):
         sign = SignObservation("exit", np.zeros(2), 0.0)

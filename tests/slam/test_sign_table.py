@@ -11,7 +11,7 @@ ROBOTS, PLACES, APART_M = 4, 90, 12.0
 
 @pytest.fixture
 def make(keyframe):
-    """A keyframe of any robot anywhere along its path that heard some of twelve transmitters, or none."""
+    """A keyframe of a random robot at a random travel, with readings of some of twelve transmitters, or none."""
     random = np.random.default_rng(4)
 
     def one():
@@ -35,7 +35,7 @@ def make(keyframe):
 )
 @pytest.mark.parametrize("skipped", [(), (1,), (0, 3, 7)])
 @pytest.mark.parametrize("text_count", [5, 45])
-def test_the_table_finds_what_a_comparison_pair_by_pair_finds(make, radio, skipped, text_count):
+def test_the_table_equals_a_pairwise_comparison(make, radio, skipped, text_count):
     places, texts = [make() for _ in range(PLACES)], np.arange(PLACES) % text_count
     random = np.random.default_rng(5)
     table = SignTable()
@@ -61,7 +61,7 @@ def test_the_table_finds_what_a_comparison_pair_by_pair_finds(make, radio, skipp
     assert in_all > 18
 
 
-def test_a_table_of_which_rows_were_taken_out_is_one_that_never_had_them(make):
+def test_a_table_after_removing_rows_equals_one_without_them(make):
     places, random = [make() for _ in range(PLACES)], np.random.default_rng(6)
     texts, is_kept = random.integers(0, 9, PLACES), random.random(PLACES) < 0.4
     is_kept &= texts != 4
@@ -72,7 +72,7 @@ def test_a_table_of_which_rows_were_taken_out_is_one_that_never_had_them(make):
         if is_kept[k]:
             fresh.append(place, f"text {text}", int(number_of[text]))
     table.keep(is_kept, number_of, {f"text {text}" for text in texts[is_kept].tolist()})
-    for place, text in zip(places, texts.tolist(), strict=True):  # it goes on as well
+    for place, text in zip(places, texts.tolist(), strict=True):  # it can be filled again
         if text != 4:
             for one in (table, fresh):
                 one.append(place, f"text {text}", int(number_of[text]))
@@ -83,7 +83,7 @@ def test_a_table_of_which_rows_were_taken_out_is_one_that_never_had_them(make):
         assert found[0] == found[1]
 
 
-def test_a_table_of_which_everything_was_taken_out_is_empty(make):
+def test_a_table_after_removing_all_rows_is_empty(make):
     table = SignTable()
     table.keep(np.zeros(0, bool), np.zeros(0, np.int64), ())
     table.append(make(), "EXIT", 0)

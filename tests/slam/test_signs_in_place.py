@@ -1,4 +1,4 @@
-"""Names that hang in one place of two maps say whether it is one place."""
+"""Comparison of the sign texts that two maps have at the same place."""
 
 import math
 from dataclasses import replace
@@ -34,16 +34,16 @@ def shared(first, second):
     ],
     ids=["alike", "read once", "another", "behind the wall", "beside it"],
 )
-def test_a_place_reads_otherwise_only_where_both_read_something_there_twice(text, pose, times, expected):
+def test_texts_at_a_place_differ_only_if_both_maps_read_one_twice(text, pose, times, expected):
     assert shared([("A101", 0.0, 0.0, 0.0)] * 2, [(text, *pose)] * times) == expected
 
 
-def test_one_reading_in_common_is_enough_among_misreadings():
+def test_one_common_reading_among_misreadings_is_enough():
     first = [("A101", 0.0, 0.0, 0.0), ("A1O1", 0.1, 0.0, 2 * math.pi), ("A1O1", 0.1, 0.0, 0.1)]
     assert shared(first, [("AI01", 0.0, 0.1, 0.0)] * 3 + [("A101", 0.0, 0.0, 0.0)]) == (1, 0)
 
 
-def test_readings_are_looked_at_as_they_come(keyframe, scan, walls):
+def test_readings_are_indexed_incrementally(keyframe, scan, walls):
     room = scan(walls((-3, -2), (3, -2), (3, 2), (-3, 2)), (0.0, 0.0, 0.0))
     said = [
         [SignObservation("A101  Lab", np.array([1.0, 2.0]), 0.5), SignObservation("EXIT", np.zeros(2), math.nan)],
@@ -59,7 +59,7 @@ def test_readings_are_looked_at_as_they_come(keyframe, scan, walls):
     assert read.by(0, path[2:])[0].tolist() == [0, 0]
 
 
-def test_a_text_hangs_apart_where_one_map_has_it_at_two_places():
+def test_a_text_at_two_places_of_one_map_is_repeated():
     exit_, lab = 0, 1
     texts, maps = np.array([exit_, lab, exit_, lab, lab]), np.array([0, 0, 0, 1, 0])
     places_m = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 5.0], [9.0, 9.0], [3.1, 0.2]])
@@ -72,8 +72,8 @@ NAMES, WING_B = ["A101 LAB", "A102 MAIL", "A103 PRINT", "A104 LAB"], ["B101 LAB"
 
 @pytest.fixture
 def team_along_doors(keyframe, scan, walls):
-    """Two robots that passed the same doors and exits between them, each reading texts of its own; closures by the
-    exits bring them together."""
+    """Two robots that passed the same doors, with different texts, and the exits between them; pending closures by the
+    exit signs."""
 
     def passed(first, second, third=False):
         room = scan(walls((-30, -2), (30, -2), (30, 2), (-30, 2)), (0.0, 0.0, 0.0))
@@ -96,18 +96,18 @@ def team_along_doors(keyframe, scan, walls):
 
 
 @pytest.mark.parametrize(("names", "is_merged"), [(NAMES, True), (WING_B, False), ([*NAMES[:1], *WING_B[1:]], True)])
-def test_exits_in_common_do_not_merge_maps_whose_doors_bear_other_names(team_along_doors, names, is_merged):
+def test_common_exit_signs_do_not_merge_maps_with_different_door_signs(team_along_doors, names, is_merged):
     assert team_along_doors(NAMES, names)._try_merge(0, 1) is is_merged
 
 
 @pytest.mark.parametrize(
     ("names", "is_merged"), [([""] * 4, False), (["A101 LAB", "", "", ""], True), (["", "EXIT", "EXIT", ""], False)]
 )
-def test_where_nothing_is_heard_texts_that_hang_everywhere_do_not_merge_maps(team_along_doors, names, is_merged):
+def test_without_radio_repeated_texts_do_not_merge_maps(team_along_doors, names, is_merged):
     assert team_along_doors(NAMES, names)._try_merge(0, 1) is is_merged
 
 
-def test_maps_that_nothing_ties_together_do_not_say_that_a_text_hangs_at_several_places(team_along_doors):
-    """A third robot that read the one name in common has a map of its own, whose frame is another."""
+def test_unconnected_maps_do_not_make_a_text_count_as_repeated(team_along_doors):
+    """A third robot that read the common text has a separate map with another frame."""
     team = team_along_doors(NAMES, ["A101 LAB", "", "", ""], third=True)
     assert team._try_merge(0, 1)

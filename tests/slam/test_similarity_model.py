@@ -14,7 +14,7 @@ def test_the_repaired_formula_averages_distances_and_the_printed_one_their_squar
     assert (mean[0], variance[0]) == pytest.approx((10.0, ((2 - 10) ** 2 + (4 - 10) ** 2) / 2))
 
 
-def test_bins_with_few_samples_are_left_out_and_the_ends_hold_beyond():
+def test_bins_with_few_samples_are_ignored_and_values_beyond_the_ends_are_clamped():
     similarity = np.concatenate([np.full(20, 0.5), np.full(20, 0.9), np.full(3, 0.2)])
     distance = np.concatenate([np.full(20, 8.0), np.full(20, 2.0), np.full(3, 50.0)])
     model = train(similarity, distance, 60.0)
@@ -23,7 +23,7 @@ def test_bins_with_few_samples_are_left_out_and_the_ends_hold_beyond():
     assert (variance >= 0.25).all()
 
 
-def test_a_window_that_cuts_distances_off_is_noticed_once(caplog):
+def test_a_window_that_truncates_distances_is_reported_once(caplog):
     warn_cut_off.cache_clear()
     random = np.random.default_rng(0)
     travel = np.arange(0.0, 300.0, 1.0)
@@ -36,7 +36,7 @@ def test_a_window_that_cuts_distances_off_is_noticed_once(caplog):
     assert caplog.text.count("truncated") == 1
 
 
-def test_a_model_without_bins_is_not_said_to_be_cut_off(caplog):
+def test_a_model_without_bins_is_not_reported_as_truncated(caplog):
     warn_cut_off.cache_clear()
     travel = np.arange(3.0)
     with caplog.at_level(logging.WARNING):

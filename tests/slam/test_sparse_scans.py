@@ -1,4 +1,4 @@
-"""Few beams draw walls without gaps, and none where nothing was met."""
+"""Scans with few beams draw walls without gaps, and no walls without returns."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_a_doorway_between_two_beams_stays_open(scan, walls):
     assert all(level_at(grid, 4.05, y) <= 0 for y in np.arange(-0.25, 0.3, 0.1))
 
 
-def test_beside_a_beam_without_return_there_is_no_wall():
+def test_no_wall_is_drawn_beside_a_beam_without_return():
     ranges_m = np.full(36, 2.0)
     ranges_m[9] = RANGE_MAX_M
     filled = SparseScans(36, RANGE_MAX_M).filled(ranges_m[None])[0].reshape(36, 5)
@@ -48,17 +48,17 @@ def test_beside_a_beam_without_return_there_is_no_wall():
     np.testing.assert_array_equal(filled[:, 0], ranges_m)
 
 
-def test_beams_between_end_on_the_line_from_one_end_point_to_the_next():
+def test_interpolated_beams_end_on_the_line_between_neighbouring_end_points():
     filled = SparseScans(60, RANGE_MAX_M).filled(np.full((1, 60), 3.0))[0]
     angles = np.arange(180) % 3 * np.deg2rad(2.0) - np.deg2rad(3.0)
     np.testing.assert_allclose(filled, 3.0 * np.cos(np.deg2rad(3.0)) / np.cos(angles))
 
 
 @pytest.mark.parametrize("beams", [180, 200, 720])
-def test_many_beams_are_left_as_they_are(beams):
+def test_dense_scans_are_not_changed(beams):
     scans = np.full((2, beams), 3.0)
     assert SparseScans(beams, RANGE_MAX_M).filled(scans) is scans
 
 
-def test_what_no_beam_saw_stays_unknown():
+def test_unobserved_cells_stay_unknown():
     assert np.all(SparseScans(8, RANGE_MAX_M).filled(np.full((1, 8), -1e-6)) < 0.0)

@@ -8,7 +8,7 @@ texts = st.text("ABE3O0 I1", max_size=12)
 
 
 def edit_distance(a: str, b: str) -> int:
-    """The textbook table, cell by cell."""
+    """Edit distance by the textbook table."""
     table = [[i + j if i * j == 0 else 0 for j in range(len(b) + 1)] for i in range(len(a) + 1)]
     for i in range(1, len(a) + 1):
         for j in range(1, len(b) + 1):
@@ -26,7 +26,7 @@ def test_similarity_is_one_minus_the_edit_distance_over_the_longer_length(a, b):
 
 @given(texts, st.lists(texts, max_size=5), st.sampled_from([-1.0, 0.505, 0.757]))
 @example("EXIT", ["EXAM", "EXIT", ""], 0.505)
-def test_alike_texts_are_those_that_a_comparison_with_all_would_find(text, others, minimum):
+def test_similar_texts_equal_those_of_an_exhaustive_comparison(text, others, minimum):
     alike = SimilarTexts(minimum)
     for other in others:
         alike.number_of(other)
@@ -44,7 +44,7 @@ def test_normalising_twice_changes_nothing(text):
     assert normalise(normalise(text)) == normalise(text)
 
 
-def test_texts_that_are_kept_are_numbered_anew_and_alike_as_before():
+def test_remaining_texts_are_renumbered_with_unchanged_similarities():
     texts, kept = ["ROOM 101", "ROOM 102", "TOILET", "R00M 101", "EXIT"], ["ROOM 102", "R00M 101", "EXIT"]
     alike, fresh = SimilarTexts(0.7), SimilarTexts(0.7)
     for text in texts:
@@ -56,7 +56,7 @@ def test_texts_that_are_kept_are_numbered_anew_and_alike_as_before():
         assert sorted(alike.alike(text)) == sorted(fresh.alike(text)) and alike.has(text) == fresh.has(text)
 
 
-def test_a_similarity_that_equals_the_minimum_meets_it():
+def test_a_similarity_equal_to_the_minimum_passes():
     alike = SimilarTexts(0.8)
     for text in ("A1013", "ENTRANCE 1"):
         alike.number_of(text)

@@ -13,7 +13,7 @@ BOXES = np.random.default_rng(0).uniform(-10, 70, (120, 2))
 
 
 def walks(count: int = 25, seed: int = 0) -> tuple[list[Trace], list[np.ndarray]]:
-    """Straight walks over a hall of 60 x 60 m; headings off by 0.1 rad each."""
+    """Straight traces through a hall of 60 x 60 m, with heading errors of 0.1 rad (standard deviation)."""
     random = np.random.default_rng(seed)
     traces, truths = [], []
     for _ in range(count):
@@ -30,7 +30,7 @@ def walks(count: int = 25, seed: int = 0) -> tuple[list[Trace], list[np.ndarray]
     return traces, truths
 
 
-def test_walks_are_joined_by_fingerprints_alone():
+def test_traces_are_joined_by_fingerprints_alone():
     traces, truths = walks()
     joined = join(traces, RadioSlamConfig())
     assert joined.is_joined.all()
@@ -40,7 +40,7 @@ def test_walks_are_joined_by_fingerprints_alone():
 
 
 @pytest.mark.parametrize("weighting", ["ours", "paper"])
-def test_slopes_by_where_walks_lie_are_those_of_finite_differences(weighting):
+def test_the_gradient_by_poses_of_traces_matches_finite_differences(weighting):
     traces, _ = walks(4)
     joiner, random = _Joiner(traces, RadioSlamConfig(weighting=weighting)), np.random.default_rng(0)
     ends = [np.cumsum([0, *(len(trace.poses) for trace in traces)])[k] + random.integers(0, 5, 9) for k in (0, 1, 2, 3)]
@@ -61,7 +61,7 @@ def test_slopes_by_where_walks_lie_are_those_of_finite_differences(weighting):
             assert gradient[k] == pytest.approx(slope, rel=1e-4, abs=1e-3)
 
 
-def test_a_walk_that_heard_nothing_known_stays_out():
+def test_a_trace_without_known_transmitters_is_left_out():
     traces, _ = walks(8)
     stranger = Trace(traces[0].poses, [Fingerprint(f.macs + 1000, f.rssi_dbm) for f in traces[0].fingerprints])
     joined = join([*traces, stranger], RadioSlamConfig())
@@ -69,7 +69,7 @@ def test_a_walk_that_heard_nothing_known_stays_out():
     assert np.isnan(joined.positions_m[8]).all()
 
 
-def test_the_map_neither_swells_nor_shrinks():
+def test_the_map_keeps_its_scale():
     traces, truths = walks(seed=1)
     joined = join(traces, RadioSlamConfig())
     found, truth = np.concatenate(joined.positions_m), np.concatenate(truths)
@@ -77,7 +77,7 @@ def test_the_map_neither_swells_nor_shrinks():
     assert abs(spread[0] / spread[1] - 1.0) < 0.04
 
 
-def test_a_walk_without_scans_stays_out():
+def test_a_trace_without_scans_is_left_out():
     traces, _ = walks(8)
     silent = Trace(np.zeros((0, 3)), [])
     joined = join([*traces[:4], silent, *traces[4:]], RadioSlamConfig())
@@ -85,13 +85,13 @@ def test_a_walk_without_scans_stays_out():
 
 
 @pytest.mark.parametrize("poses", [np.zeros((2, 3)), np.full((1, 3), np.nan), np.zeros((1, 2))])
-def test_a_walk_whose_parts_do_not_fit_is_refused(poses):
+def test_a_trace_with_parts_of_unequal_length_is_rejected(poses):
     with pytest.raises(DataError, match="walk"):
         Trace(poses, [Fingerprint(np.array([1]), np.array([-50.0]))])
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_walks_too_short_for_a_model_of_distance_are_refused_where_it_is_asked_for(count):
+def test_traces_too_short_for_a_distance_model_are_rejected_if_it_is_requested(count):
     traces = [Trace(np.array([[0.0, 0, 0], [1.0, 0, 0]]), [Fingerprint(np.array([1]), np.array([-50.0]))] * 2)] * count
     with pytest.raises(DataError, match="too few pairs"):
         join(traces, RadioSlamConfig(weighting="paper"))
@@ -99,6 +99,6 @@ def test_walks_too_short_for_a_model_of_distance_are_refused_where_it_is_asked_f
 
 
 @pytest.mark.parametrize("traces", [[], [Trace(np.zeros((0, 3)), [])]])
-def test_walks_without_any_scan_are_refused(traces):
+def test_traces_without_any_scan_are_rejected(traces):
     with pytest.raises(DataError, match="nothing to join"):
         join(traces, RadioSlamConfig())

@@ -1,4 +1,4 @@
-"""Closures that wait are found by the maps that they would tie."""
+"""Pending closures are found by the two groups that they connect."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ def waits(number: int, target: int, source: int) -> LoopClosure:
     return closure
 
 
-def test_those_between_two_groups_of_robots_come_in_the_order_of_their_numbers():
+def test_pending_closures_between_two_groups_are_in_the_order_of_their_numbers():
     waiting = WaitingClosures(waits(*what) for what in ((3, 2, 0), (0, 0, 1), (2, 1, 2), (1, 3, 0), (4, 0, 2)))
     waiting.add([waits(5, 1, 3)])
     assert [closure.number for closure in waiting.between((0, 1), (2, 3))] == [1, 2, 3, 4, 5]
@@ -21,7 +21,7 @@ def test_those_between_two_groups_of_robots_come_in_the_order_of_their_numbers()
     assert waiting.between((2,), (3,)) == []
 
 
-def test_those_that_have_been_judged_wait_no_more_and_may_wait_again():
+def test_closures_can_be_removed_from_and_added_again_to_the_pending_ones():
     first, second = waits(0, 0, 1), waits(1, 0, 1)
     waiting = WaitingClosures([first, second])
     first.status = second.status = "rejected"

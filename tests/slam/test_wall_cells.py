@@ -1,4 +1,4 @@
-"""What the cells of a field of lines say, and that drawing tells each cell of the wall nearest to it."""
+"""Cells of a line field: encoding, and the nearest wall in each cell."""
 
 import numpy as np
 import pytest
@@ -12,21 +12,21 @@ RANGE_MAX_M = 10.0
 
 @pytest.mark.parametrize("distance_m", [0.0, 0.1, 0.2345, REACH_M])
 @pytest.mark.parametrize("line", [0, 1, LINES_MAX - 1])
-def test_a_cell_says_how_far_its_wall_is_and_which_line_that_is(distance_m, line):
+def test_a_cell_encodes_distance_and_index_of_its_line(distance_m, line):
     cell = wall_cell(np.float32(distance_m), np.uint32(line))
     assert distance_in(np.uint32(cell)) == pytest.approx(distance_m, abs=1e-5)
     assert line_in(np.uint32(cell)) == line
 
 
-def test_a_cell_without_wall_is_far_from_any_and_larger_than_all_others():
+def test_the_value_of_a_cell_without_wall_is_the_largest():
     assert distance_in(NO_WALL) == FAR_M
     assert line_in(NO_WALL) == LINES_MAX
     assert wall_cell(np.float32(REACH_M), np.uint32(LINES_MAX - 1)) < NO_WALL
     assert wall_cell(np.float32(0.1), np.uint32(LINES_MAX - 1)) < wall_cell(np.float32(0.2), np.uint32(0))
 
 
-def test_cells_know_the_nearest_of_two_walls_and_none_beyond_reach(walls, scan):
-    """Of a corridor along the x axis, whose two walls both reach its middle."""
+def test_cells_hold_the_nearest_wall_within_reach(walls, scan):
+    """A corridor along the x axis, with both walls within reach of its centre line."""
     corridor = walls((-8, -0.4), (8, -0.4), (8, 0.4), (-8, 0.4))
     field = LineField(26.0, 0.1, RANGE_MAX_M)
     poses = np.array([[x, 0.0, 0.0] for x in (-2.0, 0.0, 2.0)])
@@ -40,8 +40,8 @@ def test_cells_know_the_nearest_of_two_walls_and_none_beyond_reach(walls, scan):
             assert np.isnan(facing)
 
 
-def test_a_field_without_lines_left_stays_as_it_is(walls, scan):
-    """Walls for which there is no line are left out; what was drawn before stands."""
+def test_a_field_with_no_lines_left_is_not_changed(walls, scan):
+    """Walls beyond the maximum number of lines are ignored; earlier cells are kept."""
     room = walls((-4, -3), (4, -3), (4, 3), (-4, 3))
     field = LineField(26.0, 0.1, RANGE_MAX_M)
     pose = np.zeros((1, 3))

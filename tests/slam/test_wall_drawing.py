@@ -1,4 +1,4 @@
-"""Walls are drawn from few beams and from ranges that err much, and not where none are."""
+"""Walls are drawn from few beams and from noisy ranges, and only where there are walls."""
 
 import numpy as np
 import pytest
@@ -15,13 +15,13 @@ def drawn(ranges_m, noise_m=0.0):
 
 
 @pytest.mark.parametrize("beams", [36, 60, 90, 180])
-def test_the_walls_of_a_wide_room_are_drawn_however_few_the_beams(scan, walls, beams):
+def test_walls_of_a_wide_room_are_drawn_with_few_beams(scan, walls, beams):
     room = walls((-6, -5), (6, -5), (6, 5), (-6, 5))
     points = scan_points(scan(room, np.zeros(3), 720), RANGE_MAX_M)
     assert drawn(scan(room, np.zeros(3), beams)).share_near(points, np.zeros(3), 0.1) > 0.85
 
 
-def test_two_end_points_far_apart_are_no_wall(scan, walls):
+def test_no_wall_is_drawn_between_distant_end_points(scan, walls):
     posts = np.concatenate([walls((4.0, y), (4.3, y), (4.3, y + 0.3), (4.0, y + 0.3)) for y in (-0.6, 0.3)])
     field, between = LineField(24.0, 0.1, RANGE_MAX_M), np.pi / 36
     field.add(np.array([[0.0, 0.0, between]]), scan(posts, (0.0, 0.0, between), 36)[None])
@@ -30,7 +30,7 @@ def test_two_end_points_far_apart_are_no_wall(scan, walls):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("noise_m", [0.01, 0.03, 0.05])
-def test_walls_are_drawn_as_straight_as_they_are_however_much_ranges_err(scan, walls, noise_m, seed):
+def test_walls_are_drawn_straight_despite_range_noise(scan, walls, noise_m, seed):
     corridor = walls((-20, -1), (20, -1), (20, 1), (-20, 1))
     ranges_m = scan(corridor, np.zeros(3))
     field = drawn(np.maximum(ranges_m + np.random.default_rng(seed).normal(0, noise_m, 180), 0.01), noise_m)

@@ -1,4 +1,4 @@
-"""Which pieces each ray crosses, against shapely."""
+"""The wall pieces that each ray crosses, compared with shapely."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from twc_env.slam.wall_sampler import find_crossings
 
 
-def test_rays_cross_the_pieces_that_shapely_says_they_cross():
+def test_rays_cross_the_same_pieces_as_in_shapely():
     shapely = pytest.importorskip("shapely", reason="shapely is a development dependency")
     random = np.random.default_rng(1)
     ends, near, far = random.uniform(-5, 5, (40, 4)), random.uniform(-5, 5, (60, 2)), random.uniform(-5, 5, (60, 2))

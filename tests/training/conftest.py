@@ -1,4 +1,4 @@
-"""A short training that several tests look at, and what it was of."""
+"""A short training run shared by several tests, and its task."""
 
 import os
 from functools import partial
@@ -8,7 +8,7 @@ import pytest
 
 @pytest.fixture(scope="session")
 def torch():
-    """Skips where it is not installed, but not in continuous integration, which has to have it."""
+    """The module torch; skips if it is not installed, except in continuous integration, which must have it."""
     if "CI" not in os.environ:
         for name in ("torch", "stable_baselines3"):
             pytest.importorskip(name, reason="needs torch and stable-baselines3: pip install 'twc_env[train]'")
@@ -42,7 +42,7 @@ def train(torch):
 
 @pytest.fixture(scope="session")
 def run(train, task, settings, tmp_path_factory):
-    """A folder with 128 decisions of training in it."""
+    """A run folder after 128 decisions of training."""
     folder = tmp_path_factory.mktemp("ppo")
     train(task, settings, 128, folder)
     return folder

@@ -1,4 +1,4 @@
-"""What the network sees of a choice, and what it may choose."""
+"""Inputs of the choice policy, and its action mask."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 pytestmark = pytest.mark.usefixtures("torch")
 
 
-def test_a_choice_that_the_mask_rules_out_is_never_taken(task, run):
+def test_a_masked_choice_is_never_taken(task, run):
     from stable_baselines3 import PPO
 
     from training.run_folder import read_settings, task_of
@@ -23,7 +23,7 @@ def test_a_choice_that_the_mask_rules_out_is_never_taken(task, run):
             assert model.predict(observation, deterministic=deterministic)[0].tolist() == [only]
 
 
-def test_the_policy_scores_each_choice_by_its_own_figures_and_never_takes_a_masked_one(run, torch):
+def test_the_policy_scores_each_choice_by_its_own_features(run, torch):
     from stable_baselines3 import PPO
 
     policy = PPO.load(run / "model.zip", device="cpu").policy
@@ -43,7 +43,7 @@ def test_the_policy_scores_each_choice_by_its_own_figures_and_never_takes_a_mask
     assert torch.allclose(chances(swapped)[[5, 0]], first[[0, 5]], atol=1e-6)
 
 
-def test_who_chooses_does_not_know_what_was_gained_but_the_value_does(run, torch):
+def test_the_return_so_far_affects_the_value_but_not_the_policy(run, torch):
     from stable_baselines3 import PPO
 
     policy = PPO.load(run / "model.zip", device="cpu").policy

@@ -1,4 +1,4 @@
-"""Trained teams are judged and filmed on buildings of their own."""
+"""Evaluation of trained teams in held-out buildings, with recording."""
 
 import json
 import math
@@ -24,17 +24,17 @@ def test_a_trained_model_is_evaluated_against_random_actions(run, tmp_path, caps
     assert all(math.isfinite(float(line.split()[1])) for line in table[1:])
 
 
-def test_a_trained_team_is_filmed_and_plays_as_it_does_unseen(run, tmp_path):
+def test_recording_a_trained_team_does_not_affect_the_episode(run, tmp_path):
     pytest.importorskip("PIL", reason="needs the extra 'viz'")
     from training.evaluate import evaluate
 
-    plain = evaluate(run, [0, 1], False)  # a run folder stands for its model
+    plain = evaluate(run, [0, 1], False)  # a run folder instead of a model file
     filmed = evaluate(run / "model.zip", [0, 1], False, tmp_path / "films")
     assert sorted(path.name for path in (tmp_path / "films").iterdir()) == ["episode-0.gif", "episode-1.gif"]
     assert filmed.episodes == plain.episodes
 
 
-def test_what_a_team_covers_does_not_depend_on_how_it_is_paid(task):
+def test_coverage_does_not_depend_on_the_reward_of_training(task):
     from training.evaluate import _nearest, _played, _scripted, _team
 
     team = replace(task, robots=3, max_cycles=60)
@@ -43,7 +43,7 @@ def test_what_a_team_covers_does_not_depend_on_how_it_is_paid(task):
         assert play(alone) == play(team)
 
 
-def test_a_model_that_is_broken_or_of_another_task_is_named(task, run, tmp_path, capsys):
+def test_the_error_of_a_corrupt_model_or_one_of_another_task_names_it(task, run, tmp_path, capsys):
     from stable_baselines3 import PPO
 
     from training.run_folder import write_settings

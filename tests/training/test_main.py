@@ -1,4 +1,4 @@
-"""Commands of training end in one line after what cannot be meant."""
+"""Training commands: invalid input gives an error message of one line."""
 
 import subprocess
 import sys
@@ -28,7 +28,7 @@ from training.__main__ import main
         ),
     ],
 )
-def test_a_wrong_command_ends_in_one_line_that_names_the_remedy(arguments, message, tmp_path, refusal, monkeypatch):
+def test_the_error_of_a_wrong_command_is_one_line_with_the_remedy(arguments, message, tmp_path, refusal, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert message in refusal(main, arguments)
 
@@ -41,7 +41,7 @@ def test_without_torch_the_error_names_what_to_install():
 
 
 @pytest.mark.usefixtures("torch")
-def test_another_kind_of_action_or_observation_is_refused(tmp_path, capsys):
+def test_another_kind_of_action_or_observation_is_rejected(tmp_path, capsys):
     for setting in ("action.kind=velocity", "observation.kind=flat"):
         assert main(["ppo", "--steps", "8", "--out", str(tmp_path / "run"), "--set", setting]) == 2
         assert "action.kind=frontier" in capsys.readouterr().err
@@ -51,7 +51,7 @@ def test_another_kind_of_action_or_observation_is_refused(tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("torch")
-def test_a_training_whose_worker_died_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+def test_the_error_of_a_dead_worker_names_resume(tmp_path, monkeypatch, capsys):
     from twc_env.sb3 import TeamVecEnv
 
     step = TeamVecEnv.step_wait
@@ -69,7 +69,7 @@ def test_a_training_whose_worker_died_says_how_to_go_on(tmp_path, monkeypatch, c
 
 
 @pytest.mark.usefixtures("torch")
-def test_an_interrupted_training_says_so_on_a_line_of_its_own(tmp_path, monkeypatch, capsys):
+def test_an_interrupted_training_reports_it_on_a_new_line(tmp_path, monkeypatch, capsys):
     from twc_env.sb3 import TeamVecEnv
 
     def interrupt(_):

@@ -1,4 +1,4 @@
-"""A training leaves a run folder, goes on where it stopped, and learns the same from the same seed."""
+"""Training: run folder, resuming, and reproducibility by seed."""
 
 import csv
 import json
@@ -46,13 +46,13 @@ def test_tensorboard_shows_the_learning_curve_and_every_update_at_the_decisions_
     }
 
 
-def test_the_step_size_falls_to_nothing_and_no_further():
+def test_the_step_size_decreases_to_zero():
     from training.ppo import falling
 
     assert [falling(1e-3, left) for left in (1.0, 0.25, 0.0, -0.01)] == [1e-3, 2.5e-4, 0.0, 0.0]
 
 
-def test_going_on_with_another_number_of_processes_is_going_on(train, task, settings, tmp_path):
+def test_a_run_can_be_resumed_with_another_number_of_processes(train, task, settings, tmp_path):
     train(task, settings, 32, tmp_path)
     train(task, replace(settings, workers=1), 64, tmp_path, resume=True)
     assert int(metrics_of(tmp_path)[-1]["steps"]) == 64
@@ -74,7 +74,7 @@ def test_training_resumes_where_it_stopped_and_keeps_the_learning_curve(train, t
     assert 0 < episodes[0] < episodes[1]
 
 
-def test_a_run_folder_that_was_moved_keeps_its_curves_together_when_it_resumes(train, task, settings, tmp_path):
+def test_a_moved_run_folder_keeps_its_curves_when_it_resumes(train, task, settings, tmp_path):
     train(task, settings, 64, tmp_path / "first")
     (tmp_path / "first").rename(tmp_path / "moved")
     before = list((tmp_path / "moved").rglob("events.*"))
@@ -83,7 +83,7 @@ def test_a_run_folder_that_was_moved_keeps_its_curves_together_when_it_resumes(t
     assert len(list((tmp_path / "moved").rglob("events.*"))) == len(before) + 1
 
 
-def test_a_line_ahead_of_its_model_is_dropped_when_a_killed_training_resumes(train, task, settings, tmp_path):
+def test_a_row_ahead_of_its_model_is_dropped_when_a_killed_training_resumes(train, task, settings, tmp_path):
     train(task, settings, 64, tmp_path)
     with (tmp_path / "metrics.csv").open("a") as file:
         file.write("128,9,0.5,3.0,100.0\n160,1")  # killed before the model was saved, and within a line
@@ -94,7 +94,7 @@ def test_a_line_ahead_of_its_model_is_dropped_when_a_killed_training_resumes(tra
 
 
 @pytest.mark.parametrize("change", ['{"kindz": 1}', "3", '{"kinds": [], "area_m2": "big"}'])
-def test_settings_of_a_run_that_are_no_settings_are_named(change, tmp_path):
+def test_the_error_of_an_invalid_run_config_names_it(change, tmp_path):
     from training.run_folder import read_settings
 
     (tmp_path / "config.json").write_text(f'{{"task": {change}, "settings": {{}}, "config_digest": ""}}')
@@ -113,7 +113,7 @@ def test_a_wrong_map_leaves_no_run_folder(train, settings, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_resuming_with_another_task_is_refused(train, settings, run):
+def test_resuming_with_another_task_is_rejected(train, settings, run):
     from training.run_folder import Task
 
     with pytest.raises(DataError, match=r"was trained with map=.* instead of 'twin-02'.*; use the same settings"):

@@ -15,7 +15,7 @@ CHOICES = SLOTS + 3
 
 
 def seen_from(poses, places_m, merged=True):
-    """Observations of two robots at poses (2, 3) in one map, who may choose among the same places (SLOTS, 2)."""
+    """Observations of two robots at poses (2, 3) with the same choices at positions (SLOTS, 2) in the map frame."""
     rows = {
         "pose": np.zeros((2, 8), np.float32),
         "team": np.zeros((2, 1, 5), np.float32),
@@ -55,7 +55,7 @@ def notes_after(actions, **seen):
     return notes
 
 
-def test_a_robot_knows_how_near_a_choice_is_to_its_own_goal_and_to_its_mates_wherever_both_have_driven():
+def test_the_goals_block_has_the_closeness_of_choices_to_own_and_mate_goals_after_motion():
     notes = notes_after([0, 2])
     moved = ((1.5, 0.2, -1.0), (-4.5, 1.0, 0.7))
     goals = notes.beside(seen_from(moved, PLACES_M))["goals"]
@@ -64,13 +64,13 @@ def test_a_robot_knows_how_near_a_choice_is_to_its_own_goal_and_to_its_mates_whe
     assert goals[1] == pytest.approx(np.array(near[::-1]).T, abs=1e-5)
 
 
-def test_robots_of_different_groups_tell_each_other_nothing():
+def test_robots_of_different_groups_do_not_share_goals():
     goals = notes_after([0, 2], merged=False).beside(seen_from(POSES, PLACES_M, merged=False))["goals"]
     assert goals[0, 0, 0] == pytest.approx(1.0, abs=1e-5)
     assert (goals[:, :, 1] == 0.0).all()
 
 
-def test_who_stays_has_no_goal_and_who_is_busy_keeps_it():
+def test_staying_clears_the_goal_and_busy_robots_keep_it():
     notes = notes_after([0, 2])
     seen = seen_from(POSES, PLACES_M)
     seen["action_mask"][1, :STAY] = 0
@@ -80,7 +80,7 @@ def test_who_stays_has_no_goal_and_who_is_busy_keeps_it():
     assert goals[0, 2, 1] == pytest.approx(1.0, abs=1e-5)
 
 
-def test_goals_are_forgotten_when_maps_merge_and_when_the_episode_ends():
+def test_goals_are_cleared_when_maps_merge_and_when_the_episode_ends():
     merged = notes_after([0, 2], merged=False).beside(seen_from(POSES, PLACES_M))
     assert (merged["goals"] == 0.0).all()
     notes = notes_after([0, 2])
@@ -93,7 +93,7 @@ def test_goals_are_forgotten_when_maps_merge_and_when_the_episode_ends():
     assert (anew["clock"] == 1.0).all() and (anew["gained"] == 0.0).all() and (anew["goals"] == 0.0).all()
 
 
-def test_places_that_are_no_choice_are_near_to_nothing():
+def test_empty_slots_have_zero_closeness():
     seen = seen_from(POSES, PLACES_M)
     seen["frontiers"][:, 1] = 0.0
     assert (notes_after([0, 2]).beside(seen)["goals"][:, 1] == 0.0).all()

@@ -157,7 +157,7 @@ class MergingConfig(Checked):
     enabled: bool = True
     """If off, robots never share a map."""
     closures_min: int = number(3, 1, 100)
-    """Minimum number of mutually consistent closures."""
+    """Minimum number of mutually consistent closures; one where mutual sightings prove it (`sightings_check`)."""
     spread_min_m: float = number(1.5, 0.0, 100.0)
     """Minimum distance between the signs behind the closures (0: one sign is enough)."""
     signs_read_alike_min: int = number(1, 0, 100)
@@ -169,8 +169,9 @@ class MergingConfig(Checked):
     wifi_check: bool = True
     """Check all fingerprints that a merge would bring together against the variation along each robot's own path."""
     sightings_check: bool = True
-    """Check that robots see each other's bodies in laser scans when and where a merge implies it; needs robots that
-    move at the same time (`slam.keyframe.mask_mates`, laser cue)."""
+    """Check that robots see each other's bodies in laser scans when and where a merge implies it; where they did at ten
+    keyframes, one closure by a sign is enough. Needs robots that move at the same time (`slam.keyframe.mask_mates`,
+    laser cue)."""
     undo: bool = True
     """Re-examine merges as evidence accumulates, and undo those found to be wrong."""
 

@@ -15,8 +15,8 @@ ROBOTS_MAX = 64
 class BuildingConfig(Checked):
     """How many of the map's signs and access points are kept: controls the difficulty of place recognition.
 
-    A building with other signs or access points is another one to the radio model: its shadowing and the power of its
-    access points are drawn anew."""
+    What is kept keeps its place, access points also their addresses, power and shadowing. Only the errors of single
+    readings and scans are sampled anew, as they are drawn sign after sign and address after address."""
 
     sign_share: float = number(1.0, 0.0, 1.0)
     sign_duplication: float = number(0.0, 0.0, 1.0)

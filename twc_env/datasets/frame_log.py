@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -101,15 +102,28 @@ def read_frame_log(path: str | Path) -> tuple[EnvConfig, list[tuple[SensorFrame,
 def wifi_readings(steps: Sequence[Sequence[SensorFrame]], robot: int = 0) -> tuple[Array, Array, Array]:
     """WiFi scans of one robot: indices of its frames (scans,), addresses (m,), and dBm (scans, m), NaN where not heard.
 
-    In the form that `k_visibility.map_structure` takes.
+    In the form that `k_visibility.map_structure` takes. Readings repeated from the robot's earlier scans, as their ages
+    tell, were taken elsewhere and are left out.
     """
     own = [frame for frames in steps for frame in frames if frame.robot == robot]
-    heard = [(k, frame.wifi) for k, frame in enumerate(own) if frame.wifi is not None]
+    heard, scanned_s = [], -math.inf
+    for k, frame in enumerate(own):
+        if frame.wifi is not None:
+            heard.append((k, _renewed(frame.wifi, frame.time_s - scanned_s)))
+            scanned_s = frame.time_s
     macs = np.unique(np.concatenate([wifi.macs for _, wifi in heard])) if heard else np.zeros(0, np.int64)
     rssi_dbm = np.full((len(heard), len(macs)), np.nan)
     for row, (_, wifi) in zip(rssi_dbm, heard, strict=True):
         row[np.searchsorted(macs, wifi.macs)] = wifi.rssi_dbm
     return np.array([k for k, _ in heard], np.int64), macs, rssi_dbm
+
+
+def _renewed(scan: WifiScan, period_s: float) -> WifiScan:
+    """The readings of a scan that are younger than the time since the scan before it."""
+    if scan.age_s is None:
+        return scan
+    is_new = scan.age_s < period_s
+    return WifiScan(scan.macs[is_new], scan.rssi_dbm[is_new], scan.age_s[is_new])
 
 
 def read_contacts(path: str | Path) -> list[Contacts]:

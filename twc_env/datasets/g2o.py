@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.text_file import read_text
+from twc_env.datasets.tum import FAR_M
 from twc_env.errors import DataError
 from twc_env.geometry import compose, inverse
 
@@ -30,10 +31,10 @@ def write_g2o(path: str | Path, graph: Mapping[str, Any]) -> None:
     values.
     """
     nodes, ij, z, information = _checked(graph)
-    lines = [f"VERTEX_SE2 {i} {_numbers(pose)}" for i, pose in enumerate(nodes)]
+    lines = [f"VERTEX_SE2 {i} {_pose(pose)}" for i, pose in enumerate(nodes)]
     lines += ["FIX 0"] if len(nodes) else []
     for (i, j), measured, matrix in zip(ij, z, information, strict=True):
-        lines.append(f"EDGE_SE2 {i} {j} {_numbers(measured)} {_numbers(matrix[_UPPER])}")
+        lines.append(f"EDGE_SE2 {i} {j} {_pose(measured)} {_numbers(matrix[_UPPER])}")
     text = "\n".join(lines) + "\n"
     Path(path).write_bytes(gzip.compress(text.encode()) if str(path).endswith(".gz") else text.encode())
 
@@ -44,7 +45,8 @@ def read_g2o(path: str | Path) -> dict[str, Any]:
     vertex_ids (k,): the numbers the file gives its vertices; edges_kind: "odometry" for edges between neighbours in
     the file's numbering, else "closure". Lines of other kinds (FIX, switches, parameters) are left out. Where there are
     edges alone, nodes are laid along them from the lowest number on, which is at (0, 0, 0).
-    Raises DataError naming the line for malformed numbers, edges to unknown vertices, or a file of neither kind.
+    Raises DataError naming the line for malformed numbers, edges to unknown vertices, one vertex in two places, or a
+    file of neither kind.
     """
     vertices: dict[int, list[float]] = {}
     edges: list[tuple[int, int, list[float], int]] = []
@@ -56,7 +58,10 @@ def read_g2o(path: str | Path) -> dict[str, Any]:
             continue
         ids, values = _parse(words, path, number)
         if words[0] == "VERTEX_SE2":
-            vertices[ids[0]] = values
+            if vertices.setdefault(ids[0], values) != values:
+                raise DataError(
+                    f"{path}, line {number}: vertex {ids[0]} stands elsewhere in a line before; number them anew"
+                )
         else:
             edges.append((ids[0], ids[1], values, number))
     if edges and not vertices:
@@ -147,3 +152,8 @@ def _checked(graph: Mapping[str, Any]) -> tuple[Array, Array, Array, Array]:
 
 def _numbers(values: Array) -> str:
     return " ".join(f"{value:.9g}" for value in values)
+
+
+def _pose(values: Array) -> str:
+    """A pose; map coordinates (UTM) have seven digits before the point."""
+    return " ".join(f"{value:.{9 if abs(value) < FAR_M else 15}g}" for value in values)

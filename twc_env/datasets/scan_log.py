@@ -127,6 +127,8 @@ def read_carmen_log(path: str | Path) -> ScanLog:
             beams, before = (len(scan.ranges_m) for scan in (scans[-1], scans[0]))
             if beams != before:
                 raise ValueError(f"{beams} beams, where those before have {before}")
+            if not all(map(math.isfinite, (*scans[-1].pose, scans[-1].time_s))):
+                raise ValueError("its pose or its time is not finite")
             if scans[-1].directions != scans[0].directions:
                 raise ValueError("its beams point elsewhere than those before")
         except (ValueError, IndexError) as error:

@@ -12,6 +12,9 @@ from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 from twc_env.geometry import wrap_angle
 
+FAR_M = 1000.0
+"""Coordinates from here on (UTM) are written with fifteen digits instead of nine: to less than a micrometre."""
+
 
 def write_tum(path: str | Path, times_s: Array, poses: Array) -> None:
     """Write poses (k, 3) at times_s (k,); height, roll and pitch are 0. A name that ends in .gz is compressed.
@@ -27,9 +30,9 @@ def write_tum(path: str | Path, times_s: Array, poses: Array) -> None:
     half = poses[:, 2] / 2
     zeros = np.zeros(len(poses))
     columns = [times_s, poses[:, 0], poses[:, 1], zeros, zeros, zeros, np.sin(half), np.cos(half)]
-    np.savetxt(
-        path, np.column_stack(columns), fmt=["%.15g"] + 7 * ["%.9g"]
-    )  # unix times have ten digits before the point
+    place = "%.9g" if np.abs(poses[:, :2]).max(initial=0.0) < FAR_M else "%.15g"
+    # unix times have ten digits before the point
+    np.savetxt(path, np.column_stack(columns), fmt=["%.15g", place, place] + 5 * ["%.9g"])
 
 
 def read_tum(path: str | Path) -> tuple[Array, Array]:

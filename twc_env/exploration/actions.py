@@ -1,4 +1,4 @@
-"""What an agent may command, and how its numbers become metres per second."""
+"""Velocity actions: their space, validation, and conversion to m/s and rad/s."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from twc_env.errors import ActionError
 
 TOLERANCE = 1e-6
 _SINGLE = np.dtype(np.float32)
-"""What most actions are made of."""
+"""Data type of most actions."""
 
 
 def velocity_space() -> spaces.Box:
-    """(2,) forward speed and turn rate (left is positive) as shares of the robot's maxima, in [-1, 1]."""
+    """(2,) forward speed and turn rate (left positive) as fractions of the maxima, in [-1, 1]."""
     return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
 
 def check_agents(actions: Any, agents: Sequence[str]) -> None:
-    """Raises ActionError unless there is one action for each agent, and none for anybody else."""
+    """Raises ActionError unless `actions` is a mapping with exactly one action per agent."""
     if not isinstance(actions, Mapping):
         raise ActionError(
             f"step() needs a dict with one action for each of {list(agents)}; got {type(actions).__name__} {actions!r}"
@@ -39,15 +39,15 @@ def check_agents(actions: Any, agents: Sequence[str]) -> None:
 
 
 def action_array(action: Any) -> Array:
-    """An action as an array, an empty one where it is nothing of that kind."""
+    """The action as an array; an empty one if it cannot be converted."""
     try:
         return np.asarray(action)
-    except Exception:  # an object of the user's may raise anything
+    except Exception:  # arbitrary objects may raise anything
         return np.zeros(0)
 
 
 class Velocities:
-    """Turns actions into commands; these stand in one array, which every step writes anew."""
+    """Converts actions to commands, in one array that each call overwrites."""
 
     def __init__(self, config: DynamicsConfig, robots: int):
         self._arguments = config, robots
@@ -61,7 +61,7 @@ class Velocities:
     def decode(self, actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
         """Commands (robots, 2) [m/s, rad/s] from one action per agent.
 
-        Raises ActionError when an agent has no action, or an action is not two finite numbers in [-1, 1].
+        Raises ActionError for missing or additional agents and for actions other than two finite numbers in [-1, 1].
         """
         speed_max_m_s, turn_rate_max_rad_s = self._maxima
         commands: list[float] = []
@@ -72,18 +72,18 @@ class Velocities:
                 action = actions[agent]
                 if action.dtype is not _SINGLE and action.dtype.kind not in "fiu":
                     raise TypeError
-                ahead, left = action.tolist()  # of another shape: not two, or no numbers
-                if not ahead * ahead <= 1.0 >= left * left:  # so it is for NaN
+                ahead, left = action.tolist()  # raises for most other shapes; the others fail in the next line
+                if not ahead * ahead <= 1.0 >= left * left:  # True for NaN
                     raise ValueError
                 commands += (ahead * speed_max_m_s, left * turn_rate_max_rad_s)
             self._write(*commands)
-        except Exception:  # an object of the user's may raise anything; what does not fit is named below
+        except Exception:  # arbitrary objects may raise anything; the checks below accept or name the action
             self._commands[:] = _one_by_one(actions, agents) * self._maxima
         return self._commands
 
 
 def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
-    """Shares (robots, 2), cut to [-1, 1] where rounding led beyond it; an error for the first that is no share."""
+    """Actions (robots, 2), clipped to [-1, 1] within `TOLERANCE`. Raises ActionError for the first invalid one."""
     check_agents(actions, agents)
     shares = np.empty((len(agents), 2))
     for row, agent in enumerate(agents):

@@ -1,9 +1,9 @@
-"""The first start on a machine: say what takes so long, and let a second process share it.
+"""Compilation at the first start on a machine: a log message, and a helper process that shares the work.
 
-Kernels stand on disk once they are compiled, for all processes, and no two processes compile the same one at once
-(`twc_env.kernel_compiler`). So while this one compiles those of the world and of the observations, a helper begins with
-the engine's (`twc_env.exploration.warm_up`); whoever is done takes what the other has not begun. The helper then goes
-on with kernels that only later steps need. It ends with the process that called it.
+Compiled kernels are cached on disk for all processes, and no two processes compile the same kernel at once
+(`twc_env.kernel_compiler`). While this process compiles the kernels of the world and the observations, the helper
+(`twc_env.exploration.warm_up`) starts with those of the engine; each loads what the other has already compiled. The
+helper then compiles kernels that only later steps need. It ends with the process that started it.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ _LOG = logging.getLogger("twc_env")
 
 
 class FirstStart:
-    """The helper of a process that has to compile kernels."""
+    """Starts and ends the helper process of a process that has to compile kernels."""
 
     def __init__(self) -> None:
         self.is_engine_wanted = False
-        """An environment with an engine will need its kernels."""
+        """Whether an environment with an engine was made, so that the engine's kernels are needed."""
         self.may_call = True
-        """Whether a helper may be called; not by a helper."""
+        """Whether a helper may be started: at most once per process, and never by a helper."""
         self._helper: subprocess.Popen | None = None
         self._owner = 0
 
     @property
     def is_helped(self) -> bool:
-        """Whether a helper of this process is at work."""
+        """Whether a helper of this process is running."""
         return self._helper is not None and self._owner == os.getpid() and self._helper.poll() is None
 
     def prepare(self) -> None:
-        """A kernel is about to be compiled: call a helper, the first time, where there is an engine to compile, a
-        second core and a folder to share, and no other process has one."""
+        """Called before a kernel is compiled: the first time, start a helper if an engine is needed, there is a second
+        core and a writable cache folder, and no other helper is running for it."""
         if not (self.may_call and self.is_engine_wanted):
             return
         self.may_call = False
@@ -59,7 +59,7 @@ class FirstStart:
     def _call_helper(self) -> None:
         package = str(Path(__file__).parents[2])
         path = os.pathsep.join([package, *filter(None, [os.environ.get("PYTHONPATH")])])
-        with contextlib.suppress(OSError):  # then this process compiles everything
+        with contextlib.suppress(OSError):  # without a helper this process compiles everything
             self._helper = subprocess.Popen(
                 [sys.executable, "-m", "twc_env.exploration.warm_up"],
                 env={**os.environ, **dict.fromkeys(THREADS, "1"), "PYTHONPATH": path},
@@ -71,13 +71,13 @@ class FirstStart:
             atexit.register(self.dismiss)
 
     def await_helper(self) -> None:
-        """Wait until the helper is done: all kernels are there then but those for what happens rarely."""
+        """Wait for the end of the helper; then all kernels are on disk except some of rare events."""
         if self.is_helped:
             assert self._helper is not None
             self._helper.wait()
 
     def dismiss(self) -> None:
-        """End the helper. Files are only ever put in place whole: what it was compiling is compiled another time."""
+        """Kill the helper. Cache files are written atomically, so an unfinished kernel is just compiled again later."""
         if self.is_helped:
             assert self._helper is not None
             self._helper.kill()
@@ -97,13 +97,16 @@ def _what_of_later_starts() -> str:
 
 
 def helpers_lock() -> FileLock | None:
-    """What a helper holds as long as it is at work; None where kernels stand in no folder."""
+    """The lock that a helper holds while it runs; None if there is no writable cache folder."""
     folder = look_up._cache.cache_path
     return None if folder is None else FileLock(Path(folder, "helper.lock"))
 
 
 def is_another_helper_at_work() -> bool:
-    """Whether there is one for the same files. Where nobody can tell, workers hold that there is: no crowd then."""
+    """Whether a helper is running for the same cache folder.
+
+    If locks are not supported, True in worker processes of `multiprocessing`, so that each does not start its own.
+    """
     lock = helpers_lock()
     if lock is None:
         return False
@@ -115,10 +118,9 @@ def is_another_helper_at_work() -> bool:
 
 
 class _Announcer(event.Listener):
-    """Told of every kernel that is really compiled, not read from disk; speaks up at the first of this package.
+    """Logs a message at the first compilation of a kernel of this package; not called for kernels loaded from disk.
 
-    Numba makes many small objects of which nearly all live until it is done: nobody looks for garbage among them while
-    it is at work.
+    Garbage collection is off during a compilation: numba creates many small objects, nearly all of which survive it.
     """
 
     def __init__(self, prepare: Callable[[], None] = lambda: None) -> None:
@@ -126,12 +128,12 @@ class _Announcer(event.Listener):
         self._depth, self._collects = 0, False
 
     def on_start(self, event: Any) -> None:
-        """A compilation begins, maybe inside another."""
+        """Called by numba at the start of a compilation, which may be nested in another."""
         if self._depth == 0:
             self._collects = gc.isenabled()
             gc.disable()
         self._depth += 1
-        module = event.data["dispatcher"].py_func.__module__ or ""  # None in functions that numba makes up
+        module = event.data["dispatcher"].py_func.__module__ or ""  # None for functions that numba generates
         if not module.startswith("twc_env."):
             return
         if not self._is_said:
@@ -140,21 +142,21 @@ class _Announcer(event.Listener):
         self._prepare()
 
     def on_end(self, event: Any) -> None:
-        """A compilation ended, be it with an error."""
+        """Called by numba at the end of a compilation, also after an error."""
         self._depth -= 1
         if self._depth == 0 and self._collects:
             if gc.get_freeze_count() == 0:
                 gc.freeze()
-                gc.unfreeze()  # all that is there counts as old now: it need not be looked through at once
+                gc.unfreeze()  # moves all objects to the oldest generation, which is not collected at once
             gc.enable()
 
 
 def core_count() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @cache
 def announce_compilation() -> None:
-    """From now on, log one message when the first kernel of this process has to be compiled."""
+    """From now on, log a message and start the helper when the first kernel of this process has to be compiled."""
     event.register("numba:compile", _Announcer(FIRST_START.prepare))

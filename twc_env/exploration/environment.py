@@ -78,7 +78,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `signs` | (4, 5) | [-1, 1] | recent readings, newest first: present, bearing / pi, distance d / (d + 10 m), age |
     | | | | / `sign_memory_s`, c / (c + 2) if the text is known from c other places |
     | `team` | (n-1, 5) | [-1, 1] | per teammate: shares my map, bearing / pi, d / (d + 10 m), heading / pi, |
-    | | | | age a / (a + 10 s) of its newest keyframe received; a robot that stands still makes none |
+    | | | | age a / (a + 10 s) of the last contact: 0 now, 1 before the first. Contact is that of the |
+    | | | | central mapper with the teammate, or with one mapper per robot, of both robots directly |
     | `frontiers` | (8, 6) | [-1, 1] | candidates, nearest first: present, bearing / pi, d / (d + 10 m), |
     | | | | path cost l / (l + 10 m) in metres of open floor (more beside walls), size s / (s + 5 m), |
     | | | | whether some teammate's distance is less than l |
@@ -177,8 +178,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def reset(self, seed: int | None = None, options: dict | None = None):
         """Begin an episode. The same seed gives the same episode; the default is the previous seed + 1.
 
-        Options of other environments are ignored. Raises MapError for a map that cannot be loaded; no episode is under
-        way then.
+        Options of other environments are ignored. Raises ConfigError for invalid options and MapError for a map that
+        cannot be loaded; no episode is running then.
         """
         self.agents, self._begun = [], None
         seed = self._next_seed() if seed is None else whole_number("seed", seed, 0)
@@ -190,7 +191,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if self._viewer is not None:
             self._viewer.begin()
             self._viewer.follow(episode)
-        seen = episode.observe()  # before the choices, which it finds
+        seen = episode.observe()  # also updates the choices that the infos report
         infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.agents}
         if episode.pilot is not None:
             self._tell_choices(infos, episode.pilot, 0)
@@ -288,7 +289,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return None if self._viewer is None else self._viewer.draw(self.episode)
 
     def watch(self, spectator: Callable[[], None]) -> None:
-        """Call `spectator` after every time step from now on, also within long actions: for your own films."""
+        """Call `spectator` after every time step from now on, also within long actions; for example to record video."""
         self._spectators.append(spectator)
         self._watch = self._tell
 
@@ -327,7 +328,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return int(np.random.default_rng().integers(2**31)) if self._seed is None else self._seed + 1
 
     def _move_into(self, building: str | None) -> EnvConfig:
-        """Make the building of the coming episode ready (None: the environment's own); the settings that hold there."""
+        """Load the building of the next episode (None: the environment's own); returns the config with its name."""
         config = self.config if building is None else override(self.config, {"map": building})
         plan = self._own_floorplan if building is None else load_map(building)
         if plan is not self._plan:
@@ -335,14 +336,14 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return config
 
     def _by_agent(self, values: Sequence[Any]) -> dict[str, Any]:
-        """One value per robot, under the names of the agents."""
+        """The values (one per robot) by agent name."""
         named = {}
         for robot, agent in self._numbered:
             named[agent] = values[robot]
         return named
 
     def _tell_choices(self, infos: dict[str, dict[str, Any]], pilot: Pilot, time_steps: int) -> None:
-        """Whose next action counts, how long the step was, and what may be chosen."""
+        """Add `is_deciding`, `time_steps` and, with choices among frontiers, `action_mask` to the infos."""
         for robot, info in enumerate(infos.values()):
             info["is_deciding"], info["time_steps"] = bool(pilot.is_deciding[robot]), time_steps
             if self.config.action.kind == "frontier":
@@ -356,7 +357,7 @@ def _action_space(config: EnvConfig) -> spaces.Space:
 
 
 def _make_viewer(render_mode: str | None, frames_per_s: float, with_signal: bool) -> Viewer | None:
-    """What draws in a render_mode; loaded only where one is asked for."""
+    """The viewer of a render_mode, or None without one. Raises ConfigError for an unknown mode."""
     if render_mode is None:
         return None
     if render_mode not in ExplorationEnv.metadata["render_modes"]:

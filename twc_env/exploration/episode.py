@@ -1,4 +1,4 @@
-"""One episode of a team in one building, time step by time step, apart from the interfaces of any library."""
+"""One episode of a team in one building, independent of the interfaces of PettingZoo and gymnasium."""
 
 from __future__ import annotations
 
@@ -29,21 +29,23 @@ _NOT_JUDGED: tuple[object, list[verdicts.GroupVerdict]] = None, []
 
 
 class Episode:
-    """World, engine and link in step with each other, what the robots see and choose of it, and what it is worth.
+    """World, radio link and SLAM engine, advanced together; observations, actions, reward terms and evaluation.
 
-    All that changes while robots explore is held here, so that a moment can be pickled whole
-    (`twc_env.exploration.snapshot`).
+    All state that changes during an episode is held here, so that pickling it saves the episode (see `snapshot`).
     """
 
     def __init__(self, config: EnvConfig, world: World, seed: int, starts: Any):
-        """Begin. Takes the world for itself, so that an earlier episode in it is over; starts as `World.reset`."""
+        """Reset `world` and take the first scan; an earlier episode in this world is invalid from now on.
+
+        starts: as in `World.reset`.
+        """
         self.config, self.seed, count = config, seed, config.robots
         self.steps = 0
         """Time steps so far."""
         self.is_over = False
-        """Whether the last time step has been played."""
+        """Whether `max_cycles` time steps were done."""
         self.world = world
-        """The truth."""
+        """Ground truth."""
         world.reset(seed, starts)
         self.engine: Engine = make_engine(config, count)
         if config.slam.oracle != "none":
@@ -55,51 +57,52 @@ class Episode:
         self._builder = ObservationBuilder(config)
         self._velocities = action_blocks.Velocities(config.dynamics, count)
         self.pilot = None if config.action.kind == "velocity" else Pilot(config, self._failures.is_alive(0))
-        """Carries out actions that last; None where each time step has its own."""
+        """Executes waypoint and frontier actions; None with velocity actions."""
         self._looker = self.pilot or (Scout(config) if config.observation.frontiers else None)
-        """Who looks for frontiers."""
+        """Updates the goal candidates: the pilot, or a `Scout` for the `frontiers` block with velocity actions."""
         self.record = EpisodeRecord(count)
-        """What truly happened, for judging; no agent may read it."""
+        """Ground truth and front-end poses of all steps, for evaluation only."""
         self._judged = _NOT_JUDGED
-        """What the robots believed, and the verdicts then."""
+        """The beliefs that were evaluated last, and the verdicts on them."""
         self._standing = rewards.Standing.nothing(count)
         self._uneventful = rewards.terms(self._transition(self._standing, np.zeros(count, bool), 0.0), "team")
-        """The terms of a step in which nobody touches, sends or is judged."""
+        """Terms of a time step without contacts, messages and evaluation."""
         self.frames_of_step: list[Sequence[SensorFrame]] = []
-        """What was sensed in each time step of the last `step`."""
+        """`frames` of each time step of the last `step`."""
         self.frames: Sequence[SensorFrame]
-        """What each robot sensed in the last time step; robots that have failed have none."""
+        """What each robot sensed in the last time step; a failed robot has no frame."""
         self._shown: TeamFrames
-        """The same for observations: a row for each robot, in which those that have failed tell nothing."""
+        """The same for observations: one row per robot, with empty measurements for failed ones."""
         self.contacts: Contacts
-        """Who heard whom in the last time step."""
+        """Radio contacts between robots in the last time step."""
         frames = world.sense()
-        if FIRST_START.is_helped:  # it is with the engine: no need to wait for it yet
+        if FIRST_START.is_helped:  # compile the kernels of observations while the helper compiles the engine's
             first_observations(config, frames)
         self._think(frames)
         self._bytes_judged = self.bytes_sent
 
     @property
     def floorplan(self) -> Floorplan:
-        """The building, as it is."""
+        """The true floor plan."""
         return self.world.plan
 
     @cached_property
     def np_random(self) -> np.random.Generator:
-        """What wrappers around the environment may draw from; nothing in the episode does."""
+        """A random stream of the episode's seed for wrappers; not used by the episode itself."""
         return random_stream(self.seed, "wrappers")
 
     @property
     def bytes_sent(self) -> int:
-        """Bytes put on the air so far, by all robots."""
+        """Bytes sent so far by all robots."""
         return sum(self.engine.bytes_sent.values())
 
     def step(
         self, actions: Mapping[str, Any], agents: Sequence[str], watch: Callable[[Episode], None] | None = None
     ) -> list[dict[str, float]]:
-        """Act, sense, run SLAM, judge: one time step, or as many as the actions last; the reward terms of each robot.
+        """Act, sense, run SLAM, evaluate: one time step, or as many as the actions last.
 
-        `watch` is called after each time step. Raises ActionError for a malformed action; nothing has happened then.
+        Returns the reward terms of each robot, summed over the time steps. `watch` is called after each time step.
+        Raises ActionError for a malformed action; the state is unchanged then.
         """
         pilot = self.pilot
         if pilot is None:
@@ -121,7 +124,7 @@ class Episode:
                 return sums
 
     def observe(self) -> list[Any]:
-        """Each robot's observation; where one chooses among frontiers, they are worked out here."""
+        """The observation of each robot; first updates the goal candidates, with a pilot or a `frontiers` block."""
         pilot, looker, masks = self.pilot, self._looker, None
         if looker is None:
             return self._builder.build()
@@ -131,37 +134,37 @@ class Episode:
         return self._builder.build(looker.candidates, masks)
 
     def belief(self, robot: int) -> Belief:
-        """What one robot knows; estimates only."""
+        """What one robot knows: its map and pose. Estimates only."""
         return self.engine.belief(robot)
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_judged": _NOT_JUDGED}
 
     def verdicts(self) -> list[verdicts.GroupVerdict]:
-        """Every map that some robot believes in, judged as it is now: worked out once, whoever asks."""
-        believed = self.engine.beliefs()  # others as soon as the engine has done anything
+        """All maps of the team evaluated now, see `verdicts_of`; cached until the engine's next update."""
+        believed = self.engine.beliefs()  # a new object after each update of the engine
         if self._judged[0] is not believed:
             self._judged = believed, verdicts.verdicts_of(self.engine, self.record, self.floorplan.cells())
         return self._judged[1]
 
     def numbers(self) -> dict[str, float]:
-        """The figures of `result` that are one number each."""
+        """The scalar figures of `result`."""
         paths = evaluation.EpisodePaths.of(self.engine, self.record)
         return evaluation.numbers(
             self.config, self.seed, self.floorplan, self.engine, self.record, self.verdicts(), paths
         )
 
     def result(self) -> evaluation.EpisodeResult:
-        """Judge the episode so far against the truth."""
+        """Evaluate the episode so far against ground truth."""
         return evaluation.evaluate(self.config, self.seed, self.floorplan, self.engine, self.record, self.verdicts())
 
     def caption(self) -> str:
-        """One line on where the team stands, judged against the truth, for under a picture of it."""
+        """Caption of a picture: one line with time, merged robots and correctly mapped floor, from ground truth."""
         time_s = self.steps * self.config.dynamics.time_step_s
         return verdicts.told(self.verdicts(), self.floorplan.cells(), self.config.robots, time_s)
 
     def _tick(self, commands: Array) -> list[dict[str, float]]:
-        """One time step: the reward terms of each robot."""
+        """Advance by one time step; returns the reward terms of each robot."""
         if not (self._failures.is_nothing or self._failures.are_all_alive(self.steps)):
             is_alive = self._failures.is_alive(self.steps)
             self.world.anchor(np.flatnonzero(~is_alive))
@@ -172,7 +175,7 @@ class Episode:
         return self._judge()
 
     def _think(self, frames: TeamFrames) -> None:
-        """Front ends, link, mappers and what remembers for observations take in one set of frames."""
+        """Process the frames of one time step: link, front ends, mappers, record and memory of observations."""
         world, engine, failures = self.world, self.engine, self._failures
         self.frames, self._shown = frames, frames
         self.contacts = self._link.constant or self._link.contacts(world.poses_home)
@@ -193,13 +196,13 @@ class Episode:
         self._notice()
 
     def _notice(self) -> None:
-        """What the robots believe now, and what their observations must remember of it."""
+        """Store the present beliefs and update what observations remember."""
         self._beliefs = self.engine.beliefs()
         self._builder.notice(self._shown, self._beliefs)
 
     def _judge(self) -> list[dict[str, float]]:
         config, before, sent_before, contacts = self.config, self._standing, self._bytes_judged, self._touching
-        self._bytes_judged = self.bytes_sent
+        self._bytes_judged = sum(self.engine.bytes_sent.values())
         if self.is_over or self.steps % config.reward.period_steps == 0:
             last = self.verdicts() if self.is_over else ()
             self._standing = verdicts.standing(self.engine, self.record, self.floorplan.cells(), last)
@@ -209,5 +212,5 @@ class Episode:
         return rewards.terms(self._transition(before, contacts, sent), config.reward.sharing)
 
     def _transition(self, before: rewards.Standing, contacts: Array, bytes_per_robot: float) -> rewards.Transition:
-        """The time step from a standing to the present one."""
+        """The present time step; before: the potentials before it."""
         return rewards.Transition(before, self._standing, contacts, bytes_per_robot, self.config.max_cycles)

@@ -1,4 +1,4 @@
-"""What happened in an episode, step by step: truth beside the front ends' estimates. Only judges may read it."""
+"""Record of an episode per time step: ground truth and the front ends' estimates. For evaluation only."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twc_env.slam.growing import grown
 
 
 class EpisodeRecord(BindsAnew):
-    """What happened so far, step by step, kept for judging."""
+    """Poses, motions and contacts of all time steps so far, for evaluation."""
 
     def __init__(self, robots: int):
         self.count = 0
@@ -22,14 +22,15 @@ class EpisodeRecord(BindsAnew):
         self._kept: tuple[Array, ...] = (
             np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape, bool)
         )  # fmt: skip
-        """True pose, front-end pose, measured motion and contact of each step; grow."""
+        """(capacity, robots, ...) true pose, front-end pose, measured motion and contact of each step; enlarged on
+        demand."""
         self._run: Callable[..., None] | None = None
-        """`_note` with these."""
+        """`_note` bound to these arrays."""
         self.wrong_pairs: set[tuple[int, int]] = set()
         self.map_judges = MapJudges()
 
     def append(self, true_poses: Array, odom_poses: Array, motions: Array, contacts: Array) -> None:
-        """Note one step, one row per robot: true poses, front-end poses, measured motions (robots, 3), and contacts."""
+        """Append one step: true poses, front-end poses, measured motions (robots, 3); contacts (robots,) bool."""
         now = self.count, true_poses, odom_poses, motions, contacts
         if self.count == len(self._kept[0]):
             self._kept = tuple([grown(kept) for kept in self._kept])
@@ -41,27 +42,27 @@ class EpisodeRecord(BindsAnew):
 
     @property
     def bytes_held(self) -> int:
-        """What is kept takes so much room: as much for each step."""
+        """Size of the recorded steps [bytes]: proportional to their number."""
         return sum(kept[: self.count].nbytes for kept in self._kept)
 
     @property
     def contact_count(self) -> int:
-        """Contacts that began after the start, summed over robots."""
+        """Number of contacts that began after the start, summed over robots."""
         contacts = self._kept[3][: self.count]
         return int(np.count_nonzero(contacts[1:] & ~contacts[:-1]))
 
     @property
     def true_poses(self) -> Array:
-        """(steps + 1, robots, 3) building frame."""
+        """(steps + 1, robots, 3) in the building frame."""
         return self._kept[0][: self.count]
 
     @property
     def odom_poses(self) -> Array:
-        """(steps + 1, robots, 3) front-end estimate, each in its robot's odom frame."""
+        """(steps + 1, robots, 3) front-end estimates, each in its robot's odom frame."""
         return self._kept[1][: self.count]
 
     def odometry_poses(self) -> Array:
-        """(steps + 1, robots, 3) dead reckoning from the true start, building frame."""
+        """(steps + 1, robots, 3) dead reckoning from the true start poses, in the building frame."""
         poses = self.true_poses.copy()
         _reckon(self._kept[2][: self.count], poses)
         return poses
@@ -69,7 +70,7 @@ class EpisodeRecord(BindsAnew):
 
 @borrowing_kernel
 def _note(kept, step, true_poses, odom_poses, motions, contacts):
-    """Put what is known of a step where it is kept."""
+    """Write one step to the arrays of the record."""
     true, odom, motion, contact = kept
     for robot in range(contacts.shape[0]):
         for axis in range(3):

@@ -1,4 +1,4 @@
-"""Judge an episode: estimates against truth. Rewards and reports read this; engine and observations cannot."""
+"""Evaluation of an episode: estimates against ground truth. Engine and observations must not use it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ STUCK_RADIUS_M = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EpisodeResult:
-    """All that an episode left behind, truth included; for reports, pictures and exports."""
+    """All data of an episode, ground truth included; for reports, pictures and exports."""
 
     config: EnvConfig
     seed: int
@@ -43,7 +43,7 @@ class EpisodeResult:
     estimated_poses: Array
     """(steps + 1, robots, 3) final estimate, in the map frame of each robot's group."""
     odometry_poses: Array
-    """(steps + 1, robots, 3) dead reckoning alone, set off at the true start, in the building frame."""
+    """(steps + 1, robots, 3) dead reckoning from the true start poses, in the building frame."""
     groups: tuple[tuple[int, ...], ...]
     """Robots that share a map, largest group first; with one mapper per robot, those in the map of each robot."""
     viewers: tuple[tuple[int, ...], ...]
@@ -53,7 +53,8 @@ class EpisodeResult:
     pose_building_map: Array
     """(groups, 3) alignment of each group's map with the building."""
     closures: list[dict]
-    """Every verified closure: kind, status, reason, correct, target, source, target_m, source_m (building frame)."""
+    """Verified closures of the largest group's mapper: kind, status, reason, correct, target, source, and the estimated
+    positions target_m, source_m (building frame)."""
     graph: dict
     """The pose graph: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
 
@@ -61,9 +62,9 @@ class EpisodeResult:
 def progress(
     engine: Engine, record: EpisodeRecord, cells: Cells, verdicts: Sequence[GroupVerdict]
 ) -> tuple[list[dict], dict[str, float]]:
-    """What pictures over time show, by the same definitions as those of the report; leaves no mark on the record.
+    """Data for pictures over time, defined as in the report; does not modify the record.
 
-    Closures as in `EpisodeResult`, and figures.
+    Returns closures as in `EpisodeResult`, and figures.
     """
     paths, best = TeamPaths(engine, record.odom_poses), verdicts[0]
     estimated, alignment = paths.as_seen(), paths.alignment(record.true_poses)
@@ -83,20 +84,20 @@ def progress(
 
 
 class EpisodePaths(NamedTuple):
-    """Where the robots were, and where they are believed to have been; poses (steps + 1, robots, 3)."""
+    """True and estimated paths of all robots; poses (steps + 1, robots, 3)."""
 
     true: Array
     """In the building frame."""
     estimated: Array
-    """Each in the map that its robot sees."""
+    """Each in the map frame of its robot's group."""
     alignment: Array
-    """(robots, 3) what lays these maps on the building."""
+    """(robots, 3) rigid alignment of that map with the building."""
     reckoned: Array
-    """By dead reckoning alone from the true start, in the building frame."""
+    """Dead reckoning from the true start poses, in the building frame."""
 
     @classmethod
     def of(cls, engine: Engine, record: EpisodeRecord) -> EpisodePaths:
-        """As they are believed now."""
+        """The paths as estimated now."""
         paths, true = TeamPaths(engine, record.odom_poses), record.true_poses
         return cls(true, paths.as_seen(), paths.alignment(true), record.odometry_poses())
 
@@ -105,7 +106,7 @@ def numbers(
     config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord,
     verdicts: Sequence[GroupVerdict], paths: EpisodePaths,
 ) -> dict[str, float]:  # fmt: skip
-    """Every figure of the report that is one number; verdicts and paths: of the maps as they are now."""
+    """The scalar figures of the report; verdicts, paths: of the present maps. Adds wrong pairs to the record."""
     cells, best = floorplan.cells(), verdicts[0]
     for verdict in verdicts:
         record.wrong_pairs.update(verdict.wrong_pairs)
@@ -113,7 +114,7 @@ def numbers(
     score = _score(best.grid, best.pose_building_map, cells)
     robots = range(true.shape[1])
     taken, scans = _taken(engine, len(robots))
-    # The map that dead reckoning alone would give, its true relative starts given away, after one alignment.
+    # The map drawn at the dead-reckoned poses, whose relative start poses are the true ones, after one alignment.
     by_odometry = _score(_drawn_at(reckoned, taken, scans, config), metrics.lay_map(reckoned, true), cells)
     return {
         "robots": config.robots,
@@ -146,7 +147,7 @@ def evaluate(
     config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord,
     verdicts: Sequence[GroupVerdict],
 ) -> EpisodeResult:  # fmt: skip
-    """Every figure of the report and all that pictures and exports need; verdicts: of the maps as they are now."""
+    """All figures of the report and the data for pictures and exports; verdicts: of the present maps."""
     paths, best = EpisodePaths.of(engine, record), verdicts[0]
     true, estimated = paths.true, paths.estimated
     closures = _closures(engine, best, record, paths.alignment)
@@ -198,37 +199,37 @@ def _score(grid: GridMap, pose_building_map: Array, cells: Cells) -> metrics.Map
 
 
 def map_at(engine: Engine, poses: Array, config: EnvConfig) -> GridMap:
-    """The map that the keyframes' scans would give at other poses (steps + 1, robots, 3)."""
+    """The map of the keyframes' scans, drawn at other poses (steps + 1, robots, 3)."""
     return _drawn_at(poses, *_taken(engine, poses.shape[1]), config)
 
 
 def _taken(engine: Engine, robots: int) -> tuple[list[Array], Array]:
-    """The steps (k,) of each robot's keyframes, and all their scans (keyframes, beams), robot by robot."""
+    """Steps (k,) of each robot's keyframes, and all their scans (keyframes, beams) [m], ordered by robot."""
     steps, scans = zip(*(engine.mapper_of(robot).scans_of(robot) for robot in range(robots)), strict=True)
     return list(steps), np.array([scan for own in scans for scan in own])
 
 
 def _drawn_at(poses: Array, steps: list[Array], scans: Array, config: EnvConfig) -> GridMap:
-    """The map that scans (keyframes, beams) of these steps of each robot give at poses (steps + 1, robots, 3)."""
+    """The map of scans (keyframes, beams) drawn at poses (steps + 1, robots, 3); steps: of each robot's keyframes."""
     grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
     grid.integrate(_poses_of(poses, steps), scans)
     return grid.snapshot()
 
 
 def _poses_of(poses: Array, steps: list[Array]) -> Array:
-    """(keyframes, 3) of these steps of each robot, from poses (steps + 1, robots, 3)."""
+    """(keyframes, 3) rows of poses (steps + 1, robots, 3) at these steps of each robot, ordered by robot."""
     return np.concatenate([poses[taken, robot] for robot, taken in enumerate(steps)])
 
 
 def _closures(engine: Engine, best: GroupVerdict, record: EpisodeRecord, alignment: Array) -> list[dict]:
-    """The closures of the mapper behind the best map."""
+    """`EpisodeResult.closures`: those of the mapper of the best map; alignment (robots, 3) as `EpisodePaths`."""
     mapper = best.view.mapper
     viewer = best.view.viewers[0]
     if not mapper.closures:
         return []
     true_poses: list[Array] = []
     believed: list[Array] = []
-    """Of each robot the true poses of its keyframes, and where they are believed to be in the building (k, 2)."""
+    """Per robot: true poses (k, 3) of its keyframes, and their estimated positions (k, 2) in the building frame."""
     for robot in range(record.true_poses.shape[1]):
         shown = (mapper, alignment[viewer]) if robot in best.robots else (engine.mapper_of(robot), alignment[robot])
         believed.append(transform_points(shown[1], shown[0].poses_of(robot)[:, :2]))

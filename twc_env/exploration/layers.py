@@ -1,4 +1,4 @@
-"""Which parts of a picture are drawn, and the keys that switch them in a window."""
+"""Layers of a picture, and the keys that toggle them in a window."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ HELP = "T truth  M maps  C closures  P paths  S signal  1-9 one robot's map  0 a
 
 @dataclass(frozen=True, slots=True)
 class Layers:
-    """What a picture shows."""
+    """The layers to draw."""
 
     truth: bool = True
-    """The true walls and where the robots truly are."""
+    """True walls and true robot poses."""
     maps: bool = True
-    """What is believed: maps, and where the robots believe to be."""
+    """Estimated maps and estimated robot poses."""
     closures: bool = True
     paths: bool = True
     signal: bool = False
     robot: int | None = None
-    """Only the map that this robot believes in; None: everybody's."""
+    """Draw only the map that this robot uses; None: all maps."""
 
     def after(self, key: str) -> Layers:
-        """The layers once a key was pressed; keys that mean nothing change nothing."""
+        """The layers after a key press; other keys than those in `HELP` change nothing."""
         name = SWITCHES.get(key.lower())
         if name is not None:
             return replace(self, **{name: not getattr(self, name)})
@@ -39,7 +39,7 @@ SWITCHES = {"t": "truth", "m": "maps", "c": "closures", "p": "paths", "s": "sign
 
 
 def layered(scene: Scene, layers: Layers) -> Scene:
-    """The scene without the layers that are switched off; `signal` and `robot` were heeded when it was made."""
+    """The scene without the layers that are off, except `signal` and `robot`, which apply when the scene is made."""
     if not layers.truth:
         scene = replace(scene, walls=np.zeros_like(scene.walls), true_poses=np.zeros((0, 3)))
     if not layers.maps:

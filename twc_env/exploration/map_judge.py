@@ -1,9 +1,9 @@
-"""Judge maps time and again: where each lies in the building, whom it merges wrongly, how much of the floor it shows.
+"""Repeated evaluation of maps: alignment with the building, wrongly merged pairs, correctly mapped area.
 
-Which cells of a map lie on the building's floor is kept while the map lies where it lay. With that mask, measuring a
-map is a comparison of two grids, cell by cell, instead of looking up every cell of the floor; and only of those blocks
-of cells in which scans changed something since the last time. One compiled call does all of it for a map that has not
-moved.
+Which cells of a map lie on the building's floor is cached as a mask while the map's (rounded) alignment stays the same.
+With the mask the area is counted over the cells of the map, instead of sampling the map at each cell of the floor, and
+only in blocks of cells that scans have modified since the last evaluation. For a map that has not moved, one compiled
+call does all of it.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from twc_env.metrics.trajectory import align
 from twc_env.world.floor_cells import Cells
 
 PLACE_M, TURN_RAD = 0.02, 0.001
-"""A map's place in the building is rounded to these, so that its mask holds for long."""
+"""Resolution to which a map's alignment is rounded, so that its mask stays valid for longer."""
 JUDGED_MAX = 4000
-"""Of more keyframes than so many only every second is looked at while an episode runs, of twice as many every third,
-and so on, so that the time it takes does not grow with the way gone."""
+"""If a mapper has more keyframes than this, `_judge` uses every second one, with twice as many every third, and so on,
+which bounds its run time."""
 NOT_KNOWN = -1.0
-"""In place of a number: of wrong pairs, where there are no keyframes; of cells, where a map lies elsewhere."""
+"""Instead of the number of wrong pairs: there are no keyframes. Instead of the number of cells: the map has moved."""
 
 Nodes = tuple[Array, Array, Array, Array]
 """As `TeamMapper.nodes`."""
@@ -37,14 +37,14 @@ Pairs = tuple[tuple[int, int], ...]
 
 
 Judgement = tuple[list[float], Pairs, float]
-"""A map against the truth: x, y, heading of the one rigid alignment that lays it on the building; the pairs of its
-robots whose relative frame is off by more than 1 m or 10 degrees; and how much floor it shows rightly [m2]."""
+"""Evaluation of a map: x, y, heading of its rigid alignment with the building; pairs of its robots whose relative frame
+is wrong by more than 1 m or 10 degrees; correctly mapped area [m2]."""
 
 
 def lay(robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> tuple[Array, Pairs] | None:
-    """The pose (3,) that lays a group's map on the building, and its wrongly merged pairs; None without keyframes.
+    """Rigid alignment (3,) of a group's map with the building, and its wrongly merged pairs; None without keyframes.
 
-    nodes: of the mapper that has the map; true_poses (steps + 1, robots, 3).
+    nodes: of the mapper that holds the map; true_poses (steps + 1, robots, 3).
     """
     if not len(nodes[0]):
         return None
@@ -60,8 +60,8 @@ def _numbers(robots: tuple[int, ...]) -> Array:
 
 
 def _room_for(nodes: int, robots: int) -> tuple[Array, ...]:
-    """What `_lay_paths` works in: estimated and true poses, turns between these, whose they are, frames; of every node
-    the turn that it had last, with its cosine and sine; and which pairs are wrong."""
+    """Scratch arrays of `_lay_paths`: estimated and true poses, cosine and sine of their heading differences, robot of
+    each; frames of the robots; per node the latest heading difference with cosine and sine; which pairs are wrong."""
     return (
         np.empty((nodes, 3)), np.empty((nodes, 3)), np.empty((nodes, 2)), np.empty(nodes, np.int64),
         np.empty((robots, 3)), np.full((nodes, 3), math.nan), np.zeros((robots, robots), bool),
@@ -70,13 +70,12 @@ def _room_for(nodes: int, robots: int) -> tuple[Array, ...]:
 
 @borrowing_kernel
 def _collect(robots, poses, step_of_node, paths, lengths, truth, stride, estimated, true, turns, owner, latest):
-    """Estimated and true poses of some robots' keyframes, robot by robot, and whose they are; count and mean place.
+    """Collect estimated and true poses of some robots' keyframes, ordered by robot; returns count and mean position.
 
-    Of each robot the first, and every so manyth after it.
-
-    paths and lengths: which nodes are a robot's, and how many; truth (steps, robots, 3); poses, estimated, true (nodes,
-    3); turns (nodes, 2) as `turns_between` gives them; owner (nodes,): the robot's number among `robots`; latest
-    (nodes, 3): a node's turn, cosine and sine, worked out anew only for a node that has turned.
+    Of each robot, every `stride`-th keyframe from the first on. paths, lengths: nodes of each robot and their number;
+    truth (steps, robots, 3); poses, estimated, true (nodes, 3); turns (nodes, 2): cosine and sine as of
+    `turns_between`; owner (nodes,): index into `robots`; latest (nodes, 3): cache of each node's heading difference
+    with cosine and sine.
     """
     count, x, y = 0, 0.0, 0.0
     for a in range(robots.shape[0]):
@@ -99,7 +98,8 @@ def _collect(robots, poses, step_of_node, paths, lengths, truth, stride, estimat
 
 @borrowing_kernel
 def _lay_paths(robots, poses, step_of_node, paths, lengths, truth, stride, room, pose):
-    """See `lay`, by every so manyth keyframe; marks wrong pairs in the last array of the room, gives their number."""
+    """`lay` with every `stride`-th keyframe: writes pose (3,), marks wrong pairs in the last scratch array, and returns
+    their number, or `NOT_KNOWN` without keyframes."""
     estimated, true, turns, owner, frames, latest, is_wrong = room
     count, x, y = _collect(
         robots, poses, step_of_node, paths, lengths, truth, stride, estimated, true, turns, owner, latest
@@ -118,9 +118,9 @@ def _lay_paths(robots, poses, step_of_node, paths, lengths, truth, stride, room,
 def _judge(
     room, place, mask, known, counts, result, robots, poses, step_of_node, paths, lengths, truth, log_odds, touched
 ):  # fmt: skip
-    """Write to `result` (5,) how the map lies, how many pairs are wrong, and how many free cells lie on the floor.
+    """Write to result (5,): alignment of the map, number of wrong pairs, number of free cells on the floor.
 
-    The last is `NOT_KNOWN` where the map does not lie at the place (3,) that the mask belongs to.
+    The last is `NOT_KNOWN` if the rounded alignment differs from place (3,), to which the mask belongs.
     """
     stride = 1 + poses.shape[0] // (JUDGED_MAX + 1)
     result[3] = _lay_paths(robots, poses, step_of_node, paths, lengths, truth, stride, parts_of(room), result[:3])
@@ -131,10 +131,10 @@ def _judge(
 
 
 class _Held:
-    """What is kept of a map while it lies at one place. A grid that has grown is another one."""
+    """Mask and counts of a map at one place; not valid for a grid that has grown, which is a new GridMap."""
 
     def __init__(self, grid: GridMap, place: tuple[int, int, int], cells: Cells):
-        """place: where it lies, in steps of `PLACE_M` and `TURN_RAD`."""
+        """place: rounded alignment, in units of `PLACE_M` and `TURN_RAD`."""
         assert grid.touched is not None
         self.grid, self.place = grid, place
         rounded = np.array([place[0] * PLACE_M, place[1] * PLACE_M, place[2] * TURN_RAD])
@@ -142,22 +142,22 @@ class _Held:
             grid.log_odds.shape, grid.origin_m, grid.resolution_m, rounded, cells.free, cells.origin_m,
             cells.resolution_m,
         )  # fmt: skip
-        """(rows, columns) bool: its cells that lie on the floor there."""
+        """(rows, columns) bool: cells of the map that lie on the building's floor."""
         self.known, self.counts = np.full(grid.touched.shape, -1), np.zeros(grid.touched.shape, np.int64)
-        """(blocks, blocks) `GridMap.touched` when blocks were counted last, -1 for never; free cells on the floor."""
+        """(blocks, blocks) `GridMap.touched` at each block's last count, -1: never; its free cells on the floor."""
         self.arguments = np.array(place, float), self.mask, self.known, self.counts
-        """For `_judge`."""
+        """Arguments of `_judge`."""
 
 
 class MapJudges:
-    """What is kept of each map that is judged again; it follows from the maps, so copies may begin without any."""
+    """Evaluates maps, with a cache per map. The cache can be computed from the maps, so copies start with none."""
 
     def __init__(self) -> None:
         self._held: dict[int, tuple[_Held, ...]] = {}
-        """Of each map the latest two: often it goes back and forth between two places."""
+        """By owner, the latest two places of its map, newest first: maps often alternate between two."""
         self._room: tuple[Array, ...] = ()
         self._run: Callable[..., None] | None = None
-        """`_judge` with that room."""
+        """`_judge` bound to the scratch arrays `_room`."""
         self._result = np.empty(5)
 
     def __reduce__(self):
@@ -166,14 +166,14 @@ class MapJudges:
     def judge(
         self, owner: int, robots: tuple[int, ...], nodes: Nodes, true_poses: Array, grid: GridMap, cells: Cells
     ) -> Judgement | None:
-        """Lay a map of these robots on the building and measure it as `correct_area_m2`; None without keyframes.
+        """Align the map of these robots with the building and measure its `correct_area_m2`; None without keyframes.
 
-        owner: whose map it is, of those of which something is kept; nodes, true_poses: as in `lay`.
+        owner: key of the map in the cache; nodes, true_poses: as in `lay`.
         """
         kept = self._held.get(owner)
         if kept and kept[0].grid is grid:
             x, y, turn, wrong, count = self._judge_again(kept[0], robots, nodes, true_poses)
-            if wrong == 0.0:  # who is merged wrongly, which is rare, is not told by numbers alone
+            if wrong == 0.0:  # otherwise, which is rare, `lay` below names the pairs
                 pose = [x, y, turn]
                 if count == NOT_KNOWN:
                     return pose, (), self.correct_area_m2(owner, grid, pose, cells)
@@ -185,7 +185,7 @@ class MapJudges:
         return pose, laid[1], self.correct_area_m2(owner, grid, pose, cells)
 
     def _judge_again(self, held: _Held, robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> list[float]:
-        """What `_judge` says of a map that is kept."""
+        """The result (5,) of `_judge` for a cached map."""
         if not self._room or len(nodes[0]) > len(self._room[0]):
             self._room, self._run = _room_for(2 * len(nodes[0]), true_poses.shape[1]), None
         now = (
@@ -200,7 +200,7 @@ class MapJudges:
     def correct_area_m2(
         self, owner: int, grid: GridMap, pose_building_map: Sequence[float] | Array, cells: Cells
     ) -> float:
-        """`metrics.correct_area_m2` with a rounded pose, counting cells of the map instead of the floor."""
+        """`metrics.correct_area_m2` with the rounded alignment, counted over cells of the map instead of the floor."""
         x, y, turn = pose_building_map
         place = round(x / PLACE_M), round(y / PLACE_M), round(turn / TURN_RAD)
         kept = self._held.get(owner, ())
@@ -209,7 +209,7 @@ class MapJudges:
                 break
         else:
             held = _Held(grid, place, cells)
-        if not kept or held is not kept[0]:  # the latest first
+        if not kept or held is not kept[0]:  # newest first
             self._held[owner] = (held, *[other for other in kept[:2] if other is not held][:1])
         count: int = recount_free(grid.log_odds, held.mask, grid.touched, held.known, held.counts)
         return count * grid.resolution_m**2

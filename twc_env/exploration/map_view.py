@@ -1,4 +1,4 @@
-"""Pictures of a believed map for learners: what lies around one robot, and the whole map shrunk to fit."""
+"""Images of estimated maps for learning agents: an egocentric crop, and the whole map downscaled."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ FREE, WALL, UNKNOWN, FRONTIER, PATH, MATES, SIGNS = range(7)
 CHANNELS = 7
 _BYTE = np.dtype(np.uint8)
 OUTSIDE = np.uint32(2**32 - 1)
-"""In place of the number of a cell."""
+"""Instead of a pixel's index: the point lies outside the image."""
 OVERVIEW_CHANNELS = 4
 """Free, wall, this robot, mates."""
 
 
 def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float) -> Array:
-    """(7, cells, cells) uint8, 0 or 255: the robot in the middle looks along +column; the last three stay empty.
+    """(7, cells, cells) uint8, 0 or 255: the map around a robot, which faces +column; the last three channels stay 0.
 
-    A cell shows what stands in the square of four cells of the map around its middle. It is a frontier when it is free
-    and has an unknown neighbour in the crop.
+    A pixel shows the kind (`note_kinds`) of the 2 x 2 map cells around its centre. It is a frontier if it is free and
+    one of its four neighbours in the crop is unknown; never at the border of the crop.
     """
     out = np.zeros((CHANNELS, cells, cells), np.uint8)
     x, y = (pose_map_robot[:2] - grid.origin_m).tolist()
@@ -40,38 +40,39 @@ def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float)
 
 
 class BelievedMaps(NamedTuple):
-    """What `MapViews` look up of the maps of robots 0, 1, ...; robots may share them."""
+    """The maps of robots 0, 1, ... as `MapViews` reads them; robots may share a map."""
 
     kinds: tuple[Array, ...]
-    """What stands in each cell of each robot's map, see `cell_kinds`; all of one type."""
+    """Per robot (rows, columns) uint8 kinds of the cells of its map, see `cell_kinds`."""
     places: Array
-    """(robots, 3) x and y of its lower left corner [m], and how many cells go into a metre."""
+    """(robots, 3) x and y of its lower left corner [m], and cells per metre."""
     signs: tuple[Array, ...]
-    """(2, k) the signs on it."""
+    """Per robot (2, k) positions of signs [m] in its map frame."""
 
     @classmethod
     def of(cls, grids: Sequence[GridMap], signs: Sequence[Array]) -> BelievedMaps:
-        """The same of grids, and of the signs (2, k) on each."""
+        """From the grid of each robot, and the signs (2, k) on it."""
         places = [(*grid.origin_m.tolist(), 1.0 / grid.resolution_m) for grid in grids]
         return cls(tuple(map(_kinds, grids)), np.array(places), tuple(signs))
 
 
 class MapViews(BindsAnew):
-    """Pictures of what lies around each robot, with its path, mates and signs."""
+    """Draws the egocentric map image of each robot, with its path, mates and signs."""
 
     def __init__(self, cells: int, cell_m: float, paths_odom: Array, path_counts: Array, mates: Array):
-        """paths_odom (robots, >= 2, k): rings that hold the latest of `path_counts` places, NaN for none; mates
-        (robots, >= 2, m): where each robot sees them, likewise. All three are looked at whenever a picture is drawn.
+        """These arrays are read at each `draw`: paths_odom (robots, >= 2, k) ring buffers with the latest of
+        `path_counts` (robots,) positions in the odom frame; mates (robots, >= 2, m) positions in the robot frame. NaN
+        for none.
         """
         self._shape = len(paths_odom), CHANNELS, cells, cells
         self._kept = paths_odom, path_counts, mates, float(cell_m)
         self._run: Callable[..., None] | None = None
-        """`_crop_and_mark` with these, and with room to work in."""
+        """`_crop_and_mark` bound to these and to scratch arrays."""
 
     def draw(self, maps: BelievedMaps, poses: Array) -> Array:
-        """`crop_around` of each robot with its last three channels filled too: (robots, 7, cells, cells) uint8.
+        """(robots, 7, cells, cells) uint8: `crop_around` of each robot, and its path, mates and signs.
 
-        poses (robots, 3, 3): in the map frame, its spread, in the odom frame.
+        poses (robots, 3, 3): pose in the map frame, its standard deviation, pose in the odom frame.
         """
         out = np.empty(self._shape, _BYTE)
         if self._run is None:
@@ -82,7 +83,7 @@ class MapViews(BindsAnew):
 
 
 def _make_room(size: int) -> tuple[Array, ...]:
-    """What `_look_around` and `_mark` work in."""
+    """Scratch arrays of `_look_around` and `_mark`."""
     count = size * size
     shapes = (count, np.uint8), ((2, size), np.int64), ((6, size), np.uint32), (count, np.uint32)
     return tuple([np.empty(shape, kind) for shape, kind in shapes])
@@ -93,9 +94,10 @@ def _kinds(grid: GridMap) -> Array:
 
 
 def shrink(grid: GridMap, cells: int) -> tuple[Array, Array, float]:
-    """The known part of a grid as (2, cells, cells) uint8: share of free and of wall cells, north up as in the grid.
+    """The known part of a grid, downscaled to (2, cells, cells) uint8; row 0 is the lowest y.
 
-    Also the map-frame corner (2,) of its cell [0, 0] and the length of one of its cells [m].
+    Channels, as a share of 255: free cells per area; wall cells per side length of a pixel, at most 1.
+    Also returns the map-frame corner (2,) of pixel [0, 0] and the side length of a pixel [m].
     """
     out = np.zeros((2, cells, cells), np.uint8)
     row, column, factor = _shrink(grid.log_odds, out)
@@ -105,10 +107,10 @@ def shrink(grid: GridMap, cells: int) -> tuple[Array, Array, float]:
 
 @borrowing_kernel
 def _mark(channel, points, count, x, y, heading, inverse_m, numbers):
-    """Set the cells of channel (cells, cells) under the first points of (2, k), seen from a pose in their frame.
+    """Set the pixels of channel (cells, cells) at the first `count` points of (2, k), seen from a pose in their frame.
 
-    Which cells these are is worked out for several points at once, as many as there are numbers, and only then are
-    they set.
+    numbers: scratch. Pixel indices are computed for a batch of its length, which is vectorised, before any pixel is
+    set.
     """
     size, flat = channel.shape[0], channel.reshape(-1)
     c, s = math.cos(heading) * inverse_m, math.sin(heading) * inverse_m
@@ -130,7 +132,7 @@ def _mark(channel, points, count, x, y, heading, inverse_m, numbers):
 
 @kernel
 def _shrink(log_odds, out):
-    """Returns the first row and column of the known box, and how many grid cells go into one of `out`."""
+    """Fill `out`, see `shrink`; returns first row and column of the known cells' box, and grid cells per pixel."""
     height, width = log_odds.shape
     size = out.shape[1]
     low_r, high_r, low_c, high_c = height, -1, width, -1
@@ -159,7 +161,10 @@ def _shrink(log_odds, out):
 
 @borrowing_kernel
 def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, room):
-    """The kinds of cells around a place, robot in the middle and looking along +column."""
+    """Write to room[0] the kinds of the cells around a pose, which is in the middle and faces +column.
+
+    x, y: from the grid's lower left corner [m]; inverse_m: cells per metre; cell_m: size of a pixel.
+    """
     levels, firsts, scratch, numbers = room
     height, width = kinds.shape
     step = cell_m * inverse_m
@@ -193,9 +198,9 @@ def _look_around(kinds, x, y, heading, inverse_m, cell_m, size, room):
 
 @borrowing_kernel
 def _crop(kinds, x, y, heading, inverse_m, cell_m, room, out):
-    """Egocentric view: out[FREE], WALL, UNKNOWN, FRONTIER (255 or 0); the others are emptied.
+    """Fill the channels FREE, WALL, UNKNOWN and FRONTIER of out with 0 or 255, the others with 0.
 
-    Looking up stands apart from comparing, because only the latter gains from being done for many cells at once.
+    Look-ups and comparisons are separate loops, because only the latter can be vectorised.
     """
     size = out.shape[1]
     flat, count = out.reshape(-1), size * size
@@ -224,7 +229,7 @@ def _crop(kinds, x, y, heading, inverse_m, cell_m, room, out):
 
 @borrowing_kernel
 def _crop_and_mark(kept, kinds, places, signs, poses, out):
-    """All channels of all robots: what lies around each, its path, mates and signs."""
+    """Fill all channels of all robots: map, path, mates and signs."""
     paths, path_counts, mates, cell_m, levels, firsts, scratch, numbers = parts_of(kept)
     inverse_m, room = 1.0 / cell_m, (levels, firsts, scratch, numbers)
     for i in range(len(kinds)):

@@ -1,4 +1,4 @@
-"""The blocks of an observation: which a config asks for, their shapes and ranges."""
+"""The blocks of an observation: which a config enables, their shapes and ranges."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from twc_env.exploration import map_view
 POSE_LIMITS = np.array([1000.0, 1000.0, 1.0, 1.0, 100.0, 100.0, math.pi, 10_000.0], np.float32)
 POSE_LOWEST = POSE_LIMITS * np.array([-1, -1, -1, -1, 0, 0, 0, 0], np.float32)
 EXTRA_CHOICES = ("sign", "mate", "stay")
-"""What the choice among frontiers offers besides frontiers, in this order."""
+"""Choices that follow the frontiers in the action space, in this order."""
 
 
 def block_spaces(config: EnvConfig) -> dict[str, spaces.Space]:
-    """The blocks that the config asks for, in order."""
+    """Spaces of the blocks that the config enables, in the order of the observation."""
     shape, mates = config.observation, max(config.robots - 1, 1)
     chooses = config.action.kind == "frontier"
     slots = config.action.frontier_slots
@@ -54,6 +54,6 @@ def observation_space(config: EnvConfig) -> spaces.Dict | spaces.Box:
 
 
 def joined(blocks: dict[str, Array]) -> Array:
-    """All blocks in one vector of float32, pictures scaled to [0, 1]."""
+    """All blocks concatenated to one float32 vector, images scaled to [0, 1]."""
     parts = [np.ravel(b) / np.float32(255.0) if b.dtype == np.uint8 else np.ravel(b) for b in blocks.values()]
     return np.concatenate(parts).astype(np.float32) if parts else np.zeros(0, np.float32)

@@ -1,4 +1,4 @@
-"""What agents see: a function of sensor frames and estimates alone. No truth is among its arguments."""
+"""Observations of agents: functions of sensor frames and estimates only; no ground truth is among their arguments."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from twc_env.slam.dead_reckoning import DeadReckoning
 from twc_env.team_messages import TeamBeliefs, TeamFrames
 
 _USUAL = "lidar", "map", "pose", "wifi", "signs", "team"
-"""The blocks of most observations."""
+"""The blocks that are enabled by default."""
 
 
 class ObservationBuilder:
-    """Builds the observations of a team. A block of all robots is one new array, of which each robot gets a row."""
+    """Builds the observations of a team. Most blocks are computed as one new array, of which each robot gets a row."""
 
     def __init__(self, config: EnvConfig):
         self._config = config
@@ -46,12 +46,12 @@ class ObservationBuilder:
         )
         self._seen_of: tuple[Sequence[GridMap] | None, list[Array]] = None, self._signs.places
         self._seen = map_view.BelievedMaps.of([], [])
-        """What pictures show of those grids and places of signs; a grid that has grown is another one."""
+        """The maps for the grids and sign positions in `_seen_of`; a grid that has grown is a new object."""
         self._overviews: list[tuple[GridMap, bytes, tuple[Array, Array, float]]] = []
-        """The latest maps that were shrunk, with what was known of them then (`GridMap.touched`)."""
+        """The latest grids, with the `GridMap.touched` of which the downscaled map was made."""
 
     def notice(self, frames: Sequence[SensorFrame], beliefs: Sequence[Belief]) -> None:
-        """Take in one step of all robots, whether or not observations are built of it: path, radio and readings."""
+        """Update paths, WiFi slots and sign readings with one step; needed also if no observation is built."""
         sensed = frames if isinstance(frames, TeamFrames) else TeamFrames.of(frames)
         self._beliefs = TeamBeliefs.of(beliefs)
         self._small.notice(sensed, self._beliefs)
@@ -61,13 +61,13 @@ class ObservationBuilder:
     def build(
         self, candidates: Sequence[Candidates] | None = None, masks: Sequence[Array] | None = None
     ) -> list[dict[str, Array]] | list[Array]:
-        """The observation of each robot after the step that was noticed last; `masks`: its choices that count."""
+        """The observation of each robot after the last step given to `notice`; `masks`: its action mask."""
         beliefs, names = self._beliefs, self._names
         self._signs.know(beliefs.signs)
         rows = self._small.build()
         if names == _USUAL and not self._is_flat:
             return _usual(rows, self._maps())
-        # Not before: the map shows where the mates are.
+        # after the small blocks, which compute the mates' positions that the map shows
         blocks: list[tuple[str, Sequence[Array] | Array]] = [(name, make(self)) for name, make in self._makers]
         if "frontiers" in names:
             slots, lists = self._config.action.frontier_slots, candidates or [NOTHING] * len(beliefs)
@@ -97,7 +97,7 @@ class ObservationBuilder:
         return self._views.draw(self._seen, beliefs.poses)
 
     def _radio_maps(self) -> list[Array]:
-        """Probably free, probably wall around each robot, from signal strength alone."""
+        """(2, cells, cells) per robot: probably free, probably wall around it, estimated from RSSI alone."""
         cells, cell_m = self._map_cells, self._map_cell_m
         return [
             np.zeros((2, cells, cells), np.uint8)
@@ -121,7 +121,7 @@ class ObservationBuilder:
         return out
 
     def _shrunk(self, grid: GridMap) -> tuple[Array, Array, float]:
-        """`map_view.shrink`, done anew only for a map in which scans have changed something."""
+        """`map_view.shrink`, computed again only if scans have changed the grid."""
         known = b"" if grid.touched is None else grid.touched.tobytes()
         others = [held for held in self._overviews if held[0] is not grid]
         for held in self._overviews:
@@ -133,7 +133,7 @@ class ObservationBuilder:
 
 
 def _usual(rows: Sequence[tuple[Array, ...]], maps: Array) -> list[dict[str, Array]]:
-    """The usual blocks of each robot: a dict whose names stand in the code is made sooner than one filled in a loop."""
+    """The default blocks of each robot; a dict literal is faster than a dict filled in a loop."""
     seen = []
     for row, around in zip(rows, maps, strict=False):
         lidar, pose, wifi, signs, team = row
@@ -142,7 +142,7 @@ def _usual(rows: Sequence[tuple[Array, ...]], maps: Array) -> list[dict[str, Arr
 
 
 def first_observations(config: EnvConfig, frames: TeamFrames) -> list[dict[str, Array]] | list[Array]:
-    """What robots would see after their first frames that have no map yet."""
+    """Observations after the first frames, with empty maps; compiles the kernels of observations."""
     engine, builder = DeadReckoning(config, len(frames)), ObservationBuilder(config)
     engine.track(frames)
     builder.notice(frames, engine.beliefs())

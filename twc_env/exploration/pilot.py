@@ -1,4 +1,4 @@
-"""Carry out actions that last: waypoints and frontiers are planned and followed on each robot's estimated map."""
+"""Actions that last many time steps: waypoints and frontiers, planned and followed on each robot's estimated map."""
 
 from __future__ import annotations
 
@@ -24,18 +24,17 @@ SIGN, MATE, STAY = (EXTRA_CHOICES.index(name) for name in ("sign", "mate", "stay
 
 
 def waypoint_space() -> spaces.Box:
-    """(2,) a goal in the robot frame, in units of `action.waypoint_reach_m`."""
+    """(2,) goal ahead and to the left in the robot frame, in units of `action.waypoint_reach_m`."""
     return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
 
 def frontier_space(config: ActionConfig) -> spaces.Discrete:
-    """Which candidate: the frontiers in the order of the `frontiers` block, then sign, mate, stay."""
+    """Index of a choice: frontiers in the order of the `frontiers` block, then sign, mate, stay."""
     return spaces.Discrete(config.frontier_slots + len(EXTRA_CHOICES))
 
 
 class Scout:
-    """Keeps a list of candidates of each robot that is never older than `observation.frontier_period_s`, nor of an
-    earlier map."""
+    """Keeps the goal candidates of each robot: updated every `observation.frontier_period_s` and when its map jumps."""
 
     def __init__(self, config: EnvConfig, finder: PathFinder | None = None):
         self._config = config
@@ -51,7 +50,7 @@ class Scout:
         is_due: Sequence[bool] | Array = (),
         terrains: dict[tuple[float, GridMap], Terrain] | None = None,
     ) -> None:
-        """Work out anew the lists of robots for which `is_due` (robots,), and those that are old or of another map.
+        """Update the candidates of robots for which `is_due` (robots,), and those that are old or of another map.
 
         terrains: as in `terrain_of`.
         """
@@ -67,7 +66,7 @@ class Scout:
 
 
 class Pilot:
-    """Drives the whole team through one episode's decisions."""
+    """Executes the waypoint or frontier actions of all robots in one episode."""
 
     def __init__(self, config: EnvConfig, is_alive: Array | None = None):
         """is_alive: (robots,) bool, by default all."""
@@ -77,7 +76,7 @@ class Pilot:
         self._drivers = [Driver(config.dynamics, self._finder) for _ in range(count)]
         self._scout = Scout(config, self._finder)
         self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()
-        """(robots,) whose action counts in the next step; the others are still busy with their last one."""
+        """(robots,) whether the robot's action counts in the next step; if not, it still executes its last one."""
         self._stay_until = np.zeros(count, np.int64)
         self._terrains: dict[tuple[float, GridMap], Terrain] = {}
         self._ticks = 0
@@ -86,11 +85,11 @@ class Pilot:
 
     @property
     def candidates(self) -> list[Candidates]:
-        """What each robot may choose from now; of a busy robot, what it sees meanwhile."""
+        """Goals that each robot can choose; of a busy robot, for its observation only."""
         return self._scout.candidates
 
     def mask(self, robot: int) -> Array:
-        """(choices,) int8, 1 where a choice can be made. A busy robot can only go on, which is `stay`."""
+        """(choices,) int8, 1 for valid choices. The only one of a busy robot is `stay`, which means continue."""
         slots = self._action.frontier_slots
         mask = np.zeros(slots + len(EXTRA_CHOICES), np.int8)
         mask[slots + STAY] = 1
@@ -102,15 +101,14 @@ class Pilot:
         return mask
 
     def look(self, beliefs: Sequence[Belief]) -> None:
-        """Work out what robots that decide now may choose from."""
+        """Update the candidates of the robots that decide now."""
         self._terrains.clear()
         self._scout.look(beliefs, self.is_deciding, self._terrains)
 
     def assign(self, actions: Mapping[str, object], agents: Sequence[str], beliefs: Sequence[Belief]) -> None:
-        """Give robots that decide their new goals.
+        """Set the goals of the robots that decide; actions of the others are only checked.
 
-        Raises ActionError for a malformed action; then nothing is changed. A frontier, sign or mate that
-        the mask rules out counts as `stay`.
+        Raises ActionError for a malformed action; nothing is changed then. A masked choice counts as `stay`.
         """
         check_agents(actions, agents)
         is_waypoint = self._action.kind == "waypoint"
@@ -134,7 +132,7 @@ class Pilot:
         )
 
     def is_decision_due(self, is_alive: Array) -> bool:
-        """Whether the step is over; then `is_deciding` says for whom. Robots that have failed are not waited for.
+        """Whether the step ends now; if so, updates `is_deciding`. Failed robots are not waited for and never decide.
 
         is_alive: (robots,) bool.
         """
@@ -148,7 +146,7 @@ class Pilot:
         return bool(due)
 
     def _goal_of(self, robot: int, value, belief: Belief) -> tuple[str, Array] | None:
-        """Kind and place (map frame) of what an action means; None: stay."""
+        """Kind and position (2,) in the map frame of the goal of an action; None: stay."""
         if self._action.kind == "waypoint":
             offset = np.asarray(value, float) * self._action.waypoint_reach_m
             wanted = transform_points(belief.pose_map_robot, offset[None])[0]
@@ -176,9 +174,9 @@ class Pilot:
 
 
 def terrain_of(known: dict[tuple[float, GridMap], Terrain], belief: Belief, radius_m: float) -> Terrain:
-    """The robot's map read for robots of a radius; looked up in `known` first, which must be of this moment.
+    """The terrain of the robot's grid for robots of this radius; `known` caches the terrains of the present step.
 
-    Robots may know each other and yet hold different maps (`link.topology = "peer"`): the map is what is looked up.
+    The key is the grid, not the group: robots of one group may hold different maps (`link.topology = "peer"`).
     """
     key = radius_m, belief.grid
     if key not in known:
@@ -188,7 +186,7 @@ def terrain_of(known: dict[tuple[float, GridMap], Terrain], belief: Belief, radi
 
 def _waypoint(action, agent: str, size: int) -> Array:
     goal = action_array(action)
-    # NaN fails the comparison too.
+    # The comparison is False for NaN.
     if goal.shape != (size,) or goal.dtype.kind not in "fiu" or not np.all(np.abs(goal) <= 1.0 + 1e-6):
         raise ActionError(
             f"action of {agent!r} must be 2 finite numbers (goal ahead, to the left) in [-1, 1]; got {action!r}"

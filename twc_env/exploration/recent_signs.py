@@ -1,4 +1,4 @@
-"""The signs that each robot read of late, and how many other places each text is known from."""
+"""The latest sign readings of each robot, and from how many other places each text is known."""
 
 from __future__ import annotations
 
@@ -18,23 +18,24 @@ _NO_PLACES = np.zeros((2, 0))
 
 
 class RecentSigns(BindsAnew):
-    """The latest readings of all robots, and where each robot knows signs to be."""
+    """The latest sign readings of all robots, and the signs in each robot's map."""
 
     def __init__(self, robots: int, slots: int):
         self.readings = np.zeros((robots, slots, 4))
-        """Newest first: time, x and y in the odom frame, and in how many other places the text is known."""
+        """(robots, slots, 4), newest first: time [s], x and y [m] in the odom frame, number of other places of the
+        text."""
         self.readings[:, :, 0] = -math.inf
         self.places = [_NO_PLACES] * robots
-        """Of each robot (2, k): the signs that it knows, in the map frame; another list when one of them changes."""
+        """Per robot (2, k) positions of its known signs in the map frame; a new list whenever one of them changes."""
         self._texts: list[list[str]] = [[] for _ in range(robots)]
         self._known: Sequence[Sequence[KnownSign]] = ()
         self._known_of: list[Sequence[KnownSign]] = [()] * robots
         self._text_counts: list[Counter[str]] = [Counter()] * robots
         self._run: Callable[..., None] | None = None
-        """`_note_reading` with the readings."""
+        """`_note_reading` bound to `readings`."""
 
     def remember(self, poses: Array, time_s: float, signs: Sequence[tuple[SignReading, ...]]) -> None:
-        """Take in what each robot read in a step; poses as `TeamBeliefs` has them."""
+        """Add each robot's readings of one step; poses: `TeamBeliefs.poses`."""
         slots = self.readings.shape[1]
         for robot, own in enumerate(signs):
             if not own:
@@ -50,7 +51,7 @@ class RecentSigns(BindsAnew):
             self._texts[robot] = texts
 
     def know(self, signs: Sequence[Sequence[KnownSign]]) -> None:
-        """Take over the signs that each robot knows now; the same objects as before have not changed."""
+        """Update the known signs of each robot; an object that is the same as before is taken as unchanged."""
         if signs is self._known:
             return
         self._known = signs
@@ -58,7 +59,7 @@ class RecentSigns(BindsAnew):
         for robot, own in enumerate(signs):
             if own is self._known_of[robot]:
                 continue
-            if own is not latest:  # mates of one group know the same
+            if own is not latest:  # robots of one group share the object
                 latest, known = own, KnownSigns.of(own)
                 places, counts = _index_of(tuple(known.texts), np.asarray(known.places_m, float).tobytes())
             self._known_of[robot] = own
@@ -71,13 +72,13 @@ class RecentSigns(BindsAnew):
 
 @lru_cache(maxsize=16)
 def _index_of(texts: tuple[str, ...], places_m: bytes) -> tuple[Array, Counter[str]]:
-    """Places (2, k) and how often each text is known; the same objects for the same signs, read again or by a mate."""
+    """Positions (2, k), and number of places per text; cached: equal signs give identical objects."""
     return np.frombuffer(places_m).reshape(-1, 2).T.copy(), Counter(texts)
 
 
 @borrowing_kernel
 def _note_reading(readings, poses, robot, time_s, bearing, away, elsewhere):
-    """Put a sign before the other readings of a robot."""
+    """Insert a sign as the newest reading of a robot; bearing [rad] and distance `away` [m] in the robot frame."""
     rows, angle = readings[robot], poses[robot, 2, 2] + bearing
     for k in range(rows.shape[0] - 1, 0, -1):
         for j in range(rows.shape[1]):

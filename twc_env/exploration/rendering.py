@@ -1,9 +1,9 @@
-"""Draw a moment of an episode as an RGB array: what is there, what the team believes, and who is where.
+"""Draw the state of an episode as an RGB image: ground truth, estimated maps, robots and loop closures.
 
-Truth is grey, belief lies over it: believed floor is white (tinted per group while the team has several maps),
-believed walls are dark. A filled disc is where a robot is, a ring where it believes to be. Green lines are closures
-that the team accepted, red dashes those it rejected; a new one is bold, and a rejected one fades away. The signal
-overlay shows the strongest access point, from dark violet (weak) to yellow (strong).
+Ground truth is grey. Estimated maps lie over it: floor white (tinted per group while the team has several maps), walls
+dark. A disc is a robot's true pose, a ring its estimated pose. Green lines are accepted closures, red dashed lines
+rejected ones; new ones are bold, and rejected ones fade out. The signal overlay shows the RSSI of the strongest access
+point, from dark violet (weak) to yellow (strong).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ COLOURS = np.array(
     ],
     np.uint8,
 )  # fmt: skip
-"""(colours, 3) of robots 0, 1, ... and of groups, by their first robot; told apart with any colour vision."""
+"""(colours, 3) of robots 0, 1, ... and of groups, by their first robot; distinct also with colour blindness."""
 _UNKNOWN = np.array([219, 222, 227], np.float64)
 _TRUE_WALL = np.array([158, 164, 173], np.float64)
 _FLOOR = np.array([255, 255, 255], np.float64)
@@ -42,7 +42,7 @@ _TINT = 0.16
 TRAIL_STEPS = 150
 ACCEPTED, REJECTED = np.array([0, 158, 115], np.float64), np.array([204, 51, 17], np.float64)
 FRESH_S = 5.0
-"""For so long a closure is seen as new."""
+"""Time for which a closure is drawn as new."""
 _OLD_ACCEPTED = 0.3
 _DASH_PX = 5.0
 _SIGNAL = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
@@ -51,21 +51,21 @@ _SIGNAL_OPACITY = 0.45
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosureLine:
-    """A loop closure between two places of the building."""
+    """A loop closure to draw."""
 
     ends_m: Array
-    """(2, 2), where its two keyframes are believed to be."""
+    """(2, 2) estimated positions of its two keyframes, in the building frame."""
     is_accepted: bool
     age_s: float
-    """For how long it has been accepted or rejected."""
+    """Time since it was accepted or rejected."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SignalLayer:
-    """How strong the best access point is."""
+    """RSSI of the strongest access point."""
 
     share: Array
-    """(rows, columns) [0, 1], NaN off the floor; row 0 is the lowest y."""
+    """(rows, columns) RSSI scaled to [0, 1], NaN off the floor; row 0 is the lowest y."""
     origin_m: Array
     """(2,) lower left corner of share[0, 0]."""
     cell_m: float
@@ -73,7 +73,7 @@ class SignalLayer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """All that a picture shows; every pose and point is in the building frame."""
+    """Contents of a picture; all poses and points are in the building frame."""
 
     walls: Array
     """(rows, columns) bool, the true walls; row 0 is the lowest y."""
@@ -83,15 +83,15 @@ class Scene:
     grids: tuple[GridMap, ...] = ()
     """One estimated map per group, the largest group first."""
     pose_building_map: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    """(groups, 3) where each group's map lies in the building."""
+    """(groups, 3) alignment of each group's map with the building."""
     true_poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(robots, 3)."""
     estimated_poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    """(robots, 3); NaN where a robot is in none of these maps."""
+    """(robots, 3); NaN for a robot that uses none of these maps."""
     groups: tuple[tuple[int, ...], ...] = ()
     """Robots of each group; a group's floor is tinted like its first robot. Empty: one map, no tint."""
     trails_m: tuple[Array, ...] = ()
-    """Per robot (k, 2) the way it came, oldest first."""
+    """Per robot (k, 2) its latest true positions, oldest first."""
     robot_radius_m: float = 0.2
     closures: tuple[ClosureLine, ...] = ()
     signal: SignalLayer | None = None
@@ -99,7 +99,7 @@ class Scene:
 
 @kernel
 def _paint_floor(image, left, top, metres, walls, wall_x, wall_y, wall_cell):
-    """Fill the image with ground truth; pixel (0, 0) is at (left, top)."""
+    """Fill the image with ground truth; its upper left corner is at (left, top) [m], a pixel is `metres` wide."""
     height, width, _ = image.shape
     rows, columns = walls.shape
     for v in range(height):
@@ -113,7 +113,7 @@ def _paint_floor(image, left, top, metres, walls, wall_x, wall_y, wall_cell):
 
 @kernel
 def _paint_grid(image, left, top, metres, log_odds, grid_x, grid_y, cell, pose_map_building, floor):
-    """Lay an estimated map over the image."""
+    """Paint the known cells of an estimated map over the image."""
     height, width, _ = image.shape
     rows, columns = log_odds.shape
     c, s = math.cos(pose_map_building[2]), math.sin(pose_map_building[2])
@@ -131,7 +131,7 @@ def _paint_grid(image, left, top, metres, log_odds, grid_x, grid_y, cell, pose_m
 
 @kernel
 def _paint_signal(image, left, top, metres, share, layer_x, layer_y, cell):
-    """Tint the floor by signal strength; dark pixels, which are walls, stay readable."""
+    """Tint the floor by signal strength; dark pixels (estimated walls) are left as they are."""
     height, width, _ = image.shape
     rows, columns = share.shape
     steps = _SIGNAL.shape[0] - 1
@@ -152,7 +152,7 @@ def _paint_signal(image, left, top, metres, share, layer_x, layer_y, cell):
 
 @kernel
 def _draw_line(image, u0, v0, u1, v1, half_width, colour, opacity):
-    """A smooth-edged line between two pixels; a point when both are equal."""
+    """Draw an anti-aliased line between two pixels; a disc if both are equal."""
     height, width, _ = image.shape
     reach = half_width + 1.0
     du, dv = u1 - u0, v1 - v0
@@ -169,7 +169,7 @@ def _draw_line(image, u0, v0, u1, v1, half_width, colour, opacity):
 
 @kernel
 def _draw_path(image, pixels, half_width, colour, fade):
-    """Lines through pixels (k, 2), the oldest at opacity `fade`."""
+    """Draw lines through pixels (k, 2), with opacity from about `fade` (oldest) to 0.9."""
     count = pixels.shape[0]
     for k in range(count - 1):
         opacity = fade + (0.9 - fade) * (k + 1) / count
@@ -178,7 +178,7 @@ def _draw_path(image, pixels, half_width, colour, fade):
 
 @kernel
 def _draw_ring(image, u0, v0, radius, half_width, colour):
-    """A smooth-edged circle."""
+    """Draw an anti-aliased circle."""
     height, width, _ = image.shape
     reach = radius + half_width + 1.0
     for v in range(max(0, int(v0 - reach)), min(height, int(v0 + reach) + 2)):
@@ -197,7 +197,7 @@ def scene_of(
     closures: tuple[ClosureLine, ...] = (),
     signal: SignalLayer | None = None,
 ) -> Scene:
-    """The present moment of an episode, every group's map laid on the building as well as one rigid motion can."""
+    """The present state of an episode; each group's map is aligned with the building by one rigid motion."""
     cells = floorplan.cells()
     true = record.true_poses
     estimated = np.full((true.shape[1], 3), np.nan)
@@ -220,7 +220,7 @@ def scene_of(
 
 
 def render(scene: Scene) -> Array:
-    """The picture (height, width, 3) uint8, north up, at most 900 pixels wide and high."""
+    """The picture (height, width, 3) uint8 with +y up, at most 900 pixels wide and high."""
     rows, columns = scene.walls.shape
     size_m = np.array([columns, rows]) * scene.resolution_m + 2 * MARGIN_M
     scale = float(min(WIDTH_MAX_PX / size_m[0], HEIGHT_MAX_PX / size_m[1], PIXELS_PER_METRE_MAX))
@@ -230,7 +230,7 @@ def render(scene: Scene) -> Array:
     walls = np.ascontiguousarray(scene.walls, dtype=bool)
     view = (float(left), float(top), 1.0 / scale)
     _paint_floor(image, *view, walls, float(scene.origin_m[0]), float(scene.origin_m[1]), float(scene.resolution_m))
-    for k in range(len(scene.grids) - 1, -1, -1):  # the largest group lies on top
+    for k in range(len(scene.grids) - 1, -1, -1):  # the largest group is painted last, on top
         _paint_estimate(image, view, scene, k)
     if scene.signal is not None:
         x, y = float(scene.signal.origin_m[0]), float(scene.signal.origin_m[1])
@@ -251,7 +251,7 @@ def _paint_estimate(image: Array, view: tuple, scene: Scene, group: int) -> None
 
 
 def _paint_closures(image: Array, view: tuple, scene: Scene) -> None:
-    """Oldest first, so that the new ones lie on top."""
+    """Draw closures, oldest first, so that new ones are on top."""
     for line in sorted(scene.closures, key=lambda line: -line.age_s):
         freshness = max(0.0, 1.0 - line.age_s / FRESH_S)
         first, last = _to_pixels(line.ends_m, view)
@@ -267,7 +267,7 @@ def _paint_closures(image: Array, view: tuple, scene: Scene) -> None:
 
 
 def _to_pixels(points_m: Array, view: tuple) -> Array:
-    """(k, 2) places of the building -> (k, 2) pixels, u to the right, v down."""
+    """(k, 2) points in the building frame -> (k, 2) pixels, u to the right, v down."""
     left, top, metres = view
     points_m = np.asarray(points_m, float)
     return np.column_stack([(points_m[:, 0] - left) / metres - 0.5, (top - points_m[:, 1]) / metres - 0.5])

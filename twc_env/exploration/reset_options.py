@@ -1,4 +1,4 @@
-"""What `reset` is given: a seed, and what holds for the coming episode alone."""
+"""Options of `reset`, which apply to one episode: start poses and building."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ NAMES = ("starts", "map", "split")
 
 
 def read_options(options: Mapping[str, Any] | None, seed: int) -> tuple[Any, str | None]:
-    """Starts as `World.reset` takes them, and the building to play in, None for the environment's own.
+    """Start poses for `World.reset`, and the name of the building; None: the environment's own.
 
-    Of a split, the seed draws the building. Options of other environments are ignored. Raises ConfigError for what
-    is no dict, for a misspelt name, and for a building that is named twice.
+    With a split, the seed draws the building. Options of other environments are ignored. Raises ConfigError if options
+    are not a dict, for a misspelt name, and for a map together with a split; MapError for an unknown split.
     """
     if not isinstance(options, (Mapping, NoneType)):
         raise ConfigError(f"reset options must be a dict, such as {{'map': 'twin-02'}}; got {options!r}")

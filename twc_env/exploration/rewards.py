@@ -117,7 +117,7 @@ def weigh(values: Sequence[dict[str, float]], weights: Sequence[tuple[str, float
     rewards: list[float] = []
     weighed, reward = None, 0.0
     for own in values:
-        if own is not weighed:  # many robots share one
+        if own is not weighed:  # robots with equal terms share a dict
             weighed, reward = own, 0.0
             for name, weight in weights:
                 reward += weight * own[name]

@@ -1,4 +1,4 @@
-"""How much of the building's floor the robots truly saw."""
+"""Share of the building's floor that the robots actually observed."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from twc_env.world.floor_cells import Cells
 
 
 def seen_share(true_poses: Array, scans: Array, config: EnvConfig, cells: Cells) -> float:
-    """Share of the explorable floor that scans (k, beams) taken at these poses (k, 3) saw through or met.
+    """Share of the explorable floor that scans (k, beams) [m] taken at these true poses (k, 3) observed.
 
-    As a map would show that is drawn of them.
+    Observed are the cells that a map drawn from the scans at these poses marks as free or wall.
     """
     if len(scans) == 0:
         return 0.0
@@ -40,7 +40,7 @@ def _see(
     seen, origin_x, origin_y, inverse_m, poses, directions, scans, range_max, marks, is_inside, corners, edges, rows,
     cells,
 ):  # fmt: skip
-    """Set the bits of the cells that scans see through or meet: seen (words, rows), the last word to spare."""
+    """Set the bits of cells that beams pass or end in. seen (words, rows): 64 columns per word; the last is padding."""
     shape, one = (seen.shape[1], (seen.shape[0] - 1) * WORD_CELLS), np.uint64(1)
     for k in range(poses.shape[0]):
         row_low, row_count, first_column, words = look_through(
@@ -59,7 +59,7 @@ def _see(
 
 @kernel
 def _count_seen(seen, origin_x, origin_y, cell_m, free, free_x, free_y, free_cell_m):
-    """Free cells whose centres lie in a cell that was seen."""
+    """Number of free cells (`free`, true grid) whose centres lie in an observed cell."""
     rows, columns, count = seen.shape[1], seen.shape[0] * WORD_CELLS, 0
     for i in range(free.shape[0]):
         row = math.floor((free_y + (i + 0.5) * free_cell_m - origin_y) / cell_m)

@@ -1,4 +1,4 @@
-"""Which config an environment runs with: a task, overrides of it, and the constructor's shortcuts."""
+"""The config of an environment, from a task, overrides and the constructor's shortcuts."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from twc_env.tasks import TASKS, task_config
 def resolve(
     settings: EnvConfig | Mapping[str, Any] | None, task: str | None, shortcuts: Mapping[str, Any]
 ) -> EnvConfig:
-    """One config from a ready one, or from overrides (nested or dotted) of a task, with shortcuts that are set on top.
+    """One config from an EnvConfig, or from overrides (nested or dotted) of a task or of the defaults; then shortcuts
+    that are not None replace its values.
 
-    Raises ConfigError for settings that are no such thing, or cannot go together.
+    Raises ConfigError for invalid settings and for settings that exclude each other.
     """
     config = _base(settings, task)
     if config is None:
@@ -43,7 +44,7 @@ def resolve(
 
 
 def _base(config: EnvConfig | Mapping[str, Any] | None, task: str | None) -> EnvConfig | Mapping[str, Any] | None:
-    """The settings of a standard task, with the overrides in `config` on top; a whole EnvConfig must be of it."""
+    """The settings of a standard task with the overrides in `config`; an EnvConfig must contain the task's settings."""
     if task is None:
         return config
     if isinstance(config, EnvConfig):
@@ -54,7 +55,7 @@ def _base(config: EnvConfig | Mapping[str, Any] | None, task: str | None) -> Env
 
 
 def _dotted(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings as dotted ones."""
+    """Nested settings with dotted keys."""
     flat: dict[str, Any] = {}
     for key, value in settings.items():
         flat |= _dotted(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}

@@ -33,7 +33,7 @@ class SingleRobotEnv(gymnasium.Env):
         render_signal: bool = False,
         **unknown: Any,
     ):
-        """Arguments as of `ExplorationEnv`; raises ConfigError for others, the number of robots among them."""
+        """Arguments as of `ExplorationEnv`. Raises ConfigError for unknown arguments and for `robots` other than 1."""
         _refuse(unknown)
         self._team = ExplorationEnv(
             map=map,
@@ -52,12 +52,12 @@ class SingleRobotEnv(gymnasium.Env):
 
     @property
     def parallel(self) -> ExplorationEnv:
-        """The environment underneath."""
+        """The wrapped environment."""
         return self._team
 
     @property
     def spec(self) -> EnvSpec | None:
-        """What `gymnasium.make` was asked for; it tells how long an episode lasts, which some wrappers want to know."""
+        """The spec that `gymnasium.make` sets, with `max_cycles` as `max_episode_steps`, which some wrappers read."""
         return self._spec
 
     @spec.setter
@@ -67,22 +67,22 @@ class SingleRobotEnv(gymnasium.Env):
             self._spec.max_episode_steps = self._team.config.max_cycles
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Begin an episode."""
+        """Begin an episode, see `ExplorationEnv.reset`."""
         seed = None if seed is None else whole_number("seed", seed, 0)
         super().reset(seed=seed)
         observations, infos = self._team.reset(seed, options)
         return observations[self._agent], infos[self._agent]
 
     def step(self, action):
-        """One time step."""
+        """One step, see `ExplorationEnv.step`."""
         observations, rewards, terminated, truncated, infos = self._team.step({self._agent: action})
         agent = self._agent
         return observations[agent], float(rewards[agent]), terminated[agent], truncated[agent], infos[agent]
 
     def action_masks(self) -> NDArray:
-        """(choices,) bool: what may be chosen next, as MaskablePPO of sb3-contrib asks for it.
+        """(choices,) bool: valid next choices; sb3-contrib's MaskablePPO calls this.
 
-        Raises ConfigError unless actions are choices (`action.kind = "frontier"`).
+        Raises ConfigError unless `action.kind = "frontier"`.
         """
         pilot, kind = self._team.episode.pilot, self._team.config.action.kind
         if pilot is None or kind != "frontier":
@@ -90,20 +90,20 @@ class SingleRobotEnv(gymnasium.Env):
         return pilot.mask(0).astype(bool)
 
     def belief(self) -> Belief:
-        """What the robot knows."""
+        """What the robot knows, see `ExplorationEnv.belief`."""
         return self._team.belief(self._agent)
 
     def render(self):
-        """A picture, in render_mode "rgb_array"."""
+        """See `ExplorationEnv.render`."""
         return self._team.render()
 
     def close(self) -> None:
-        """Shut the window of render_mode "human"."""
+        """Close the window of render_mode "human"."""
         self._team.close()
 
 
 def _refuse(unknown: Mapping[str, Any]) -> None:
-    """Raise ConfigError for arguments that there are not. One robot is what there is."""
+    """Raise ConfigError for unknown arguments and for a number of robots other than 1."""
     if unknown.get("robots", 1) != 1:
         robots = unknown["robots"]
         raise ConfigError(

@@ -153,7 +153,7 @@ def _fill_signs(readings, now_s, memory_s, pose, rows):
 
 @borrowing_kernel
 def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, places, rows):
-    """The block `team`: the step of each mate's newest keyframe received, and where those of the same map are.
+    """The block `team`: how long ago the last contact with each mate was, and where those of the same map are.
 
     Also these places in the robot's frame: (3, m), where they end NaN.
     """
@@ -164,7 +164,7 @@ def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, 
     for k in range(contact_steps.shape[0]):
         step = contact_steps[k]
         if step != NOBODY:
-            age_s = (now - step) * time_step_s
+            age_s = max(now - step, 0) * time_step_s
             rows[k, 4] = 1.0 if step < 0 else age_s / (age_s + HALF_AGE_S)
         mate = mates[k]
         if mate < 0:

@@ -1,4 +1,4 @@
-"""A moment of an episode, whole and exact, to come back to: tree search, branching rollouts, debugging."""
+"""The complete state of an episode, to be restored later: for tree search, branching rollouts and debugging."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PLAN = "floorplan"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """Can be pickled and restored in another process; the building is held once, by reference."""
+    """A saved state: the pickled episode without its building, and the building. Can be pickled for other processes."""
 
     config_digest: str
     version: str
@@ -28,7 +28,7 @@ class Snapshot:
 
 
 class _Pickler(SharingPickler):
-    """Leaves the building out, which never changes."""
+    """Pickles an episode without its building, which never changes."""
 
     def __init__(self, file: io.BytesIO, floorplan: Floorplan):
         super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
@@ -48,14 +48,14 @@ class _Unpickler(pickle.Unpickler):
 
 
 def take_snapshot(config: EnvConfig, episode: Episode) -> Snapshot:
-    """See `ExplorationEnv.snapshot`; `config` is the environment's, which may name another building."""
+    """See `ExplorationEnv.snapshot`. config: the environment's, which may name another building than the episode's."""
     buffer = io.BytesIO()
     _Pickler(buffer, episode.floorplan).dump(episode)
     return Snapshot(digest(config), __version__, episode.floorplan, buffer.getvalue())
 
 
 def restore_snapshot(config: EnvConfig, snapshot: Snapshot) -> Episode:
-    """The episode as it was at that moment; see `ExplorationEnv.restore`."""
+    """The episode of a snapshot, see `ExplorationEnv.restore`."""
     if not isinstance(snapshot, Snapshot):
         raise ConfigError(f"restore() takes what snapshot() gave; got {type(snapshot).__name__} {snapshot!r:.60}")
     _check("configuration", snapshot.config_digest, digest(config))

@@ -1,4 +1,4 @@
-"""Lay the maps that robots believe in on the building, and say how far their paths are off."""
+"""Alignment of the robots' maps with the building, and the position error of their paths."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twc_env.slam.team import TeamMapper
 
 
 class TeamPaths:
-    """Every step's pose hung on the optimised keyframe before it, in a mapper's map; each is worked out once."""
+    """Estimated poses of all steps in a mapper's map, each relative to the latest optimised keyframe; cached."""
 
     def __init__(self, engine: Engine, odom_poses: Array):
         """odom_poses (steps + 1, robots, 3): the front ends' estimates of all steps."""
@@ -20,21 +20,21 @@ class TeamPaths:
         self._held: dict[tuple[TeamMapper, int], Array] = {}
 
     def of(self, mapper: TeamMapper, robot: int) -> Array:
-        """(steps + 1, 3) of one robot in the map of its group in one mapper."""
+        """(steps + 1, 3) poses of one robot in its group's map of one mapper."""
         held = self._held.get((mapper, robot))
         if held is None:
             held = self._held[mapper, robot] = _trajectory(mapper, robot, self._odom_poses[:, robot])
         return held
 
     def as_seen(self) -> Array:
-        """(steps + 1, robots, 3), each in the map that its robot sees."""
+        """(steps + 1, robots, 3) poses, each in its robot's map."""
         robots = range(self._odom_poses.shape[1])
         return np.stack([self.of(self._engine.mapper_of(r), r) for r in robots], axis=1)
 
     def alignment(self, true_poses: Array) -> Array:
-        """(robots, 3) the one rigid motion that lays the map each robot believes in on the building.
+        """(robots, 3) rigid alignment of each robot's map with the building.
 
-        It weighs all steps of all robots of the map; a mate's steps count up to its last keyframe that the mapper has.
+        Over all steps of all robots in the map; for robots that use another mapper, up to their last keyframe in it.
         """
         alignment = np.zeros((true_poses.shape[1], 3))
         for view in self._engine.views():
@@ -59,7 +59,7 @@ def _trajectory(mapper: TeamMapper, robot: int, odom: Array) -> Array:
 
 
 def team_error_m(engine: Engine, odom_poses: Array, true_poses: Array) -> float:
-    """Root mean square position error over all steps and robots, each robot's map aligned once as a whole.
+    """Root mean square position error [m] over all steps and robots, with one alignment per robot's map.
 
     odom_poses, true_poses (steps + 1, robots, 3).
     """
@@ -68,7 +68,7 @@ def team_error_m(engine: Engine, odom_poses: Array, true_poses: Array) -> float:
 
 
 def position_error_m(alignment: Array, estimated: Array, true: Array) -> float:
-    """Root mean square over estimated poses (steps, robots, 3), each robot's laid on the building by its alignment."""
+    """Root mean square position error [m] of poses (steps, robots, 3); alignment (robots, 3) of each robot's map."""
     c, s = np.cos(alignment[:, 2]), np.sin(alignment[:, 2])
     x, y = estimated[..., 0], estimated[..., 1]
     ahead_m = alignment[:, 0] + c * x - s * y - true[..., 0]

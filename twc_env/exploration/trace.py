@@ -1,7 +1,7 @@
-"""What an episode looked like over time: poses at every step, maps, closures and figures every few seconds.
+"""Time series of an episode: poses of every time step; maps, closures and figures every few seconds.
 
-An `EpisodeTrace` watches an environment from outside, changes nothing in it, and is written to `trace.npz` of a run
-folder; `python -m twc_env replay RUN --html` makes a page of it. It holds the truth beside the estimates.
+An `EpisodeTrace` reads an environment without modifying it and is written to `trace.npz` of a run folder;
+`python -m twc_env replay RUN --html` makes a page of it. It contains ground truth and estimates.
 """
 
 from __future__ import annotations
@@ -30,30 +30,30 @@ TRACE_KEYS = (
     "maps", "map_ends", "moments", "sign_texts",
 )  # fmt: skip
 MOMENTS_MAX = 160
-"""With more moments than this, every second one is dropped and the next ones come half as often."""
+"""With more recorded moments than this, every second one is dropped and the period is doubled."""
 UNKNOWN, FREE, WALL = 0, 1, 2
 CLOSURE_KEYS = ("kind", "status", "reason", "correct", "target_m", "source_m")
 
 
 class EpisodeTrace:
-    """Watches one episode: make it after `reset`, call `note` after every step, then `write`."""
+    """Records one episode: create it after `reset`, call `note` after every step, then `write`."""
 
     def __init__(self, env: ExplorationEnv, period_s: float = 2.0):
         self._env = env
         self._period = max(1, round(period_s / env.config.dynamics.time_step_s))
         self._estimated: list[Array] = []
-        """Per step (robots, 3) in the building, by how the robot's map lay at its latest jump or moment."""
+        """Per time step (robots, 3), in the building frame by the alignment at the latest moment or jump of the map."""
         self._rewards: list[float] = []
         self._moments: list[tuple[dict[str, Any], list[bytes]]] = []
-        """Step, figures, closures (in the building frame) and layers, largest group first; their packed cells."""
+        """Step, figures, closures (building frame) and layers, largest group first; compressed cells of each layer."""
         self._alignment = np.zeros((env.config.robots, 3))
-        """How the map of each robot's group lies in the building, as do the layers."""
+        """(robots, 3) alignment of the map of each robot's group with the building, as of the layers."""
         self._maps: list[tuple[int, int]] = []
-        """The map of each robot then."""
+        """`map_id` of each robot at that time."""
         self.note()
 
     def note(self, rewards: dict[str, float] | None = None) -> None:
-        """Take down one step; `rewards` as `step` gave them."""
+        """Record one step; rewards: as returned by `step`."""
         step = self._env.episode.steps
         self._rewards.append(sum(rewards.values()) if rewards else 0.0)
         if not self._moments or step - self._moments[-1][0]["step"] >= self._period:
@@ -65,7 +65,7 @@ class EpisodeTrace:
         self._estimated += list(compose(self._alignment, compose(compose(live, inverse(odom[-1])), odom)))
 
     def write(self, path: str | Path) -> None:
-        """Write the trace, up to the last step noted. Raises DataError when the file cannot be written."""
+        """Write the trace, up to the last recorded step. Raises DataError if the file cannot be written."""
         env, last = self._env, len(self._estimated) - 1
         if self._moments[-1][0]["step"] != last:
             self._add_moment(last)
@@ -118,7 +118,7 @@ class EpisodeTrace:
 
 
 def _layer(verdict: GroupVerdict) -> tuple[dict[str, Any], bytes]:
-    """One group's map, and its packed cells (rows, columns) uint8: 0 unknown, 1 free, 2 wall; row 0 is the lowest y."""
+    """One group's map, and its compressed cells (rows, columns) uint8: 0 unknown, 1 free, 2 wall; row 0: lowest y."""
     grid = verdict.grid
     kind = np.full(grid.log_odds.shape, UNKNOWN, np.uint8)
     kind[grid.log_odds < 0] = FREE

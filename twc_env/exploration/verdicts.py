@@ -1,4 +1,4 @@
-"""Every map that robots believe in, laid on the building: where it lies, whom it merges wrongly, how much is right."""
+"""Evaluation of every map that robots use: alignment with the building, wrongly merged pairs, correct area."""
 
 from __future__ import annotations
 
@@ -21,21 +21,20 @@ from twc_env.world.floor_cells import Cells
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroupVerdict:
-    """One map that robots believe in, and the robots whose keyframes it holds, against the truth."""
+    """One map that robots use, and the robots whose keyframes it holds, compared with ground truth."""
 
     view: View
     robots: tuple[int, ...]
     grid: GridMap
     pose_building_map: Array
-    """(3,) the one rigid alignment that lays the group's map on the building; without keyframes, the true start of the
-    robot, from which dead reckoning goes on."""
+    """(3,) rigid alignment of the group's map with the building; without keyframes, the robot's true start pose."""
     wrong_pairs: tuple[tuple[int, int], ...]
-    """Pairs of its robots whose relative frame is off by more than 1 m or 10 degrees."""
+    """Pairs of its robots whose relative frame is wrong by more than 1 m or 10 degrees."""
     correct_area_m2: float
 
 
 def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
-    """Lay a group's map on the building and measure it."""
+    """Align a group's map with the building and measure it."""
     place = lay(view.robots, view.mapper.nodes, record.true_poses)
     grid, area_m2 = view.mapper.grid_of(view.group), 0.0
     pose, wrong = place or (record.true_poses[0, view.viewers[0]].copy(), ())
@@ -48,13 +47,13 @@ def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
 
 
 def verdicts_of(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupVerdict]:
-    """Every map that some robot believes in, that with most robots (then most area) first; leaves no mark."""
+    """Evaluate every map that robots use, largest group (then largest correct area) first; modifies nothing."""
     verdicts = [judge_view(view, record, cells) for view in engine.views()]
     return sorted(verdicts, key=lambda v: (-len(v.robots), -v.correct_area_m2))
 
 
 def told(verdicts: Sequence[GroupVerdict], cells: Cells, robots: int, time_s: float) -> str:
-    """One line on how a team of so many robots stands: what is written under a film."""
+    """Caption of a picture: one line on the state of a team of `robots` robots; verdicts: largest group first."""
     best = verdicts[0]
     wrong = ", merged wrongly" if any(verdict.wrong_pairs for verdict in verdicts) else ""
     share = best.correct_area_m2 / floor_m2(cells)
@@ -63,14 +62,16 @@ def told(verdicts: Sequence[GroupVerdict], cells: Cells, robots: int, time_s: fl
 
 
 def standing(engine: Engine, record: EpisodeRecord, cells: Cells, last: Sequence[GroupVerdict] = ()) -> Standing:
-    """The potentials that rewards look at, judged now; `last`: the last time, by every cell of the floor, as the report
-    does."""
+    """The potentials of the rewards, evaluated now. Adds wrong pairs to the record.
+
+    last: exact verdicts of the last time step, whose areas are used instead of those counted over cells of the map.
+    """
     true_poses, judge, mapper = record.true_poses, record.map_judges.judge, None
     true, believed = true_poses[-1, :, :2].tolist(), engine.beliefs().poses[:, 0].tolist()
     maps, errors_m, floor = [], [0.0] * len(true), floor_m2(cells)
     for view in engine.views():
         viewers = view.viewers
-        if view.mapper is not mapper:  # mappers have several maps
+        if view.mapper is not mapper:  # a mapper may have several maps
             mapper = view.mapper
             nodes, groups = mapper.nodes, mapper.groups
         group = groups[view.group]
@@ -96,5 +97,5 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells, last: Sequence
 
 @lru_cache(maxsize=8)
 def floor_m2(cells: Cells) -> float:
-    """Explorable floor; summed once per building, for it is asked for whenever the map is judged."""
+    """Area of the explorable floor; cached per building."""
     return max(float(cells.free.sum()) * cells.resolution_m**2, 1e-9)

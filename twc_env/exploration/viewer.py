@@ -1,4 +1,4 @@
-"""Pictures of a running episode: what they show besides the present moment, and where they go."""
+"""Pictures of a running episode, as arrays or in a window, with layers that keys toggle."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from twc_env.world.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
 
 
 class Viewer:
-    """Draws an episode; in mode "human" on a window, at most once for each time step."""
+    """Draws an episode; in mode "human" in a window, once per time step or change of layers."""
 
     def __init__(self, mode: str, frames_per_s: float, with_signal: bool):
-        """Raises ConfigError where "human" cannot be shown for want of pygame."""
+        """Raises ConfigError if the mode is "human" and pygame is missing."""
         self._window = Window("twc_env", frames_per_s) if mode == "human" else None
         self._layers = Layers(signal=with_signal)
         self._signal: tuple[Floorplan, SignalLayer] | None = None
@@ -30,11 +30,11 @@ class Viewer:
         self._shown_step = -1
 
     def begin(self) -> None:
-        """A new episode: no closure has been seen yet."""
+        """Prepare for a new episode."""
         self._seen, self._shown_step = SeenClosures(), -1
 
     def draw(self, episode: Episode) -> Array | None:
-        """The picture of this moment, or None where it went to the window."""
+        """The picture of the present state; None if it is shown in the window. Waits while the window is paused."""
         if self._window is None:
             return self._picture(episode)
         step = episode.record.count
@@ -52,12 +52,12 @@ class Viewer:
         return None
 
     def follow(self, episode: Episode) -> None:
-        """Draw on the window, where there is one."""
+        """Draw in the window, if there is one."""
         if self._window is not None:
             self.draw(episode)
 
     def close(self) -> None:
-        """Shut the window, where there is one."""
+        """Close the window, if there is one."""
         if self._window is not None:
             self._window.close()
 
@@ -82,13 +82,13 @@ class Viewer:
 
 
 class SeenClosures:
-    """Remembers since when each closure of the best map has been accepted or rejected."""
+    """Records at which step each closure of the largest group's mapper was first seen accepted or rejected."""
 
     def __init__(self) -> None:
         self._since: dict[tuple, tuple[str, int]] = {}
 
     def lines(self, verdicts: Sequence[GroupVerdict], step: int, time_step_s: float) -> tuple[ClosureLine, ...]:
-        """The judged closures of the largest map's mapper, as they are believed to lie in the building."""
+        """The accepted and rejected closures, at their estimated positions in the building frame."""
         best, shown = verdicts[0], {robot: v for v in reversed(verdicts) for robot in v.view.viewers}
         shown |= dict.fromkeys(best.robots, best)
 

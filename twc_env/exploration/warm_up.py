@@ -1,6 +1,6 @@
-"""Compile what an environment needs, the engine's kernels first: `python -m twc_env.exploration.warm_up`.
+"""Compile the kernels of an environment, the engine's first: `python -m twc_env.exploration.warm_up`.
 
-A first start calls this as its helper (`twc_env.exploration.compilation`).
+This is the helper process of a first start (`twc_env.exploration.compilation`).
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from twc_env.exploration.environment import ExplorationEnv
 from twc_env.slam import warm_up
 
 MAP, ROBOTS, STEPS, SEED = "gen:office:100:1", 3, 1000, 1
-"""An episode in which robots soon meet, so that places are recognised and maps merged."""
+"""An episode in which robots meet early, so that places are recognised and maps are merged."""
 
 
 class _Orphan(event.Listener):
-    """Ends this process where the one that called it is gone, before the next kernel is compiled."""
+    """Ends this process before it compiles another kernel if the process that started it has ended."""
 
     def __init__(self) -> None:
         self._parent = os.getppid()
 
     def on_start(self, event: Any) -> None:
-        """A compilation begins."""
+        """Called by numba at the start of a compilation."""
         if os.getppid() != self._parent:
             os._exit(0)
 
     def on_end(self, event: Any) -> None:
-        """A compilation ended."""
+        """Called by numba at the end of a compilation."""
 
 
 def play() -> None:
-    """One whole episode in which robots go ahead and turn now and then."""
+    """Run one episode: robots drive ahead at full speed, with a new random turn rate every 10 steps."""
     env = ExplorationEnv(map=MAP, robots=ROBOTS, max_cycles=STEPS)
     random = np.random.default_rng(SEED)
     env.reset(seed=SEED)
@@ -48,13 +48,13 @@ def play() -> None:
 
 
 def main() -> None:
-    """The engine's first steps, an episode, then what few of these need; nothing where another helper is at work."""
+    """Compile for the engine's first steps, an episode, and rare events; do nothing if another helper is running."""
     FIRST_START.may_call = False
     lock = helpers_lock()
     if lock is not None and lock.take() is False:
         return
     event.register("numba:compile", _Orphan())
-    gc.disable()  # of what numba makes nearly all lives until the end
+    gc.disable()  # nearly all objects that numba creates live until the end
     warm_up.main()
     play()
     warm_up.reject_false_closures()

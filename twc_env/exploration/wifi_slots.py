@@ -1,4 +1,4 @@
-"""The strongest transmitters that each robot hears, in a fixed number of slots."""
+"""The strongest transmitters that each robot receives, in a fixed number of slots."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ RSSI_ZERO_DBM, RSSI_SPAN_DB = -100.0, 80.0
 
 
 def slots_for(robots: int, count: int) -> tuple[Array, Array, Array]:
-    """What `take_scans` keeps. Each transmitter keeps its slot until a stronger one needs it; every robot has its own.
+    """State of `take_scans`: `count` slots per robot. A transmitter keeps its slot until a stronger one needs it.
 
-    Of each slot the transmitter, and when it was last among the strongest: (robots, 2, slots); and its level
-    (robots, slots) in the latest scan: 0 at -100 dBm or not heard, 1 at -20 dBm. Also room to work in.
+    Returns (robots, 2, slots) transmitter of each slot (-1: none) and when it was last among the strongest; its level
+    (robots, slots) in the latest scan, 0 at -100 dBm or not heard, 1 at -20 dBm; scratch (2, slots).
     """
     kept = np.zeros((robots, 2, count), np.int64)
     kept[:, 0] = -1
@@ -23,7 +23,7 @@ def slots_for(robots: int, count: int) -> tuple[Array, Array, Array]:
 
 @borrowing_kernel
 def take_scans(now, robots, macs, rssi_dbm, counts, kept, levels, room):
-    """Take in the scans of a step, given as the fields of `WifiScans`; now > 0 grows from step to step."""
+    """Process the scans of one step, given as the fields of `WifiScans`; now: a number > 0 that increases per step."""
     for k in range(robots.shape[0]):
         count, own = min(counts[k], macs.shape[1]), kept[robots[k]]
         _place(now, macs[k, :count], rssi_dbm[k, :count], own[0], own[1], levels[robots[k]], room[0], room[1])
@@ -31,12 +31,12 @@ def take_scans(now, robots, macs, rssi_dbm, counts, kept, levels, room):
 
 @borrowing_kernel
 def _place(now, macs, rssi_dbm, slot_macs, last_scan, levels, strongest, at_slot):
-    """The strongest transmitters take, or keep, the slots. Those longest out of the strongest give way.
+    """Assign slots to the strongest transmitters of one scan; they replace those longest not among the strongest.
 
-    Strongest and at_slot (slots,) are overwritten: the numbers of those transmitters, and of what each slot has.
+    strongest, at_slot (slots,): scratch; indices into the scan of the strongest, and of each slot's transmitter or -1.
     """
     slots, heard, count, held = slot_macs.shape[0], rssi_dbm.shape[0], 0, 0
-    for k in range(heard):  # inserted in falling order; of equals, the first stays ahead
+    for k in range(heard):  # insertion sort, descending and stable
         level = rssi_dbm[k]
         if count == slots and rssi_dbm[strongest[slots - 1]] >= level:
             continue
@@ -49,7 +49,7 @@ def _place(now, macs, rssi_dbm, slot_macs, last_scan, levels, strongest, at_slot
     at_slot[:] = -1
     for k in range(heard):
         mac = macs[k]
-        for slot in range(np.uint64(slots)):  # side by side, which searching for each of them would not be
+        for slot in range(np.uint64(slots)):  # vectorised, unlike a search for each slot
             at_slot[slot] += (k + 1) * int(slot_macs[slot] == mac)
     for slot in range(slots):
         k = at_slot[slot]

@@ -1,4 +1,4 @@
-"""A window that shows pictures as an episode runs: `render_mode="human"`. Needs pygame (extra `viz`)."""
+"""A window that shows pictures of a running episode: `render_mode="human"`. Needs pygame (extra `viz`)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from twc_env.errors import ConfigError
 
 
 class Window:
-    """Opens with its first picture, keeps to a frame rate, and stays shut once its user or `close` has shut it.
+    """Opens with its first picture, limits the frame rate, and never opens again once its user or `close` closed it.
 
-    pygame has one window per process: environments with windows run in processes of their own.
+    pygame has one window per process: environments with windows need separate processes.
     """
 
     def __init__(self, title: str, frames_per_s: float):
-        """Raises ConfigError where pygame is missing; nothing is loaded or opened yet."""
+        """Raises ConfigError if pygame is missing. Neither imports pygame nor opens the window."""
         if importlib.util.find_spec("pygame") is None:
             raise ConfigError(
                 "render_mode='human' needs pygame: run `pip install 'twc_env[viz]'`, or choose 'rgb_array'"
@@ -30,14 +30,12 @@ class Window:
         self._keys: list[str] = []
         self.is_shut = False
         self.is_paused = False
-        """The user pressed space: whoever draws should wait until it is pressed again."""
+        """Toggled by the space key; the caller should wait while it is True."""
 
     def show(self, picture: Array, title: str = "") -> None:
-        """Put a picture (height, width, 3) uint8 on the screen once the last one was there for 1 / rate seconds.
+        """Show a picture (height, width, 3) uint8, at least 1 / `frames_per_s` after the last one; nothing if closed.
 
-        title: what the window's bar says from now on; empty keeps it.
-
-        Raises ConfigError where there is no display.
+        title: new title of the window; empty keeps it. Raises ConfigError without a display.
         """
         if not self.answer():
             return
@@ -53,7 +51,7 @@ class Window:
         pygame.display.flip()
 
     def answer(self) -> bool:
-        """Take in what the user did to the window; False once it is shut."""
+        """Process the events of the window; False once it is closed."""
         if self._screen is not None:
             import pygame
 
@@ -68,18 +66,18 @@ class Window:
         return not self.is_shut
 
     def take_keys(self) -> list[str]:
-        """The keys pressed since the last call, as characters, in their order."""
+        """The keys pressed since the last call, as characters, in order."""
         keys, self._keys = self._keys, []
         return keys
 
     def wait(self) -> None:
-        """Let a twentieth of a second pass."""
+        """Wait 50 ms."""
         import pygame
 
         pygame.time.wait(50)
 
     def close(self) -> None:
-        """Shut the window for good; a window that is not open stays so."""
+        """Close the window; it never opens again."""
         self.is_shut = True
         if self._screen is not None:
             import pygame

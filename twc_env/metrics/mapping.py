@@ -129,7 +129,7 @@ def _placed(pose_building_map, *resolutions_m: float) -> tuple[float, float, flo
     pose = np.asarray(pose_building_map, float)
     if pose.shape != (3,) or not min(resolutions_m) > 0.0:
         raise DataError(
-            f"a map lies at a pose (3,), in cells of a size above 0; got shape {pose.shape} and {resolutions_m}"
+            f"a map needs a pose (3,) and cells of a size above 0; got shape {pose.shape} and {resolutions_m}"
         )
     x, y, heading = pose.tolist()
     return x, y, heading

@@ -37,7 +37,7 @@ def lay_map(estimated: ArrayLike, true: ArrayLike) -> Array:
     estimated, true, pose = np.asarray(estimated, float), np.asarray(true, float), np.empty(3)
     _check_pairs(estimated, true)
     if estimated.shape[-1:] != (3,) or true.shape[-1:] != (3,):
-        raise DataError(f"a map is laid by poses (..., 3); got {estimated.shape} and {true.shape}")
+        raise DataError(f"a map is aligned by poses (..., 3); got {estimated.shape} and {true.shape}")
     estimated, true = estimated.reshape(-1, 3), true.reshape(-1, 3)
     align(estimated, true, turns_between(estimated, true), pose)
     return pose

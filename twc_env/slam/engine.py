@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -32,15 +31,18 @@ from twc_env.whole_copy import CopiedWhole
 MATCHED_STD_SHARE = 0.25
 """Actual drift of scan-matched paths as a share of their accumulated standard deviation. The latter is deliberately
 conservative because closures are tested against it."""
+_INT = np.dtype(np.int64)
+"""Of steps."""
 
 
 @borrowing_kernel
-def _believed_poses(held, poses_odom, mates, out, mate_poses):
+def _believe(held, step, poses_odom, mates, out, mate_poses, contact_steps):
     """Write out (robots, 3, 3): pose in the map frame, its standard deviation, pose in the odom frame.
 
-    Also mate_poses (robots, robots - 1, 3) in the map frame: current, or as of the last contact.
+    Also mate_poses (robots, robots - 1, 3) in the map frame, with one mapper per robot as of the newest keyframe
+    received, otherwise current; and contact_steps (robots, robots - 1) as in `TeamBeliefs`.
     """
-    poses_map_odom, std, std_share, are_heard_now, heard_poses = parts_of(held)
+    poses_map_odom, std, std_share, is_central, received_poses, is_heard, last_steps = parts_of(held)
     for k in range(out.shape[0]):
         c, s = math.cos(poses_map_odom[k, 2]), math.sin(poses_map_odom[k, 2])
         x, y, heading = poses_odom[k, 0], poses_odom[k, 1], poses_odom[k, 2]
@@ -54,13 +56,9 @@ def _believed_poses(held, poses_odom, mates, out, mate_poses):
         for a in range(mates.shape[1]):
             mate = max(mates[k, a], 0)
             for j in range(3):
-                mate_poses[k, a, j] = out[mate, 0, j] if are_heard_now else heard_poses[k, a, j]
-
-
-@lru_cache(maxsize=8)
-def _others_of(robots: int) -> Array:
-    """(robots, robots - 1) indices of all other robots, for each robot."""
-    return np.array([[r for r in range(robots) if r != k] for k in range(robots)], np.int64)
+                mate_poses[k, a, j] = out[mate, 0, j] if is_central else received_poses[k, a, j]
+            listener, other = 0 if is_central else k, a if a < k else a + 1
+            contact_steps[k, a] = step if is_heard[listener, other] else last_steps[listener, other]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,9 +120,9 @@ class CooperativeSlam(CopiedWhole):
         self._odometry_scale_std = None if config.slam.cues.lidar else config.slam.odometry_filter.odometry_scale_std
         self._mates, self._mate_poses, self._contact_steps = nobody(robot_count)
         """As in `TeamBeliefs`."""
-        self._shapes = self._poses.shape, self._mate_poses.shape
-        self._contact_poses = np.zeros_like(self._mate_poses)
-        """With one mapper per robot: poses of the mates as of the last contact."""
+        self._shapes = self._poses.shape, self._mate_poses.shape, self._contact_steps.shape
+        self._received_poses = np.zeros_like(self._mate_poses)
+        """With one mapper per robot: poses of the mates as of the newest keyframe received."""
         self._maps: HeldMaps | None = None
         """Cache of `_look_up_maps`; None: outdated."""
         self._counts = [(-1, -1, -1, -1)] * len(self.mappers)
@@ -132,7 +130,7 @@ class CooperativeSlam(CopiedWhole):
         self._views: tuple[list[int], list[View]] = [], []
         """Cache of `views`, valid for these counts of regroupings."""
         self._run: Callable[..., None] | None = None
-        """`_believed_poses`, bound to the arrays of odom frames."""
+        """`_believe`, bound to the arrays of odom frames and of contacts."""
         self._beliefs: TeamBeliefs | None = None
         """Cache of `beliefs`; None: outdated."""
         radio = config.slam.k_visibility
@@ -220,14 +218,20 @@ class CooperativeSlam(CopiedWhole):
         self._update_poses()
 
     def _update_poses(self) -> None:
-        """Compute the poses in the map frames from the current front-end poses."""
-        self._poses, self._mate_poses = np.empty(self._shapes[0]), np.empty(self._shapes[1])
-        self._beliefs = None
-        now = self.poses_odom, self._mates, self._poses, self._mate_poses
+        """Compute the poses in the map frames from the current front-end poses, and the steps of the last contacts."""
+        poses, mates, pairs = self._shapes
+        self._poses, self._mate_poses, self._contact_steps = np.empty(poses), np.empty(mates), np.empty(pairs, _INT)
+        self._beliefs, listening = None, self._listening
+        now = (
+            listening.last_step, self.poses_odom, self._mates, self._poses, self._mate_poses, self._contact_steps,
+        )  # fmt: skip
         if self._run is None:
             std_share = MATCHED_STD_SHARE if self._odometry_scale_std is None else 1.0
-            held = self._poses_map_odom, self._std, std_share, self._is_central, self._contact_poses
-            self._run = bound(_believed_poses, Lent(held), *now)
+            held = (
+                self._poses_map_odom, self._std, std_share, self._is_central, self._received_poses,
+                listening.is_heard, listening.last_steps,
+            )  # fmt: skip
+            self._run = bound(_believe, Lent(held), *now)
         self._run(*now)
 
     def _update_robots(self, number: int, mapper: TeamMapper) -> None:
@@ -236,17 +240,17 @@ class CooperativeSlam(CopiedWhole):
         if counts == before:
             return
         self._counts[number] = counts
-        since_m, heard = self._since_closure_m.copy(), self._contact_steps.copy()
+        since_m = self._since_closure_m.copy()
         everyone = self._front_ends.everyone
         robots = everyone if self._is_central else everyone[number : number + 1]
-        mapper.locate(robots, _others_of(len(everyone)), (self._poses_map_odom, self._std, since_m, heard))
+        mapper.locate(robots, (self._poses_map_odom, self._std, since_m))
         if self._odometry_scale_std is not None:
             self._std[robots] = std_with_shared(self._std[robots], since_m[robots], self._odometry_scale_std)
         if counts[1] != before[1] or not self._is_central:
             self._update_mates(robots.tolist(), mapper)
         if counts[2:] != before[2:]:
             self._maps = None
-        self._since_closure_m, self._contact_steps = since_m, heard
+        self._since_closure_m = since_m
 
     def _update_mates(self, robots: Sequence[int], mapper: TeamMapper) -> None:
         """Update the mates of these robots."""
@@ -256,7 +260,7 @@ class CooperativeSlam(CopiedWhole):
             mates[robot] = others + [NOBODY] * (mates.shape[1] - len(others))
             if not self._is_central:
                 for k, mate in enumerate(others):
-                    self._contact_poses[robot, k] = mapper.latest_pose_of(mate)
+                    self._received_poses[robot, k] = mapper.latest_pose_of(mate)
         self._mates = mates
 
     def finish(self) -> None:

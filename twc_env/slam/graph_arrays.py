@@ -97,15 +97,10 @@ def _append_node(graph, node, edge, robot, step, travel, pose_odom, motion, cova
 
 
 @borrowing_kernel
-def _locate(graph, robots, others, poses_map_odom, std, since_m, heard_steps):
+def _locate(graph, robots, poses_map_odom, std, since_m):
     """See `GraphArrays.locate`."""
-    poses, _, steps, travels, variances, _, _, _, _, _, rows, counts, last_closure_node, latest_odom, _ = parts_of(
-        graph
-    )
+    poses, _, _, travels, variances, _, _, _, _, _, rows, counts, last_closure_node, latest_odom, _ = parts_of(graph)
     for k in robots:
-        for a in range(others.shape[1]):
-            other = others[k, a]
-            heard_steps[k, a] = steps[rows[other, counts[other] - 1]] if counts[other] > 0 else -1
         if counts[k] == 0:
             since_m[k] = 0.0
             for axis in range(3):
@@ -286,16 +281,16 @@ class GraphArrays(BindsAnew):
         self._rebind()
         return number_of
 
-    def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
-        """Locate some robots (k,) in the maps of their groups; others (robots, robots - 1): the other robots of each.
+    def locate(self, robots: Array, into: tuple[Array, Array, Array]) -> None:
+        """Locate some robots (k,) in the maps of their groups.
 
         Writes their rows of: odom frame in the map frame (robots, 3); standard deviation of the drift since the last
-        closure or the start, by the front end (robots, 3) [m, m, rad]; path length since then (robots,) [m]; step of
-        the newest keyframe of each other robot (robots, robots - 1), -1 for none. Zeros for robots without keyframes.
+        closure or the start, by the front end (robots, 3) [m, m, rad]; path length since then (robots,) [m]. Zeros for
+        robots without keyframes.
         """
         if self._locate is None:
-            self._locate = bound(_locate, self._all(), robots, others, *into)
-        self._locate(robots, others, *into)
+            self._locate = bound(_locate, self._all(), robots, *into)
+        self._locate(robots, *into)
 
     def residual(self, target: int, source: int, measured: Array, covariance: Array) -> tuple[float, float, float]:
         """Difference of a measured pose (3,) of the source in the target's frame from the estimate: distance [m], angle

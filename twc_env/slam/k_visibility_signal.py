@@ -40,6 +40,8 @@ _CORRELATION_M = 0.3
 _TYPICAL_EXPONENT, _TYPICAL_LOSS_DB, _TYPICAL_CLEAR = 1.6, 8.0, 0.9
 """Of `typical_signal`: exponent, wall loss, and quantile of the distance-corrected RSSI that is free of walls."""
 _NOISE_MIN_DB = 1.0
+_GRID_STEPS_M, _REFINED = (0.5, 0.5 / 3, 0.5 / 9), (5, 1)
+"""Of `locate_router`: grid steps, and how many of the best places of one are searched around in the next."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,25 +121,33 @@ def fit_identical_routers(bins: PathBins, router_m: Array, k_max: int) -> list[S
 def locate_router(bins: PathBins, router: int) -> tuple[Array, SignalFit]:
     """Maximum-likelihood position (2,) of a router from its readings (papers.md K24g), and the fit there.
 
-    Grid search within 4 m of the strongest readings and 1 m of the path's bounding box, then refined.
+    Grid search within 4 m of the strongest readings and 1 m of the path's bounding box, then around several of its best
+    places: near the path the likelihood changes within one step of the grid.
     """
     strongest = bins.position_m[np.argsort(np.nan_to_num(bins.rssi_dbm[:, router], nan=-200.0))[-5:]].mean(axis=0)
     low = np.maximum(bins.position_m.min(axis=0) - 1.0, strongest - 4.0)
     high = np.minimum(bins.position_m.max(axis=0) + 1.0, strongest + 4.0)
-    best, centre, step_m = -np.inf, strongest, 0.5
-    while step_m > 0.05:
-        for x in np.arange(low[0], high[0] + 1e-9, step_m):
-            for y in np.arange(low[1], high[1] + 1e-9, step_m):
-                place = np.array([x, y])
-                readings = _readings_of(bins, router, place)
-                for start in _WALL_LOSS_STARTS_DB[1:3]:
-                    fit = _fit(bins, readings, 3, start, iterations=6)
-                    if fit.log_likelihood > best:
-                        best, centre = fit.log_likelihood, place
-        low, high, step_m = centre - step_m, centre + step_m, step_m / 3
+    places, step_m = _searched(bins, router, low, high, _GRID_STEPS_M[0]), _GRID_STEPS_M[0]
+    for finer_m, kept in zip(_GRID_STEPS_M[1:], _REFINED, strict=True):
+        found = sorted(places, key=lambda tried: -tried[0])[:kept]
+        places = [own for _, at in found for own in _searched(bins, router, at - step_m, at + step_m, finer_m)]
+        step_m = finer_m
+    best, centre = max(places, key=lambda tried: tried[0])
     if best == -np.inf:
         raise DataError("no place of the router explains the readings; check the units of positions and strengths")
     return centre, fit_signal(bins, router, centre)
+
+
+def _searched(bins: PathBins, router: int, low: Array, high: Array, step_m: float) -> list[tuple[float, Array]]:
+    """Log-likelihood, -inf if not finite, and position (2,) of a router at each place of a grid between corners."""
+    tried = []
+    for x in np.arange(low[0], high[0] + 1e-9, step_m):
+        for y in np.arange(low[1], high[1] + 1e-9, step_m):
+            place = np.array([x, y])
+            readings = _readings_of(bins, router, place)
+            fits = (_fit(bins, readings, 3, start, iterations=6).log_likelihood for start in _WALL_LOSS_STARTS_DB[1:3])
+            tried.append((max((score for score in fits if np.isfinite(score)), default=-np.inf), place))
+    return tried
 
 
 def _readings_of(bins: PathBins, router: int, router_m: Array) -> tuple[Array, Array, Array]:

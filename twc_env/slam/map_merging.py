@@ -4,6 +4,7 @@ An inter-group closure measures the transform between two maps. One closure is n
 sign texts repeat. A merge needs several closures that agree on one transform, no walls of one map in the free space of
 the other, radio fingerprints as similar as the robots' own paths predict for one place, and signs that mostly read the
 same where the maps overlap (`signs_in_place`). Without any fingerprint, one sign must have a name read nowhere else.
+Where the robots saw each other often enough as a closure by a sign implies (`robot_sightings`), it alone is enough.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import MergingConfig
-from twc_env.geometry import compose, inverse
+from twc_env.geometry import compose, inverse, wrap_angle
 from twc_env.kernels import kernel
 from twc_env.messages import GridMap, LoopClosure
 from twc_env.slam.growing import enlarged
@@ -57,6 +58,8 @@ class MergeProposal:
     weight: Weight
     agreeing: tuple[LoopClosure, ...] = ()
     """The inlier closures themselves, where the caller provides them."""
+    is_proven: bool = False
+    """Whether mutual sightings of the robots prove it (`robot_sightings`), so that one closure is enough."""
 
 
 def largest_agreement(
@@ -84,6 +87,14 @@ def largest_agreement(
     support[rows] = True
     best = _most_central(poses_a_b, in_a, sources, rows)
     return MergeProposal(poses_a_b[best], support, (read_alike, signs, len(rows)))
+
+
+def agree_with(pose_a_b: Array, in_a: Array, sources: Array, config: MergingConfig) -> Array:
+    """(k,) bool: closures consistent with a hypothesis; in_a, sources (k, 3): poses of their keyframes of b, in the map
+    of a by the closure itself, and in b."""
+    apart = compose(pose_a_b, sources) - in_a
+    turned = np.abs(wrap_angle(apart[:, 2]))
+    return (np.hypot(apart[:, 0], apart[:, 1]) <= config.consistency_m) & (turned <= config.consistency_rad)
 
 
 @kernel

@@ -26,6 +26,8 @@ from twc_env.slam.team_graph import TeamGraph
 DISAGREEING_WEIGHT = 2
 """With radio-only closures, more than `closures_min` must agree, plus this many for each that disagrees: along rows of
 shelves, scans also match one shelf further."""
+HYPOTHESES_MAX = 16
+"""Of the hypotheses of single closures, the latest so many are tested by sightings."""
 SCANS_ALONE_MIN = 8
 """Where neither signs nor fingerprints are compared, places this many, `spread_min_m` apart, must agree: rooms and
 whole wings of a building look alike."""
@@ -75,6 +77,35 @@ class MergeJudge:
             return None
         found = map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)
         return found and replace(found, agreeing=tuple(itertools.compress(closures, found.support)))
+
+    def sighted_proposal(
+        self, closures: Sequence[LoopClosure], a: Sequence[int], b: Sequence[int]
+    ) -> MergeProposal | None:
+        """A merge hypothesis of few closures by signs, even of one, that mutual sightings of the robots prove.
+
+        See `robot_sightings`. Of several proven hypotheses, the one by which the robots saw each other most often.
+        Loose closures are ignored, and those by radio or scans alone: there are many more wrong ones among them.
+        """
+        closures = [c for c in closures if c.candidate.sign_m is not None and not c.is_loose]
+        if self._sightings is None or not self._sightings.are_known or not closures:
+            return None
+        in_a, in_b, measured, signs, alike = self._as_a_to_b(closures, a)
+        placed = compose(in_a, measured)
+        poses_a_b, is_left, best, seen_most = compose(placed, inverse(in_b)), np.ones(len(closures), bool), None, 0
+        for _ in range(HYPOTHESES_MAX):
+            if not is_left.any():
+                break
+            pose_a_b = poses_a_b[np.flatnonzero(is_left)[-1]]
+            support = map_merging.agree_with(pose_a_b, placed, in_b, self._rule)  # itself included
+            is_left &= ~support
+            found = self._sightings.count(a, b, pose_a_b)
+            if found.prove and found.seen > seen_most:
+                best, seen_most = (pose_a_b, support), found.seen
+        if best is None:
+            return None
+        pose_a_b, support = best
+        weight = map_merging.weight_of(signs[support], alike[support], self._rule)
+        return MergeProposal(pose_a_b, support, weight, tuple(itertools.compress(closures, support)), is_proven=True)
 
     def may_replace(self, robots: Sequence[int], nodes: Array, before: Solution, after: Solution) -> bool:
         """Whether solution `after` may replace `before` in the map of these robots, whose nodes (n,) are given.

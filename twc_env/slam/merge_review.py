@@ -69,15 +69,15 @@ class MergeReview:
         self.merges.append(Merge(a, b, step + FIRST_STEPS))
         self._next_step = min(self._next_step, step + FIRST_STEPS)
 
-    def closures_needed(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> int:
+    def closures_needed(self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal) -> int:
         """Agreeing closures that a merge needs: doubled for each time that nearly the same merge was undone."""
         again = 0
         for i, j, before in self._undone:
             if (i in a and j in b) or (i in b and j in a):
-                forth = pose_a_b if i in a else inverse(pose_a_b)
+                forth = proposal.pose_a_b if i in a else inverse(proposal.pose_a_b)
                 now = between(self._graph.pose_map_odom(i), compose(forth, self._graph.pose_map_odom(j)))
                 again += bool(np.hypot(*(now - before)[:2]) < SAME_PLACE_M)
-        return self._rule.closures_min * 2**again
+        return (1 if proposal.is_proven else self._rule.closures_min) * 2**again
 
     @property
     def due_step(self) -> float:
@@ -165,11 +165,13 @@ class MergeReview:
     def _is_better(
         self, rival: MergeProposal, a: Sequence[int], b: Sequence[int], supporters: Sequence[LoopClosure]
     ) -> bool:
-        """Whether walls and radio allow the rival transform, and signs, or radio and walls, prefer it to the present
-        one."""
+        """Whether walls, radio and sightings allow the rival transform, and signs, or radio and walls, prefer it to the
+        present one."""
         grids, there = self._grids(a, b), rival.pose_a_b
         heard = self._judge.radio_agrees(a, b, there) if self._rule.wifi_check else None
         if heard is False or self._judge.walls_disagree(*grids, there):
+            return False
+        if self._judge.sightings_contradict(a, b, there):
             return False
         if rival.weight > self._judge.weight(supporters, a):
             return True

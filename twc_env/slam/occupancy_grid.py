@@ -67,10 +67,10 @@ class OccupancyGrid(BindsAnew):
         if len(poses) == 0:
             return
         poses, scans = np.ascontiguousarray(poses, float), self._sparse.filled(np.ascontiguousarray(scans, float))
-        if not np.isfinite(poses).all():
-            worst = poses[~np.isfinite(poses).all(axis=1)][0]
-            raise DataError(f"poses (x, y, heading) must be finite; got {worst.tolist()}")
         if not self._fold_in(poses, scans):
+            if not np.isfinite(poses).all():
+                worst = poses[~np.isfinite(poses).all(axis=1)][0]
+                raise DataError(f"poses (x, y, heading) must be finite; got {worst.tolist()}")
             self._grow(self._reached_m[:2], self._reached_m[2:])
             if not self._fold_in(poses, scans):
                 raise self._too_far()
@@ -83,7 +83,7 @@ class OccupancyGrid(BindsAnew):
         )
 
     def _fold_in(self, poses: Array, scans: Array) -> bool:
-        """Integrate; returns False, with nothing changed, if the scans reach beyond the grid."""
+        """Integrate; returns False, with nothing changed, if scans reach beyond the grid or a pose is not finite."""
         if self._run is None:
             self._run = bound(integrate_many, self._packed(), poses, scans)
         return self._run(poses, scans)

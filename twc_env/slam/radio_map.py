@@ -92,11 +92,16 @@ class GaussianProcessMap:
             self._variance[part] = np.maximum(signal_std_db**2 - explained, 0.0)
 
     def locate(self, fingerprint: Fingerprint) -> tuple[Array, Array]:
-        """Place (2,) and its covariance (2, 2). Raises DataError for an invalid fingerprint."""
-        fingerprint = given_fingerprint(fingerprint)
+        """Place (2,) and its covariance (2, 2); those of all candidates if it heard no transmitter of the map.
+
+        Raises DataError for an invalid fingerprint.
+        """
+        row = self._row(given_fingerprint(fingerprint))
         total = self._variance + self._noise_db**2
-        squared = ((self._row(fingerprint) - self._expected) ** 2).sum(axis=1)
+        squared = ((row - self._expected) ** 2).sum(axis=1)
         log_likelihood = -0.5 * squared / total - 0.5 * len(self._mean) * np.log(total)
+        if not row.any():  # as outside the map, or with a receiver that is off
+            log_likelihood[:] = 0.0
         weight = np.exp(log_likelihood - log_likelihood.max())
         weight /= weight.sum()
         place = weight @ self._candidates

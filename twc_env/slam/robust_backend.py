@@ -37,6 +37,9 @@ EPISODE_STEP_M, EPISODE_STEP_RAD = 0.03, 0.006
 """Inside an episode, an optimisation stops below this step: the next would be ten times smaller."""
 EPISODE_KEYS_MAX = 80
 """Key poses of `ours` inside an episode, to bound the time of a step."""
+FAR_M = 1000.0
+"""A graph whose centre is further from the origin is moved there first: `pcm` and `ours` compare closures as twists
+about the origin, whose covariances grow with the square of the distance and lose their digits ten kilometres away."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +154,8 @@ def solve(
     _check(poses, graph, fixed, is_inverted=config.robust in ("pcm", "ours"))
     reasons: dict[int, str] = {}
     held = poses[fixed].copy() if len(poses) else np.zeros(3)
+    if config.robust in ("pcm", "ours"):
+        poses = _near_origin(poses)
     if len(poses) < 2 or not graph.is_closure.any():
         out, accepted = pose_graph.optimise(poses, *graph.parts, config, fixed, shared), np.ones(len(graph.edges), bool)
     elif config.robust in ("plain", "dcs", "cauchy"):
@@ -174,6 +179,12 @@ def solve(
     }.get(config.robust, f"refused by {config.robust}")
     refused = np.flatnonzero(~accepted).tolist()
     return BackendResult(out, accepted, tuple(Rejection(edge, reasons.get(edge, general)) for edge in refused))
+
+
+def _near_origin(poses: Array) -> Array:
+    """The poses (n, 3), shifted to the origin if their centre is further than FAR_M from it."""
+    centre_m = np.mean(poses[:, :2], axis=0) if len(poses) else np.zeros(2)
+    return poses - np.array([*centre_m, 0.0]) if np.hypot(*centre_m) > FAR_M else poses
 
 
 def _check(poses: Array, graph: Graph, fixed: int, is_inverted: bool) -> None:

@@ -278,11 +278,13 @@ def _integrate_inside(
 def integrate_many(grid, poses, scans):
     """Integrate scans that lie inside the first box of `boxes`, and extend the second by the area they can change.
 
-    Writes that area to `reached` (4,); returns False, without integrating, if it is not inside.
+    Writes that area to `reached` (4,); returns False, without integrating, if it is not inside or a pose is not finite.
     """
     log_odds, kinds, touched, numbers, boxes, inverse_m, directions, range_max, reached, room = parts_of(grid)
     low_x, low_y, high_x, high_y, reach = np.inf, np.inf, -np.inf, -np.inf, 0.0
     for k in range(poses.shape[0]):
+        if not abs(poses[k, 0]) + abs(poses[k, 1]) + abs(poses[k, 2]) < np.inf:
+            return False
         low_x, high_x = min(low_x, poses[k, 0]), max(high_x, poses[k, 0])
         low_y, high_y = min(low_y, poses[k, 1]), max(high_y, poses[k, 1])
         for i in range(scans.shape[1]):

@@ -21,41 +21,47 @@ REPEATED_APART_M, REPEATED_SHARE, NAMES_MIN = 4.0, 0.4, 4
 """A name at places this far apart in one map is repeated; from this share of repeated names on they are reported."""
 
 
+NEVER = -1
+"""In place of a step: not heard yet."""
+
+
 class Listening:
     """When each mapper last heard each robot, and its longest silence."""
 
     def __init__(self, listeners: int, robots: int, time_step_s: float):
         self._time_step_s = time_step_s
-        self._last = np.zeros((listeners, robots), np.int64)
+        self.last_steps = np.full((listeners, robots), NEVER)
+        """Step at which each listener last heard each robot that it does not hear now."""
+        self.is_heard = np.zeros((listeners, robots), np.bool_)
+        """(listeners, robots) whom each listener hears in the latest step. Both arrays are modified in place."""
         self._silence = np.zeros((listeners, robots, 2), np.int64)
         """First and last step of the longest silence that ended."""
-        self._same: Array | None = None
-        """Contacts of the latest step and of identical steps before it that are not yet recorded."""
+        self._latest: Array | None = None
+        self._latest_bytes = b""
+        """Contacts of the latest step: array and content."""
         self.last_step = 0
 
     def note(self, step: int, heard: Array) -> None:
         """Record the contacts of a step; heard (listeners, robots) bool, not modified afterwards."""
-        if heard is self._same and step == self.last_step + 1:
-            self.last_step = step
+        is_same = heard is self._latest
+        if step == self.last_step + 1 and (is_same or heard.tobytes() == self._latest_bytes):
+            self._latest, self.last_step = heard, step
             return
-        self._catch_up()
-        self._same, self.last_step = heard, step
-        ended = heard & (step - self._last > self._silence[..., 1] - self._silence[..., 0])
+        self.last_steps[self.is_heard] = self.last_step
+        self._latest, self._latest_bytes, self.last_step = heard, heard.tobytes(), step
+        begin = np.maximum(self.last_steps, 0)
+        ended = heard & (step - begin > self._silence[..., 1] - self._silence[..., 0])
         if ended.any():
-            self._silence[ended, 0] = self._last[ended]
+            self._silence[ended, 0] = begin[ended]
             self._silence[ended, 1] = step
-        self._last[heard] = step
-
-    def _catch_up(self) -> None:
-        if self._same is not None:
-            self._last[self._same] = self.last_step
+        self.is_heard[:] = heard
 
     def lines(self, listener: int, robots: Collection[int]) -> list[str]:
         """Reports of robots that this listener has not heard for long, now or earlier."""
         found, step, time_step_s = [], self.last_step, self._time_step_s
-        self._catch_up()
         for robot in robots:
-            last, (begin, end) = self._last[listener, robot], self._silence[listener, robot]
+            last = step if self.is_heard[listener, robot] else max(self.last_steps[listener, robot], 0)
+            begin, end = self._silence[listener, robot]
             if (step - last) * time_step_s > SILENT_S:
                 found.append(f"robot {robot} not heard since {last * time_step_s:.1f} s")
             if (end - begin) * time_step_s > SILENT_S:

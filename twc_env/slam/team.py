@@ -201,9 +201,9 @@ class TeamMapper:
         """(3,) pose of the robot's odom frame in its group's map frame; identity for a robot without keyframes."""
         return self._graph.pose_map_odom(robot)
 
-    def locate(self, robots: Array, others: Array, into: tuple[Array, Array, Array, Array]) -> None:
+    def locate(self, robots: Array, into: tuple[Array, Array, Array]) -> None:
         """Poses of robots in the maps of their groups, see `GraphArrays.locate`."""
-        self._graph.locate(robots, others, into)
+        self._graph.locate(robots, into)
 
     def grid_of(self, group: int) -> GridMap:
         """The current merged map of a group."""
@@ -283,11 +283,13 @@ class TeamMapper:
         if is_patient and (robots_a, robots_b) in self._uncertain:
             return False
         self._tried_counts[robots_a, robots_b] = len(pending)
-        proposal = self._judge.proposal(pending, robots_a)
+        proposal = self._judge.proposal(pending, robots_a) or self._judge.sighted_proposal(
+            pending[-1:] if is_patient else pending, robots_a, robots_b
+        )
         if proposal is None:
             return False
         pose_a_b = proposal.pose_a_b
-        if proposal.support.sum() < self._review.closures_needed(robots_a, robots_b, pose_a_b):
+        if proposal.support.sum() < self._review.closures_needed(robots_a, robots_b, proposal):
             return False
         if not self._judge.cues_confirm(robots_a, robots_b, proposal):
             return False

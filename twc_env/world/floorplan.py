@@ -63,6 +63,16 @@ class Room:
     """(k, 2) corners in order, not closed."""
 
 
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """What the random properties of a building are drawn from and numbered by."""
+
+    digest: str
+    """`Floorplan.digest` of the whole building."""
+    macs: tuple[tuple[int, ...], ...]
+    """The addresses of each of its access points, in order."""
+
+
 @dataclass(frozen=True, eq=False)
 class Floorplan:
     """One floor of a building; arrays are read-only. `floorplan_check.validate` checks it."""
@@ -83,6 +93,8 @@ class Floorplan:
     """(3,) pose of the frame in which the plan was drawn; zero unless moved."""
     wall_materials: tuple[str, ...] = ()
     """(walls,) material names, "" if unknown; empty if all are unknown."""
+    thinned_from: Origin | None = None
+    """Of the whole building, if this plan is what `thinning.thinned` left of it. Neither in the digest nor in files."""
     _cache: dict = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -117,6 +129,17 @@ class Floorplan:
     def digest(self) -> str:
         """Twelve hex digits (SHA-256) of the content in the home frame."""
         return hashlib.sha256(_digest_text(self.home).encode()).hexdigest()[:12]
+
+    @cached_property
+    def origin(self) -> Origin:
+        """Of the whole building where signs or access points were left out, otherwise of the plan itself.
+
+        A thinned plan that was given other access points is a building of its own.
+        """
+        own = tuple(tuple(a.macs) for a in self.access_points)
+        if self.thinned_from is not None and set(own) <= set(self.thinned_from.macs):
+            return self.thinned_from
+        return Origin(self.digest, own)
 
     @cached_property
     def wall_index(self) -> WallIndex:
@@ -182,6 +205,7 @@ def _transformed(plan: Floorplan, pose: Array, pose_building_home: Array) -> Flo
         interior_m=move(plan.interior_m),
         pose_building_home=pose_building_home,
         wall_materials=plan.wall_materials,
+        thinned_from=plan.thinned_from,
     )
 
 

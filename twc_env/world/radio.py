@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,11 +63,14 @@ class RadioModel:
     def __init__(self, config: RadioConfig, plan: Floorplan):
         self._config, self._index = config, plan.wall_index
         self._pose_home_building = inverse(plan.pose_building_home)
-        access_points = plan.access_points if config.wifi else ()
+        access_points, origin = (plan.access_points if config.wifi else ()), plan.origin
         cells = _place_cells(config, plan)
         self._sources = _sources(config, plan, access_points, cells)
-        addresses = _addresses(config, access_points)
+        of_all, whole = _addresses(config, origin.macs), {own: i for i, own in enumerate(origin.macs)}
+        numbers = [whole[tuple(access_point.macs)] for access_point in access_points]
+        addresses = [of_all[i] for i in numbers]
         addresses += [(CELL_ID_MIN + c,) for c in range(len(cells))]
+        numbers += [(len(whole) if config.wifi else 0) + c for c in range(len(cells))]
         macs = np.array([mac for own in addresses for mac in own], np.int64)
         owners = np.array([i for i, own in enumerate(addresses) for _ in own], np.int64)
         bands = [band for own in addresses[: len(access_points)] for band in _bands(len(own), config.high_band.share)]
@@ -80,7 +84,7 @@ class RadioModel:
         """(transmitters,) LOW_BAND, HIGH_BAND or CELL_BAND."""
         self.is_cell = self.band_of == CELL_BAND
         """(transmitters,)."""
-        draws = [_building_stream(plan.digest, "power", int(mac)).standard_normal() for mac in self.macs]
+        draws = [_building_stream(origin.digest, "power", int(mac)).standard_normal() for mac in self.macs]
         boxes_db = self._access_point_offsets_db(plan)
         self._power_offsets_db = config.power_spread_db * np.array(draws) + boxes_db[self.access_point_of]
         self._aim_rad = np.array([aim for _, aim in cells])
@@ -117,7 +121,8 @@ class RadioModel:
         self.sweep_place = np.zeros(len(self.macs))
         """(transmitters,) time from scanning the channel to the end of the sweep, as a share of its duration."""
         if config.sweep_duration_s or config.sweep_share < 1.0 or config.sweep_share_std:
-            self.sweep_place = _sweep_places(plan.digest, radios)[self.radio_of]
+            in_whole = 3 * np.array(numbers, np.int64)[radios // 3] + radios % 3
+            self.sweep_place = _sweep_places(origin.digest, in_whole)[self.radio_of]
         self._source_count_wifi = len(access_points)
         self._has_cells = len(cells) > 0
         self._levels_dbm = self._power_dbm - self._floor_losses_db + self._power_offsets_db
@@ -188,7 +193,7 @@ class RadioModel:
         offsets = np.zeros(len(self._sources.position_m))
         if self._config.access_point_spread_db and self._config.wifi:
             for i, access_point in enumerate(plan.access_points):
-                draw = _building_stream(plan.digest, "access-point", min(access_point.macs)).standard_normal()
+                draw = _building_stream(plan.origin.digest, "access-point", min(access_point.macs)).standard_normal()
                 offsets[i] = self._config.access_point_spread_db * draw
         return offsets
 
@@ -203,7 +208,10 @@ def _bypass_share(wall_loss_limit_db: float) -> float:
 
 
 def _sweep_places(digest: str, radios: Array) -> Array:
-    """(radios,) in [0, 1): see `RadioModel.sweep_place`; 5 GHz channels are scanned last."""
+    """(radios,) in [0, 1): see `RadioModel.sweep_place`; 5 GHz channels are scanned last.
+
+    radios (radios,): 3 times the number of the source in the whole building, plus the band.
+    """
     channel = np.array([_building_stream(digest, "channel", int(radio)).random() for radio in radios])
     return 0.5 * channel + 0.5 * (radios % 3 != HIGH_BAND)
 
@@ -226,7 +234,7 @@ def _place_cells(config: RadioConfig, plan: Floorplan) -> list[tuple[Array, floa
     middle = (low_high[:2] + low_high[2:]) / 2
     placed = []
     for mast in range(-(-cells.count // _SECTORS)):
-        random = _building_stream(plan.digest, "mast", mast)
+        random = _building_stream(plan.origin.digest, "mast", mast)
         near2, far2 = cells.distance_min_m**2, cells.distance_max_m**2
         distance_m = np.sqrt(random.uniform(min(near2, far2), max(near2, far2)))
         bearing, aim = random.uniform(-np.pi, np.pi, 2)
@@ -239,10 +247,11 @@ def _sources(config: RadioConfig, plan: Floorplan, access_points, cells: list[tu
     masts = transform_points(plan.pose_building_home, np.array([p for p, _ in cells]).reshape(-1, 2))
     positions = np.concatenate([np.array([a.position_m for a in access_points]).reshape(-1, 2), masts])
     floors = np.array([abs(a.floor) for a in access_points] + [0] * len(cells), float)
-    waves = [_shadowing_waves(config.shadowing_length_m, plan.digest, min(a.macs)) for a in access_points]
+    digest = plan.origin.digest
+    waves = [_shadowing_waves(config.shadowing_length_m, digest, min(a.macs)) for a in access_points]
     # The sectors of a mast share its shadowing.
     length_m = config.cells.shadowing_length_m
-    waves += [_shadowing_waves(length_m, plan.digest, CELL_ID_MIN + c // _SECTORS) for c in range(len(cells))]
+    waves += [_shadowing_waves(length_m, digest, CELL_ID_MIN + c // _SECTORS) for c in range(len(cells))]
     stds = [config.shadowing_std_db] * len(access_points) + [config.cells.shadowing_std_db] * len(cells)
     return _Sources(
         position_m=positions,
@@ -253,16 +262,15 @@ def _sources(config: RadioConfig, plan: Floorplan, access_points, cells: list[tu
     )
 
 
-def _addresses(config: RadioConfig, access_points) -> list[tuple[int, ...]]:
-    """The addresses of each access point: those of the plan, or as many as configured."""
+def _addresses(config: RadioConfig, macs: Sequence[tuple[int, ...]]) -> list[tuple[int, ...]]:
+    """The addresses of each access point of the whole building: those of the plan, or as many as configured."""
     wanted = config.bssids_per_access_point
     if wanted == 0:
-        return [a.macs for a in access_points]
-    taken = {mac for a in access_points for mac in a.macs}
+        return list(macs)
+    taken = {mac for given in macs for mac in given}
     addresses = []
-    for access_point in access_points:
-        own = list(access_point.macs[:wanted])
-        candidate = access_point.macs[0]
+    for given in macs:
+        own, candidate = list(given[:wanted]), given[0]
         while len(own) < wanted:
             # Virtual networks of access points differ in the leading byte.
             candidate = (candidate + _VIRTUAL_ADDRESS_STEP) % CELL_ID_MIN or 1

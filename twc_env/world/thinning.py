@@ -17,14 +17,18 @@ DUPLICATES = 4
 def thinned(plan: Floorplan, config: BuildingConfig) -> Floorplan:
     """The plan with the shares of signs and access points in `config`; the plan itself for the default config.
 
-    The choice depends on the plan only, so it is the same in all episodes.
+    The choice depends on the plan only, so it is the same in all episodes. What is left keeps its properties, such as
+    the power and shadowing of the access points (`Floorplan.origin`).
     """
     if config == BuildingConfig():
         return plan
     home = plan.home
     seed = int(home.digest, 16)
     changed = dataclasses.replace(
-        home, signs=_signs(home, config, seed), access_points=_access_points(home, config, seed)
+        home,
+        signs=_signs(home, config, seed),
+        access_points=_access_points(home, config, seed),
+        thinned_from=home.origin,
     )
     return changed.moved(plan.pose_building_home) if plan.pose_building_home.any() else changed
 
