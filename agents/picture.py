@@ -131,7 +131,7 @@ def _draw_building(axes, result: EpisodeResult) -> None:
 
 
 def _draw_paths(axes, result: EpisodeResult) -> None:
-    placed = _in_building(result)
+    placed = placed_in_building(result)
     for robot in range(result.true_poses.shape[1]):
         colour, name = _colour(robot), f"robot {robot}"
         odometry, true = result.odometry_poses[:, robot, :2].T, result.true_poses[:, robot, :2].T
@@ -142,10 +142,10 @@ def _draw_paths(axes, result: EpisodeResult) -> None:
         axes.plot(*true[:, -1], "o", ms=6, color=colour, zorder=5, label="end")
 
 
-def _in_building(result: EpisodeResult) -> Array:
-    """Estimated poses (steps + 1, robots, 3) in the building frame, aligned by group."""
+def placed_in_building(result: EpisodeResult) -> Array:
+    """Estimated poses (steps + 1, robots, 3) in the building frame, aligned with the map that they are in."""
     placed = result.estimated_poses.copy()
-    for robots, pose in zip(result.groups, result.pose_building_map, strict=True):
+    for robots, pose in zip(result.viewers, result.pose_building_map, strict=True):
         placed[:, list(robots)] = compose(pose, result.estimated_poses[:, list(robots)])
     return placed
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import twc_env
+from tests.conftest import wander_by_scan
 from twc_env.__main__ import main
 from twc_env.bench import wander
 from twc_env.errors import ConfigError, DataError
@@ -59,6 +60,26 @@ def test_the_last_moment_of_the_page_equals_the_report(run):
         assert last["figures"][key] == pytest.approx(report[key], rel=1e-12), key
     assert last["figures"]["closures_accepted"] == report["closures"]["accepted"]
     assert len(data["true_poses"]) == len(data["estimated_poses"]) == STEPS + 1
+
+
+@pytest.mark.parametrize("kind", ["velocity", "frontier"])
+def test_estimates_stay_beside_the_true_robots_at_the_start_after_merges_and_within_long_actions(tmp_path, kind):
+    env = twc_env.parallel_env(map="gen:office:100:1", robots=2, max_cycles=270, config={"action.kind": kind})
+    observations, infos = env.reset(seed=4)
+    trace, merged = twc_env.EpisodeTrace(env, period_s=20.0), 0
+    while env.agents:
+        if kind == "frontier":
+            actions = {agent: int(np.argmax(infos[agent]["action_mask"])) for agent in env.agents}
+        else:
+            ranges_m = [10 * observations[agent]["lidar"] for agent in env.agents]
+            actions = {a: wander_by_scan(ranges_m[k], env.episode.steps, 3 * k) for k, a in enumerate(env.agents)}
+        observations, rewards, _, _, infos = env.step(actions)
+        trace.note(rewards)
+        merged += bool(env.belief("robot_0").mates)
+    trace.write(tmp_path / "trace.npz")
+    drawn = np.load(tmp_path / "trace.npz")
+    away_m = np.linalg.norm((drawn["estimated_poses"] - drawn["true_poses"])[..., :2], axis=-1)
+    assert merged and away_m.max() < 0.1
 
 
 def test_long_episodes_keep_a_bounded_number_of_moments(monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 from agents import explore as explore_module
 from agents.__main__ import main
 from agents.explore import table_of
-from agents.picture import Film
+from agents.picture import Film, placed_in_building
 from twc_env import DataError
 from twc_env.command_line import alone_in
 from twc_env.config import digest, from_dict, override
@@ -92,6 +92,19 @@ def test_the_legend_of_the_picture_names_every_mark_once(tmp_path, monkeypatch):
     assert main(arguments) == 0
     assert len(set(named)) == len(named)
     assert {"true walls", "access points", "signs", "start", "end", "robot 1, true", "robot 1, estimated"} <= set(named)
+
+
+def test_paths_are_drawn_by_the_map_they_are_in_where_each_robot_has_its_own():
+    """Robots 1 and 2 share a map in both of their mappers, but only that of robot 1 has robot 0 in it, too."""
+    estimated = np.tile([1.0, 0.0, 0.0], (4, 3, 1))
+    places = np.array([[5.0, 0.0, 0.0], [0.0, 7.0, np.pi / 2], [9.0, 9.0, np.pi]])  # of the maps of robots 1, 2 and 0
+    result = SimpleNamespace(
+        estimated_poses=estimated,
+        groups=((0, 1, 2), (1, 2), (0,)),
+        viewers=((1,), (2,), (0,)),
+        pose_building_map=places,
+    )
+    assert placed_in_building(result)[0, :, :2] == pytest.approx(np.array([[8.0, 9.0], [6.0, 0.0], [0.0, 8.0]]))
 
 
 def test_a_team_in_several_maps_reports_the_reason(tmp_path, capsys):

@@ -98,6 +98,7 @@ def test_the_paths_have_one_pose_per_robot_and_step(log, result):
 def test_groups_partition_the_team_and_have_one_map_each(result):
     assert sorted(robot for group in result.groups for robot in group) == [0, 1, 2]
     assert len(result.groups) == len(result.grids) == len(result.pose_building_map)
+    assert result.viewers == result.groups, "of a central mapper"
     sizes = [len(group) for group in result.groups]
     assert sizes == sorted(sizes, reverse=True)
     assert result.figures["merged_robots"] == sizes[0]

@@ -124,3 +124,32 @@ def test_a_log_with_failed_robots_replays_exactly(tmp_path, topology, failed, be
     assert found["team_ate_m"] == pytest.approx(episodes[-1].result().figures["team_ate_m"], rel=1e-9)
     poses = [episodes[-1].engine.pose_map_robot(robot) for robot in range(2)]
     assert found["final_poses"] == np.round(poses, 6).tolist()
+
+
+@pytest.mark.parametrize("timing", ["synchronous", "asynchronous"])
+def test_no_long_action_waits_for_a_robot_that_has_failed_and_it_decides_nothing(timing):
+    """Robot 1 fails on its way to a frontier; robot 0 stays for one second at a time."""
+    action = {"action.kind": "frontier", "action.timing": timing, "action.decision_max_s": 6.0}
+    config = {**action, "failure.robots": 1, "failure.robots_step": 5}
+    env = twc_env.parallel_env(robots=2, max_cycles=60, config=config)
+    _, infos = env.reset(seed=3)
+    assert infos["robot_1"]["is_deciding"]
+    stay, lengths = env.action_space("robot_0").n - 1, []
+    while env.agents:
+        _, _, _, _, infos = env.step({"robot_0": stay, "robot_1": 0})
+        lengths.append(infos["robot_0"]["time_steps"])
+        assert infos["robot_0"]["is_deciding"] and not infos["robot_1"]["is_deciding"]
+        assert np.flatnonzero(infos["robot_1"]["action_mask"]).tolist() == [stay]
+    assert lengths == [10] * 6
+
+
+@pytest.mark.parametrize("timing", ["synchronous", "asynchronous"])
+def test_steps_of_a_team_that_has_failed_take_the_longest_time(timing):
+    action = {"action.kind": "waypoint", "action.timing": timing, "action.decision_max_s": 2.0}
+    config = {**action, "failure.robots": 2, "failure.robots_step": 0}
+    env = twc_env.parallel_env(robots=2, max_cycles=60, config=config)
+    _, infos = env.reset(seed=3)
+    assert not any(info["is_deciding"] for info in infos.values())
+    while env.agents:
+        _, _, _, _, infos = env.step({agent: np.zeros(2) for agent in env.agents})
+        assert infos["robot_0"]["time_steps"] == 20

@@ -12,6 +12,9 @@ from twc_env.exploration.episode import Episode
 from twc_env.exploration.observations import ObservationBuilder
 from twc_env.exploration.pilot import Pilot, Scout
 from twc_env.observation_check import ACTIONS, BLOCKS, random_actions
+from twc_env.planning.candidates import features_of, find_candidates
+from twc_env.planning.path_finder import PathFinder
+from twc_env.planning.terrain import Terrain
 from twc_env.slam.engine import CooperativeSlam
 
 ALL_BLOCKS = {f"observation.{name}": True for name in BLOCKS}
@@ -100,6 +103,33 @@ def test_the_action_of_a_busy_robot_is_ignored(same):
         runs.append(seen)
     assert len(runs[0]) == len(runs[1])
     assert all(same(a[agent], b[agent]) for a, b in zip(*runs, strict=True) for agent in a)
+
+
+@pytest.mark.parametrize("kind", ["velocity", "frontier"])
+def test_frontiers_of_robots_that_decide_nothing_are_of_the_present_map_and_of_the_last_period(kind, wander):
+    config = {"action.kind": kind, "action.timing": "asynchronous", "observation.frontiers": True}
+    env = twc_env.parallel_env(map="gen:office:100:1", robots=2, max_cycles=270, config=config)
+    observations, infos = env.reset(seed=4)
+    finder, slots, radius_m = PathFinder(), env.config.action.frontier_slots, env.config.dynamics.robot_radius_m
+    maps, looked, jumps, busy = [(b.map_version, 0) for b in env.engine.beliefs()], [0, 0], 0, 0
+    while env.agents:
+        if kind == "frontier":
+            actions = {agent: int(np.argmax(infos[agent]["action_mask"])) for agent in env.agents}
+        else:
+            ranges_m = [observations[agent]["lidar"] * 10 for agent in env.agents]
+            actions = {a: wander(ranges_m[k], env.episode.steps, 3 * k) for k, a in enumerate(env.agents)}
+        observations, _, _, _, infos = env.step(actions)
+        for robot, (agent, info) in enumerate(infos.items()):
+            belief = env.belief(agent)
+            here = belief.pose_map_robot
+            found = find_candidates(belief, Terrain.of(belief, radius_m), finder, slots)
+            of_map = belief.map_version, len(belief.mates)
+            has_jumped = of_map != maps[robot]
+            if has_jumped or env.episode.steps - looked[robot] >= 10 or info.get("is_deciding"):
+                assert np.array_equal(observations[agent]["frontiers"], features_of(found, here, slots))
+                looked[robot] = env.episode.steps
+            jumps, busy, maps[robot] = jumps + has_jumped, busy + (not info.get("is_deciding", True)), of_map
+    assert jumps and (busy or kind == "velocity")
 
 
 def test_a_waypoint_step_ends_with_the_last_or_with_the_first_arrival():

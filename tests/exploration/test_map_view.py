@@ -3,7 +3,9 @@ import math
 import numpy as np
 import pytest
 
+import twc_env
 from twc_env.exploration import map_view
+from twc_env.geometry import between
 from twc_env.messages import GridMap
 from twc_env.slam.cell_kinds import kinds_of
 
@@ -76,3 +78,45 @@ def test_path_mates_and_signs_are_drawn_in_the_robot_frame(room):
     views = map_view.MapViews(CELLS, CELL_M, path, np.array([3]), mates).draw(maps, poses)
     cells = [np.argwhere(views[0, k]).tolist() for k in (map_view.PATH, map_view.MATES, map_view.SIGNS)]
     assert cells == [[[HALF - 3, HALF], [HALF, HALF + 4]], [[HALF - 5, HALF + 4]], [[HALF - 1, HALF + 8]]]
+
+
+def test_the_overview_shows_the_map_of_the_present_step(wander):
+    env = twc_env.parallel_env(robots=2, max_cycles=60, config={"observation.overview": True})
+    observations, _ = env.reset(seed=0)
+    pictures = []
+    while env.agents:
+        actions = {a: wander(o["lidar"] * 10, env.episode.steps) for a, o in observations.items()}
+        observations = env.step(actions)[0]
+        for agent, seen in observations.items():
+            free_and_wall, corner_m, cell_m = map_view.shrink(env.belief(agent).grid, seen["overview"].shape[1])
+            assert np.array_equal(seen["overview"][:2], free_and_wall)
+            column, row = np.floor((env.belief(agent).pose_map_robot[:2] - corner_m) / cell_m).astype(int)
+            assert np.argwhere(seen["overview"][2]).tolist() == [[row, column]]
+        pictures.append(observations["robot_0"]["overview"][:2].tobytes())
+    assert len(set(pictures)) > 3
+
+
+@pytest.mark.parametrize(("speed_m_s", "time_step_s"), [(3.0, 0.2), (1.0, 0.1), (0.3, 0.1)])
+def test_the_own_path_is_shown_as_far_back_as_the_config_says_at_any_speed(wander, speed_m_s, time_step_s):
+    config = {
+        "slam.mode": "off", "odometry.drift": 0.0, "observation.path_m": 4.0, "observation.map_cells": 256,
+        "observation.map_cell_m": 0.1, "dynamics.speed_max_m_s": speed_m_s, "dynamics.time_step_s": time_step_s,
+    }  # fmt: skip
+    env = twc_env.parallel_env(robots=1, max_cycles=250, config=config)
+    seen = env.reset(seed=1)[0]["robot_0"]
+    places, shown_m = [env.belief("robot_0").pose_map_robot], []
+    while env.agents:
+        seen = env.step({"robot_0": wander(seen["lidar"] * 10, env.episode.steps)})[0]["robot_0"]
+        places.append(here := env.belief("robot_0").pose_map_robot)
+        path = np.array(places)
+        back_m = np.append(np.cumsum(np.linalg.norm(np.diff(path[::-1, :2], axis=0), axis=1))[::-1], 0.0)
+        in_robot = between(np.tile(here, (len(path), 1)), path)[:, :2]
+        cells = np.argwhere(seen["map"][map_view.PATH])[:, ::-1]
+        away_m = np.linalg.norm((cells[:, None] + 0.5 - 128) * 0.1 - in_robot, axis=2)  # (cells, places)
+        is_under = away_m < 0.1
+        assert is_under.any(axis=1).all()
+        shown_m.append(np.where(is_under, back_m, np.inf).min(axis=1).max())  # the way back to the furthest mark
+    step_m = speed_m_s * time_step_s
+    assert back_m[0] > 6.0
+    assert max(shown_m) < 4.0 + 0.6 + step_m  # a path is a little longer than the pieces that are noted
+    assert min(shown_m[-20:]) > 4.0 - 2 * (0.2 + step_m)

@@ -116,3 +116,22 @@ def test_dead_reckoning_can_replay_recorded_frames(log):
 def test_actions_planned_on_a_map_are_rejected_without_an_engine(kind):
     with pytest.raises(ConfigError, match="'velocity'"):
         twc_env.parallel_env(config={**OFF, "action.kind": kind})
+
+
+def test_localisation_and_pictures_lay_dead_reckoning_at_the_true_start(wander):
+    """Perfect odometry is 1 all along; drifting odometry loses the position error of dead reckoning."""
+    for drift in (0.0, 3.0):
+        config = {**OFF, "odometry.drift": drift, "reward.coverage": 0.0, "reward.localisation": 1.0}
+        env = twc_env.parallel_env(robots=2, config=config, max_cycles=60)
+        observations, _ = env.reset(seed=3)
+        paid = 0.0
+        while env.agents:
+            actions = {a: wander(o["lidar"] * 10, env.episode.steps) for a, o in observations.items()}
+            observations, rewards, *_ = env.step(actions)
+            paid += rewards["robot_0"]
+        result = env.result()
+        error_m = np.hypot(*(result.odometry_poses - result.true_poses)[-1, :, :2].T)
+        assert paid == pytest.approx(1.0 - error_m.mean(), abs=1e-6)
+        assert (error_m.max() > 0.01) == (drift > 0.0)
+        laid = [compose(pose, env.engine.pose_map_robot(r)) for r, pose in enumerate(result.pose_building_map)]
+        assert np.array(laid)[:, :2] == pytest.approx(result.odometry_poses[-1, :, :2])

@@ -62,7 +62,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     their next actions are ignored), at the latest after `action.decision_max_s`. Rewards of the time steps are summed.
     `info["is_deciding"]` says whether a robot's next action counts, `info["time_steps"]` how long the step was. For
     `frontier`, `action_mask` is in the observation and in `info`. A masked choice counts as stay; for a busy robot,
-    stay means "continue".
+    stay means "continue". A robot that has failed decides nothing, and no step waits for it.
 
     Observation: a `Dict` of the blocks enabled in `observation`, built from sensor frames and estimates only:
 
@@ -81,7 +81,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | | | | age a / (a + 10 s) of the last contact: 0 now, 1 before the first. Contact is that of the |
     | | | | central mapper with the teammate, or with one mapper per robot, of both robots directly |
     | `frontiers` | (8, 6) | [-1, 1] | candidates, nearest first: present, bearing / pi, d / (d + 10 m), |
-    | | | | path l / (l + 10 m), size s / (s + 5 m), a teammate is closer |
+    | | | | path cost l / (l + 10 m) in metres of open floor (more beside walls), size s / (s + 5 m), |
+    | | | | whether some teammate's distance is less than l |
     | `action_mask` | (11,) int8 | 0, 1 | valid choices (only with `action.kind = "frontier"`) |
     | `radio` | (2, 64, 64) uint8 | 0, 255 | with `slam.k_visibility.enabled`: probably free, probably wall, estimated |
     | | | | from signal strength alone; egocentric like `map` |
@@ -94,8 +95,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     another group has more robots. The map is evaluated every `reward.period_steps` time steps and at the last one. The
     last `info` also contains the scalar metrics of the report (docs/figures.md).
 
-    `slam.mode = "off"` runs no engine: `pose` is integrated odometry, `map` and `team` stay zero, `coverage` pays
-    nothing, only `velocity` actions are possible (there is no map), and `result()` evaluates dead reckoning.
+    `slam.mode = "off"` runs no engine: `pose` is integrated odometry, `map` shows the own path in unknown space,
+    `team` stays zero, `coverage` pays nothing, only `velocity` actions are possible (there is no map), and
+    `localisation` and `result()` evaluate dead reckoning.
 
     Arguments: `map` (bundled name or file), `robots`, `max_cycles`; `render_mode` ("human", "rgb_array" or None);
     `config` (an EnvConfig or a dict of overrides, dotted keys allowed) for everything else; `task`, a standard task to

@@ -56,7 +56,7 @@ class Episode:
         self._link = Link(config.link, count, world.plan.home.wall_index, random_stream(seed, "link"))
         self._builder = ObservationBuilder(config)
         self._velocities = action_blocks.Velocities(config.dynamics, count)
-        self.pilot = None if config.action.kind == "velocity" else Pilot(config)
+        self.pilot = None if config.action.kind == "velocity" else Pilot(config, self._failures.is_alive(0))
         """Executes waypoint and frontier actions; None with velocity actions."""
         self._looker = self.pilot or (Scout(config) if config.observation.frontiers else None)
         """Updates the goal candidates: the pilot, or a `Scout` for the `frontiers` block with velocity actions."""
@@ -120,7 +120,7 @@ class Episode:
             if watch is not None:
                 watch(self)
             sums = [{k: s[k] + v[k] for k in v} for s, v in zip(sums, values, strict=True)] if sums else values
-            if pilot.is_decision_due() or self.is_over:
+            if pilot.is_decision_due(self._failures.is_alive(self.steps)) or self.is_over:
                 return sums
 
     def observe(self) -> list[Any]:

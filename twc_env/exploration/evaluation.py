@@ -45,7 +45,9 @@ class EpisodeResult:
     odometry_poses: Array
     """(steps + 1, robots, 3) dead reckoning from the true start poses, in the building frame."""
     groups: tuple[tuple[int, ...], ...]
-    """Robots that share a map, largest group first."""
+    """Robots that share a map, largest group first; with one mapper per robot, those in the map of each robot."""
+    viewers: tuple[tuple[int, ...], ...]
+    """Robots whose estimates are in the map of each group: all of it, or the one robot that has the mapper."""
     grids: tuple[GridMap, ...]
     """The merged map of each group."""
     pose_building_map: Array
@@ -59,10 +61,10 @@ class EpisodeResult:
 
 def progress(
     engine: Engine, record: EpisodeRecord, cells: Cells, verdicts: Sequence[GroupVerdict]
-) -> tuple[Array, list[dict], dict[str, float]]:
+) -> tuple[list[dict], dict[str, float]]:
     """Data for pictures over time, defined as in the report; does not modify the record.
 
-    Returns the alignment (robots, 3) of each robot's map with the building, closures as in `EpisodeResult`, figures.
+    Returns closures as in `EpisodeResult`, and figures.
     """
     paths, best = TeamPaths(engine, record.odom_poses), verdicts[0]
     estimated, alignment = paths.as_seen(), paths.alignment(record.true_poses)
@@ -78,7 +80,7 @@ def progress(
         "closures_accepted": status.count("accepted"),
         "closures_rejected": status.count("rejected"),
     }
-    return alignment, closures, figures
+    return closures, figures
 
 
 class EpisodePaths(NamedTuple):
@@ -177,6 +179,7 @@ def evaluate(
         estimated_poses=estimated,
         odometry_poses=paths.reckoned,
         groups=tuple(v.robots for v in verdicts),
+        viewers=tuple(v.view.viewers for v in verdicts),
         grids=tuple(GridMap(v.grid.log_odds.copy(), v.grid.origin_m.copy(), v.grid.resolution_m) for v in verdicts),
         pose_building_map=np.array([v.pose_building_map for v in verdicts]),
         closures=closures,

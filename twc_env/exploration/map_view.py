@@ -60,8 +60,9 @@ class MapViews(BindsAnew):
     """Draws the egocentric map image of each robot, with its path, mates and signs."""
 
     def __init__(self, cells: int, cell_m: float, paths_odom: Array, path_counts: Array, mates: Array):
-        """These arrays are read at each `draw`: paths_odom (robots, 2, k) ring buffers with the latest of `path_counts`
-        (robots,) positions in the odom frame; mates (robots, >= 2, m) positions in the robot frame, NaN for none.
+        """These arrays are read at each `draw`: paths_odom (robots, >= 2, k) ring buffers with the latest of
+        `path_counts` (robots,) positions in the odom frame; mates (robots, >= 2, m) positions in the robot frame. NaN
+        for none.
         """
         self._shape = len(paths_odom), CHANNELS, cells, cells
         self._kept = paths_odom, path_counts, mates, float(cell_m)

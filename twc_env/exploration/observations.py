@@ -19,7 +19,6 @@ from twc_env.planning.candidates import NOTHING, Candidates, features_of
 from twc_env.slam.dead_reckoning import DeadReckoning
 from twc_env.team_messages import TeamBeliefs, TeamFrames
 
-OVERVIEW_PERIOD_STEPS = 10
 _USUAL = "lidar", "map", "pose", "wifi", "signs", "team"
 """The blocks that are enabled by default."""
 
@@ -48,7 +47,8 @@ class ObservationBuilder:
         self._seen_of: tuple[Sequence[GridMap] | None, list[Array]] = None, self._signs.places
         self._seen = map_view.BelievedMaps.of([], [])
         """The maps for the grids and sign positions in `_seen_of`; a grid that has grown is a new object."""
-        self._overviews: list[tuple[tuple[int, int], tuple[Array, Array, float]] | None] = [None] * robots
+        self._overviews: list[tuple[GridMap, bytes, tuple[Array, Array, float]]] = []
+        """The latest grids, with the `GridMap.touched` of which the downscaled map was made."""
 
     def notice(self, frames: Sequence[SensorFrame], beliefs: Sequence[Belief]) -> None:
         """Update paths, WiFi slots and sign readings with one step; needed also if no observation is built."""
@@ -107,14 +107,11 @@ class ObservationBuilder:
         ]
 
     def _whole_maps(self) -> list[Array]:
-        return [self._whole_map(robot, belief) for robot, belief in enumerate(self._beliefs)]
+        return [self._whole_map(belief) for belief in self._beliefs]
 
-    def _whole_map(self, robot: int, belief: Belief) -> Array:
-        cells, kept = self._config.observation.overview_cells, self._overviews[robot]
-        key = (belief.step // OVERVIEW_PERIOD_STEPS, belief.map_version)
-        if kept is None or kept[0] != key:
-            kept = self._overviews[robot] = (key, map_view.shrink(belief.grid, cells))
-        picture, corner_m, cell_m = kept[1]
+    def _whole_map(self, belief: Belief) -> Array:
+        cells = self._config.observation.overview_cells
+        picture, corner_m, cell_m = self._shrunk(belief.grid)
         out = np.zeros((map_view.OVERVIEW_CHANNELS, cells, cells), np.uint8)
         out[:2] = picture
         for channel, pose in [(2, belief.pose_map_robot), *((3, pose) for pose in belief.mates.values())]:
@@ -122,6 +119,17 @@ class ObservationBuilder:
             if 0 <= row < cells and 0 <= column < cells:
                 out[channel, row, column] = 255
         return out
+
+    def _shrunk(self, grid: GridMap) -> tuple[Array, Array, float]:
+        """`map_view.shrink`, computed again only if scans have changed the grid."""
+        known = b"" if grid.touched is None else grid.touched.tobytes()
+        others = [held for held in self._overviews if held[0] is not grid]
+        for held in self._overviews:
+            if held[0] is grid and held[1] == known != b"":
+                return held[2]
+        shrunk = map_view.shrink(grid, self._config.observation.overview_cells)
+        self._overviews = [(grid, known, shrunk), *others[: len(self._robots) - 1]]
+        return shrunk
 
 
 def _usual(rows: Sequence[tuple[Array, ...]], maps: Array) -> list[dict[str, Array]]:

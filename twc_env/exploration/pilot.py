@@ -16,7 +16,7 @@ from twc_env.exploration.observation_blocks import EXTRA_CHOICES
 from twc_env.geometry import transform_points
 from twc_env.messages import Belief, GridMap
 from twc_env.planning.candidates import NOTHING, Candidates, find_candidates
-from twc_env.planning.driver import Driver
+from twc_env.planning.driver import Driver, map_id
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
 
@@ -34,43 +34,59 @@ def frontier_space(config: ActionConfig) -> spaces.Discrete:
 
 
 class Scout:
-    """Computes frontiers for the `frontiers` block with velocity actions."""
+    """Keeps the goal candidates of each robot: updated every `observation.frontier_period_s` and when its map jumps."""
 
-    def __init__(self, config: EnvConfig):
+    def __init__(self, config: EnvConfig, finder: PathFinder | None = None):
         self._config = config
         self._period = max(1, round(config.observation.frontier_period_s / config.dynamics.time_step_s))
-        self._finder = PathFinder()
-        self._looked_step = -self._period
+        self._finder = finder or PathFinder()
+        self._looked = [(-self._period, (-1, -1))] * config.robots
+        """Step, and the robot's map then (`map_id`)."""
         self.candidates: list[Candidates] = [NOTHING] * config.robots
 
-    def look(self, beliefs: Sequence[Belief]) -> None:
-        """Update the candidates every `observation.frontier_period_s`."""
-        if beliefs[0].step - self._looked_step < self._period:
-            return
-        self._looked_step = beliefs[0].step
-        terrains: dict[tuple[float, GridMap], Terrain] = {}
+    def look(
+        self,
+        beliefs: Sequence[Belief],
+        is_due: Sequence[bool] | Array = (),
+        terrains: dict[tuple[float, GridMap], Terrain] | None = None,
+    ) -> None:
+        """Update the candidates of robots for which `is_due` (robots,), and those that are old or of another map.
+
+        terrains: as in `terrain_of`.
+        """
+        step, known = beliefs[0].step, {} if terrains is None else terrains
         for robot, belief in enumerate(beliefs):
-            terrain = terrain_of(terrains, belief, self._config.dynamics.robot_radius_m)
-            self.candidates[robot] = find_candidates(belief, terrain, self._finder, self._config.action.frontier_slots)
+            looked_step, looked_map = self._looked[robot]
+            is_old = step - looked_step >= self._period or map_id(belief) != looked_map
+            if is_old or (len(is_due) and is_due[robot]):
+                self._looked[robot] = step, map_id(belief)
+                terrain = terrain_of(known, belief, self._config.dynamics.robot_radius_m)
+                slots = self._config.action.frontier_slots
+                self.candidates[robot] = find_candidates(belief, terrain, self._finder, slots)
 
 
 class Pilot:
     """Executes the waypoint or frontier actions of all robots in one episode."""
 
-    def __init__(self, config: EnvConfig):
+    def __init__(self, config: EnvConfig, is_alive: Array | None = None):
+        """is_alive: (robots,) bool, by default all."""
         self._config, self._action = config, config.action
         self._finder = PathFinder()
         count = config.robots
         self._drivers = [Driver(config.dynamics, self._finder) for _ in range(count)]
-        self.candidates: list[Candidates] = [NOTHING] * count
-        """Goals that each robot can choose."""
-        self.is_deciding = np.ones(count, bool)
+        self._scout = Scout(config, self._finder)
+        self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()
         """(robots,) whether the robot's action counts in the next step; if not, it still executes its last one."""
         self._stay_until = np.zeros(count, np.int64)
         self._terrains: dict[tuple[float, GridMap], Terrain] = {}
         self._ticks = 0
         self._deadline = 0
         self._seconds = 1.0 / config.dynamics.time_step_s
+
+    @property
+    def candidates(self) -> list[Candidates]:
+        """Goals that each robot can choose; of a busy robot, for its observation only."""
+        return self._scout.candidates
 
     def mask(self, robot: int) -> Array:
         """(choices,) int8, 1 for valid choices. The only one of a busy robot is `stay`, which means continue."""
@@ -87,11 +103,7 @@ class Pilot:
     def look(self, beliefs: Sequence[Belief]) -> None:
         """Update the candidates of the robots that decide now."""
         self._terrains.clear()
-        for robot, belief in enumerate(beliefs):
-            if self.is_deciding[robot]:
-                self.candidates[robot] = find_candidates(
-                    belief, self._terrain(belief, 1.0), self._finder, self._action.frontier_slots
-                )
+        self._scout.look(beliefs, self.is_deciding, self._terrains)
 
     def assign(self, actions: Mapping[str, object], agents: Sequence[str], beliefs: Sequence[Belief]) -> None:
         """Set the goals of the robots that decide; actions of the others are only checked.
@@ -119,14 +131,18 @@ class Pilot:
             [driver.command(belief, self._terrain) for driver, belief in zip(self._drivers, beliefs, strict=True)]
         )
 
-    def is_decision_due(self) -> bool:
-        """Whether the step ends now; if so, updates `is_deciding`."""
+    def is_decision_due(self, is_alive: Array) -> bool:
+        """Whether the step ends now; if so, updates `is_deciding`. Failed robots are not waited for and never decide.
+
+        is_alive: (robots,) bool.
+        """
         is_free = np.array([driver.status != "driving" for driver in self._drivers])
         is_free &= self._stay_until <= self._ticks
-        late = self._ticks >= self._deadline
-        due = late or (is_free.all() if self._action.timing == "synchronous" else is_free.any())
+        late, awaited = self._ticks >= self._deadline, is_free[is_alive]
+        has_come = awaited.all() if self._action.timing == "synchronous" else awaited.any()
+        due = late or (len(awaited) > 0 and has_come)
         if due:
-            self.is_deciding = np.ones_like(is_free) if late else is_free
+            self.is_deciding = is_alive.copy() if late else is_free & is_alive
         return bool(due)
 
     def _goal_of(self, robot: int, value, belief: Belief) -> tuple[str, Array] | None:

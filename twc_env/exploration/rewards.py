@@ -13,6 +13,7 @@ Every value lies in [0, 1]. A potential pays its change, so its sum over an epis
 the first scan); an event pays its value. The reward is the sum of terms times the weights of the same names in
 `RewardConfig`; give events negative weights. Before the last step, a map is aligned with the building to 2 cm and 1
 mrad and its own cells are counted instead of the floor's, which gives the same share to within 0.001 (at most 1).
+Dead reckoning (`slam.mode = "off"`, and robots of which no keyframe has been received) is aligned at the true start.
 
 With `reward.sharing = "individual"` each robot is rewarded for its own group's coverage and merge and its own
 localisation instead of the team's.

@@ -38,17 +38,23 @@ class SmallBlocks:
     def __init__(self, config: EnvConfig, signs: RecentSigns):
         robots, shape = config.robots, config.observation
         mates = max(robots - 1, 1)
-        self.paths_odom = np.zeros((robots, 2, max(1, round(shape.path_m / PATH_SPACING_M))))
-        """(robots, 2, k) rings of the latest places of each robot."""
+        self.paths_odom = np.full((robots, 3, int(shape.path_m / PATH_SPACING_M) + 3), math.nan)
+        """(robots, 3, k) rings of the latest places of each robot, and of how far each was from the one before; NaN for
+        places further back along the path than `observation.path_m`."""
         self.path_counts = np.zeros(robots, np.int64)
         self.mate_places = np.full((robots, 3, mates), math.nan)
         """Pose, in the robot's frame, of each mate of the group, then NaN; as of the last `build`."""
         self._shapes = (
             (config.lidar.beam_count,), (len(POSE_LIMITS),), (shape.wifi_slots,), (shape.sign_slots, 5), (mates, 5),
         )  # fmt: skip
-        rule = 1.0 / config.lidar.range_max_m, float(shape.sign_memory_s), float(config.dynamics.time_step_s)
+        rule = (
+            1.0 / config.lidar.range_max_m, float(shape.sign_memory_s), float(config.dynamics.time_step_s),
+            float(shape.path_m),
+        )  # fmt: skip
+        path_tails = np.zeros((robots, 2))
+        """(robots, 2) how many places are left behind, and how long the path is that is shown."""
         slots = slots_for(robots, shape.wifi_slots)
-        self._kept = self.path_counts, self.paths_odom, *slots, signs.readings, self.mate_places, *rule
+        self._kept = self.path_counts, path_tails, self.paths_odom, *slots, signs.readings, self.mate_places, *rule
         self._run: Callable[..., None] | None = None
         """`_fill_small` with what is kept."""
         self._robots = robots
@@ -99,15 +105,22 @@ class SmallBlocks:
 
 
 @borrowing_kernel
-def _extend_paths(poses, counts, paths):
-    """Note where each robot has come to, in rings (robots, 2, k); poses (robots, 3, 3): the last is that in odom."""
+def _extend_paths(poses, counts, tails, paths, length_m):
+    """Note where each robot has come to, in rings (robots, 3, k); poses (robots, 3, 3): the last is that in odom."""
+    size = paths.shape[2]
     for i in range(poses.shape[0]):
-        x, y, last = poses[i, 2, 0], poses[i, 2, 1], (counts[i] - 1) % paths.shape[2]
+        x, y, last = poses[i, 2, 0], poses[i, 2, 1], (counts[i] - 1) % size
         dx, dy = x - paths[i, 0, last], y - paths[i, 1, last]
         if counts[i] == 0 or dx * dx + dy * dy >= PATH_SPACING_M * PATH_SPACING_M:
-            at = counts[i] % paths.shape[2]
-            paths[i, 0, at], paths[i, 1, at] = x, y
+            at, away = counts[i] % size, 0.0 if counts[i] == 0 else math.sqrt(dx * dx + dy * dy)
+            paths[i, 0, at], paths[i, 1, at], paths[i, 2, at] = x, y, away
             counts[i] += 1
+            tails[i, 1] += away
+            while tails[i, 1] > length_m and tails[i, 0] < counts[i] - 1:
+                first = int(tails[i, 0])
+                tails[i, 1] -= paths[i, 2, (first + 1) % size]
+                paths[i, 0, first % size] = math.nan
+                tails[i, 0] += 1
 
 
 @borrowing_kernel
@@ -178,10 +191,11 @@ def _fill_small(
     poses (robots, 3, 3): in the map, its spread, in odom; contact_steps, mates, mate_poses as in `TeamBeliefs`.
     """
     (
-        path_counts, paths, wifi_slots, levels, room, readings, mate_places, per_metre, memory_s, time_step_s,
+        path_counts, path_tails, paths, wifi_slots, levels, room, readings, mate_places, per_metre, memory_s,
+        time_step_s, path_m,
     ) = parts_of(kept)  # fmt: skip
     if is_new:
-        _extend_paths(poses, path_counts, paths)
+        _extend_paths(poses, path_counts, path_tails, paths, path_m)
         take_scans(step + 1, scan_robots, macs, rssi_dbm, heard_counts, wifi_slots, levels, room)
     if not is_shown:
         return

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ from twc_env.errors import DataError
 from twc_env.exploration import evaluation
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.exploration.verdicts import GroupVerdict
-from twc_env.geometry import compose
+from twc_env.geometry import compose, inverse
+from twc_env.planning.driver import map_id
 from twc_env.world.signal_map import signal_map_dbm
 
 FORMAT = "twc_env/trace-1"
@@ -40,11 +42,14 @@ class EpisodeTrace:
         self._env = env
         self._period = max(1, round(period_s / env.config.dynamics.time_step_s))
         self._estimated: list[Array] = []
-        """Per time step (robots, 3), in the building frame by the latest alignment at that time."""
+        """Per time step (robots, 3), in the building frame by the alignment at the latest moment or jump of the map."""
         self._rewards: list[float] = []
         self._moments: list[tuple[dict[str, Any], list[bytes]]] = []
         """Step, figures, closures (building frame) and layers, largest group first; compressed cells of each layer."""
         self._alignment = np.zeros((env.config.robots, 3))
+        """(robots, 3) alignment of the map of each robot's group with the building, as of the layers."""
+        self._maps: list[tuple[int, int]] = []
+        """`map_id` of each robot at that time."""
         self.note()
 
     def note(self, rewards: dict[str, float] | None = None) -> None:
@@ -53,9 +58,11 @@ class EpisodeTrace:
         self._rewards.append(sum(rewards.values()) if rewards else 0.0)
         if not self._moments or step - self._moments[-1][0]["step"] >= self._period:
             self._add_moment(step)
+        if self._maps != list(map(map_id, self._env.engine.beliefs())):
+            self._lay_maps(self._env.episode.verdicts())
         live = np.array([self._env.engine.pose_map_robot(robot) for robot in range(len(self._alignment))])
-        now = compose(self._alignment, live)
-        self._estimated += [now] * (step + 1 - len(self._estimated))  # a step may have lasted several time steps
+        odom = self._env.episode.record.odom_poses[len(self._estimated) : step + 1]  # a step may last many time steps
+        self._estimated += list(compose(self._alignment, compose(compose(live, inverse(odom[-1])), odom)))
 
     def write(self, path: str | Path) -> None:
         """Write the trace, up to the last recorded step. Raises DataError if the file cannot be written."""
@@ -85,11 +92,15 @@ class EpisodeTrace:
         except OSError as error:
             raise DataError(f"cannot write {path}: {error.strerror}; choose another place") from error
 
+    def _lay_maps(self, verdicts: Sequence[GroupVerdict]) -> None:
+        for verdict in verdicts:
+            self._alignment[list(verdict.view.viewers)] = verdict.pose_building_map
+        self._maps = list(map(map_id, self._env.engine.beliefs()))
+
     def _add_moment(self, step: int) -> None:
         env, verdicts = self._env, self._env.episode.verdicts()
-        self._alignment, closures, figures = evaluation.progress(
-            env.engine, env.episode.record, env.floorplan.cells(), verdicts
-        )
+        self._lay_maps(verdicts)
+        closures, figures = evaluation.progress(env.engine, env.episode.record, env.floorplan.cells(), verdicts)
         figures |= {"bytes_sent": env.episode.bytes_sent, "reward_sum": sum(self._rewards)}
         layers, cells = zip(*map(_layer, verdicts), strict=True)
         moment = {

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env import metrics
@@ -28,7 +27,7 @@ class GroupVerdict:
     robots: tuple[int, ...]
     grid: GridMap
     pose_building_map: Array
-    """(3,) rigid alignment of the group's map with the building."""
+    """(3,) rigid alignment of the group's map with the building; without keyframes, the robot's true start pose."""
     wrong_pairs: tuple[tuple[int, int], ...]
     """Pairs of its robots whose relative frame is wrong by more than 1 m or 10 degrees."""
     correct_area_m2: float
@@ -37,7 +36,8 @@ class GroupVerdict:
 def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupVerdict:
     """Align a group's map with the building and measure it."""
     place = lay(view.robots, view.mapper.nodes, record.true_poses)
-    grid, area_m2, (pose, wrong) = view.mapper.grid_of(view.group), 0.0, place or (np.zeros(3), ())
+    grid, area_m2 = view.mapper.grid_of(view.group), 0.0
+    pose, wrong = place or (record.true_poses[0, view.viewers[0]].copy(), ())
     if place is not None:
         area_m2 = metrics.correct_area_m2(
             grid.log_odds, grid.origin_m, grid.resolution_m, pose, cells.free, cells.origin_m, cells.resolution_m,
@@ -77,9 +77,7 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells, last: Sequence
         group = groups[view.group]
         robots = group.robots
         judged = judge(viewers[0], robots, nodes, true_poses, group.grid.snapshot(), cells)
-        if judged is None:
-            x, y, c, s = 0.0, 0.0, 1.0, 0.0
-        else:
+        if judged is not None:
             (x, y, turn), wrong, area_m2 = judged
             c, s = math.cos(turn), math.sin(turn)
             if wrong:
@@ -89,6 +87,9 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells, last: Sequence
                     area_m2 = verdict.correct_area_m2
             maps.append(JudgedMap(viewers, len(robots), not wrong, area_m2 / floor))
         for robot in viewers:
+            if judged is None:  # no keyframe yet: its map begins where it started
+                x, y, turn = true_poses[0, robot].tolist()
+                c, s = math.cos(turn), math.sin(turn)
             ahead, left, _ = believed[robot]
             errors_m[robot] = math.dist((x + c * ahead - s * left, y + s * ahead + c * left), true[robot])
     return standing_of(maps, errors_m)

@@ -51,7 +51,7 @@ class Driver:
         self._goal_m = np.asarray(goal_m, float).copy()
         self._is_frontier = kind == "frontier"
         self._arrival_m = MATE_ARRIVAL_M if kind == "mate" else arrival_m
-        self._map_id, self._pose = _map_id(belief), belief.pose_map_robot
+        self._map_id, self._pose = map_id(belief), belief.pose_map_robot
         self._ticks, self._back_out_ticks = 0, 0
         self._anchor = (float(self._pose[0]), float(self._pose[1]), 0)
         self._follower.stop()
@@ -91,13 +91,13 @@ class Driver:
 
     def _follow_map_jump(self, belief: Belief) -> None:
         """Transform the goal if the map frame jumped, and drop the path."""
-        if _map_id(belief) != self._map_id:
+        if map_id(belief) != self._map_id:
             jump = compose(belief.pose_map_robot, inverse(self._pose))
             self._goal_m = transform_points(jump, self._goal_m[None])[0]
             x, y = transform_points(jump, np.array([self._anchor[:2]]))[0]
             self._anchor = (float(x), float(y), self._anchor[2])
             self._follower.stop()
-            self._map_id = _map_id(belief)
+            self._map_id = map_id(belief)
         self._pose = belief.pose_map_robot
 
     def _has_arrived(self, belief: Belief) -> bool:
@@ -145,6 +145,6 @@ class Driver:
         return drive_to(0.6 * math.cos(bearing), 0.6 * math.sin(bearing), ranges, self._dynamics)
 
 
-def _map_id(belief: Belief) -> tuple[int, int]:
+def map_id(belief: Belief) -> tuple[int, int]:
     """Differs whenever the map frame has jumped."""
     return belief.map_version, len(belief.mates)
