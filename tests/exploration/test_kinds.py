@@ -132,6 +132,14 @@ def test_frontiers_of_robots_that_decide_nothing_are_of_the_present_map_and_of_t
     assert jumps and (busy or kind == "velocity")
 
 
+@pytest.mark.parametrize("are_shown", [False, True])
+def test_waypoint_steps_look_for_candidates_only_if_they_are_shown(are_shown):
+    env = twc_env.parallel_env(config=settings(("waypoint", "synchronous"), **{"observation.frontiers": are_shown}))
+    env.reset(seed=0)
+    env.step({agent: np.full(2, 0.1) for agent in env.agents})
+    assert any(len(found.frontiers_m) > 0 for found in env.episode.pilot.candidates) == are_shown
+
+
 def test_a_waypoint_step_ends_with_the_last_or_with_the_first_arrival():
     lengths = {}
     for timing in ("synchronous", "asynchronous"):

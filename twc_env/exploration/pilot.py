@@ -75,6 +75,7 @@ class Pilot:
         count = config.robots
         self._drivers = [Driver(config.dynamics, self._finder) for _ in range(count)]
         self._scout = Scout(config, self._finder)
+        self._are_candidates_used = config.action.kind == "frontier" or config.observation.frontiers
         self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()
         """(robots,) whether the robot's action counts in the next step; if not, it still executes its last one."""
         self._stay_until = np.zeros(count, np.int64)
@@ -101,9 +102,10 @@ class Pilot:
         return mask
 
     def look(self, beliefs: Sequence[Belief]) -> None:
-        """Update the candidates of the robots that decide now."""
+        """Update the candidates of the robots that decide now, unless nothing shows or chooses them."""
         self._terrains.clear()
-        self._scout.look(beliefs, self.is_deciding, self._terrains)
+        if self._are_candidates_used:
+            self._scout.look(beliefs, self.is_deciding, self._terrains)
 
     def assign(self, actions: Mapping[str, object], agents: Sequence[str], beliefs: Sequence[Belief]) -> None:
         """Set the goals of the robots that decide; actions of the others are only checked.
