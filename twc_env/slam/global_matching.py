@@ -66,7 +66,8 @@ def match_globally(
     """Pose of the source points (n, 2) in the frame of the target points (m, 2) with the highest score.
 
     Searches all headings, or with `lays_walls_along` those of `headings_along_walls`, and all shifts of up to
-    `window_m`, rounded to whole cells, along x and y; window 0 leaves rotation alone. None if no pose reaches `score_min`. Raises DataError for invalid points or settings.
+    `window_m`, rounded to whole cells, along x and y; with a window of 0 it only rotates. None if no pose reaches
+    `score_min`. Raises DataError for invalid points or settings.
     """
     target_points, source_points = given_points(target_points), given_points(source_points)
     for points in (target_points, source_points):
