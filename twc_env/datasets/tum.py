@@ -61,5 +61,7 @@ def _row(words: list[str], path: str | Path, number: int) -> list[float]:
     if len(values) != 8 or not all(map(math.isfinite, values)):
         raise DataError(f"{path}, line {number}: expected 8 numbers 'time x y z qx qy qz qw'; got {' '.join(words)!r}")
     if not any(values[4:]):
-        raise DataError(f"{path}, line {number}: the quaternion qx qy qz qw is zero, which is no rotation; remove the line")
+        raise DataError(
+            f"{path}, line {number}: the quaternion qx qy qz qw is zero, which is no rotation; remove the line"
+        )
     return values
