@@ -148,7 +148,7 @@ def _read_file(path: Path, modified: tuple[int, ...], seed: int, level: str | No
 
 def _read_json(path: Path, seed: int, level: str | None) -> Floorplan:
     values = load_json(path)
-    if isinstance(values, dict) and values.get("type") in ("FeatureCollection", "Feature", "Polygon", "MultiPolygon"):
+    if isinstance(values, dict) and "format" not in values and ("type" in values or "features" in values):  # GeoJSON
         from twc_env.datasets.geojson import geojson_plan
 
         return geojson_plan(values, path, seed, "0" if level is None else level)

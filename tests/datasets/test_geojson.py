@@ -226,6 +226,21 @@ def test_rooms_without_a_level_are_those_of_level_0(building, tags):
         load_map(f"{path}#1")
 
 
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"type": "Polygon", "coordinates": [box(0, 0, 8, 6)]},
+        {"type": "LineString", "coordinates": box(0, 0, 8, 6)},
+        {"type": "GeometryCollection", "geometries": [{"type": "Polygon", "coordinates": [box(0, 0, 8, 6)]}]},
+        {"type": "Topology", "objects": {}},
+        {"features": []},
+    ],
+)
+def test_what_is_geojson_but_no_collection_is_not_taken_for_a_plan_of_our_own(building, values):
+    with pytest.raises(MapError, match="is not a GeoJSON FeatureCollection with features"):
+        load_map(building(values))
+
+
 def in_metres() -> dict:
     values = level()
     values["features"][0]["geometry"]["coordinates"] = [[[0, 0], [8, 0], [8, 4], [4, 4], [0, 4], [0, 0]]]

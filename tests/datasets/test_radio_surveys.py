@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from tests.real_data import DATA, needs_data
+from twc_env.datasets.ble_drive import read_ble_drive
 from twc_env.datasets.ble_flat import read_ble_run, read_flat
 from twc_env.datasets.fingerprints import read_numbers, read_table
 from twc_env.datasets.indoor20 import read_indoor20
 from twc_env.datasets.scan_log import read_carmen_log, read_relations, read_scan_log
+from twc_env.datasets.sfw_authors import read_authors_walk
 from twc_env.datasets.sod_indoor_loc import read_sod
 from twc_env.datasets.uji_library import read_uji_library
 from twc_env.datasets.uw_floor import read_uw_floor
@@ -93,6 +95,68 @@ def test_broken_files_are_data_errors(tmp_path, name, content, read):
         read(tmp_path / name)
 
 
+TRACE = "1000\tTYPE_WAYPOINT\t0\t0\n9000\tTYPE_WAYPOINT\t5\t5\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "line", "read"),
+    [
+        ("floor.txt", "1 aa 0 0 -60\n\n2 aa 0 x -60\n", 3, read_uw_floor),
+        ("floor.txt", "1 aa 0 0 -60\n2 aa 0 inf -60\n", 2, read_uw_floor),
+        ("floor.txt", "1 aa 0 0 -60\n2 aa 0 1\n", 2, read_uw_floor),
+        ("traces/a.txt", TRACE + "2000\tTYPE_WIFI\tn\taa\t-50\n", 3, lambda p: read_indoor20(p.parents[1])),
+        ("traces/a.txt", TRACE.replace("5\n", "-inf\n"), 2, lambda p: read_indoor20(p.parents[1])),
+        ("layout.csv", "x,y\n1,2\n\n3,nan\n", 4, lambda p: read_flat(p.parent)),
+        ("layout.csv", "x,y\n1,2\n3,\n", 3, lambda p: read_flat(p.parent)),
+        ("layout.csv", "x,y\n1,2\n3,x\n", 3, lambda p: read_flat(p.parent)),
+        ("01/trn01rss.csv.gz", "-50,-60\n-50\n", 2, lambda p: read_uji_library(p.parents[1], "01")),
+        ("01/trn01rss.csv.gz", "-50,-60\n-50,1e400\n", 2, lambda p: read_uji_library(p.parents[1], "01")),
+        ("Exp1_1router.csv", "x,y,rssi\n1,2,-50\n1,2,-\n", 3, lambda p: read_authors_walk(p.parent, 1)),
+        ("Exp1_1router.csv", "x,y,rssi\n1,2,-50\n1,2\n", 3, lambda p: read_authors_walk(p.parent, 1)),
+    ],
+)
+def test_the_faulty_line_of_a_file_is_named(tmp_path, name, content, line, read):
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(gzip.compress(content.encode()) if name.endswith(".gz") else content.encode())
+    with pytest.raises(DataError, match=rf"{path.name}, line {line}: "):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("calib3_scan.txt.gz", "1.0\n[0 1]\n[100 x]\n", "calib3_scan.txt.gz, line 3: "),
+        ("calib3_scan.txt.gz", "1.0\n[0 1]\n[100 inf]\n", "calib3_scan.txt.gz, line 3: "),
+        ("calib3_scan.txt.gz", "2.0\n[0]\n[100]\n1.0\n[0]\n[100]\n", "time 1.000 follows 2.000"),
+        ("calib3_motion.txt.gz", "1.0,stop,0\n2.0,left\n", "calib3_motion.txt.gz, line 2: "),
+        ("calib3_motion.txt.gz", "1.0,stop,0\n2.0,left,inf\n", "calib3_motion.txt.gz, line 2: "),
+        ("calib3_motion.txt.gz", "2.0,stop,0\n1.0,left,0.1\n", "time 1.000 follows 2.000"),
+        (
+            "calib3_df.csv.gz",
+            "ts,x,y,rssi_3,rssi_4,rssi_5,rssi_8,rssi_10,rssi_11\n1,,2,3,4,5,6,7,8\n",
+            "csv.gz, line 2: ",
+        ),
+    ],
+)
+def test_the_faulty_line_of_a_drive_is_named(tmp_path, name, content, expected):
+    whole = {"calib3_scan.txt.gz": "1.0\n[0]\n[100]\n", "calib3_motion.txt.gz": "1.0,stop,0\n"}
+    for file, text in {**whole, name: content}.items():
+        (tmp_path / file).write_bytes(gzip.compress(text.encode()))
+    with pytest.raises(DataError, match=expected):
+        read_ble_drive(tmp_path, "calib3", 90, 12.0)
+
+
+def test_an_access_point_without_a_place_is_named_by_its_line(tmp_path):
+    header, row = "ECoord,NCoord,FloorID,SceneID,PhoneID,SampleTimes,aa\n", "1,2,4,1,1,1,-50\n"
+    (tmp_path / "Training_CETC331.csv.gz").write_bytes(gzip.compress((header + row).encode()))
+    (tmp_path / "aps_CETC331.csv").write_text(
+        "ECoord,NCoord,FloorID,Attribute_2.4,Attribute_5\n1,2,4,x,y\n1,2,,aa,bb\n"
+    )
+    with pytest.raises(DataError, match=r"aps_CETC331.csv, line 3: a value is missing"):
+        read_sod(tmp_path, "CETC331")
+
+
 @pytest.mark.parametrize(
     ("name", "header", "read"),
     [
@@ -109,7 +173,7 @@ def test_a_table_of_a_header_alone_is_a_data_error(tmp_path, name, header, read)
 
 def test_empty_lines_of_a_table_are_left_out(tmp_path):
     (tmp_path / "a.csv").write_text("a,b\r\n\r\n1,2\r\n\r\n")
-    assert read_table(tmp_path / "a.csv") == (["a", "b"], [["1", "2"]])
+    assert read_table(tmp_path / "a.csv") == (["a", "b"], [["1", "2"]], [3])
 
 
 @needs_data

@@ -59,6 +59,12 @@ def test_a_malformed_line_is_named(tmp_path, line):
         read_tum(tmp_path / "a.tum")
 
 
+def test_a_quaternion_of_length_zero_is_refused_with_its_line(tmp_path):
+    (tmp_path / "a.tum").write_text("# a path\n0 0 0 0 0 0 0 1\n1 2 3 0 0 0 0 0\n")
+    with pytest.raises(DataError, match=r"a\.tum, line 3: the quaternion qx qy qz qw is zero"):
+        read_tum(tmp_path / "a.tum")
+
+
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(DataError, match="nowhere"):
         read_tum(tmp_path / "nowhere.tum")

@@ -92,6 +92,13 @@ def test_a_scan_is_found_at_any_heading(seed, lays_walls_along):
     assert math.hypot(*error[:2]) < 0.15 and abs(wrap_angle(error[2])) < 0.05
 
 
+@pytest.mark.parametrize(("window_m", "moved_m"), [(0.0, 0.0), (0.04, 0.0), (0.1, 0.1)])
+def test_shifts_stay_within_the_window_rounded_to_cells(window_m, moved_m):
+    source = transform_points(inverse(np.array([0.4, 0.0, 0.0])), room())
+    found = match_globally(room(), source, window_m=window_m, score_min=0.0)
+    assert np.abs(found.pose[:2]).max() == pytest.approx(moved_m)
+
+
 def test_headings_that_align_walls_are_few_and_near_quarter_turns():
     source = transform_points(np.array([0.0, 0.0, 0.7]), room())
     headings = lattice_headings(source)

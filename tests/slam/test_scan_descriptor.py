@@ -18,6 +18,15 @@ def test_a_rotated_scan_matches_and_gives_the_rotation(scan, office, sectors):
     assert math.remainder(found - turn, 2 * math.pi) == pytest.approx(0.0, abs=2 * math.pi / SECTORS)
 
 
+@pytest.mark.parametrize("beams", [8, 24, 36, 50])
+def test_a_scan_of_few_beams_that_turned_by_some_beams_is_the_same(beams):
+    ranges = np.random.default_rng(beams).uniform(1.0, 9.0, beams)
+    for turned in range(beams):
+        similarity, found = compare(*(describe(r, RANGE_MAX_M) for r in (ranges, np.roll(ranges, -turned))))
+        assert similarity == pytest.approx(1.0)
+        assert math.remainder(found - turned * 2 * math.pi / beams, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_scan_is_more_similar_to_itself_than_to_another_room(scan, office, hall):
     here, there = (describe(scan(walls, (0.0, 0.0, 0.0)), RANGE_MAX_M) for walls in (office, hall))
     assert compare(here, here) == (pytest.approx(1.0), 0.0)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.ble_flat import ANCHORS, POSE_LAYOUT_RUN
-from twc_env.datasets.fingerprints import read_numbers
+from twc_env.datasets.fingerprints import NUMBER_MAX, numbers, read_numbers
 from twc_env.datasets.scan_log import onto_circle
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
@@ -47,7 +47,8 @@ def read_ble_drive(folder: str | Path, run: str, beam_count: int, range_max_m: f
     ends_s, angles_rad, ranges_m = _scans(folder / f"{run}_scan.txt.gz")
     times_s = ends_s - 0.5 * SCAN_S
     path, is_turning = _commanded(folder / f"{run}_motion.txt.gz", times_s)
-    table = read_numbers(folder / f"{run}_df.csv.gz", ("ts", "x", "y", *(f"rssi_{a}" for a in ANCHORS[run])))
+    columns = ("ts", "x", "y", *(f"rssi_{a}" for a in ANCHORS[run]))
+    table = read_numbers(folder / f"{run}_df.csv.gz", columns, filled=3)
     tracked_s, rssi_dbm = table[:, 0] * 1e-9, table[:, 3:]
     positions = transform_points(POSE_LAYOUT_RUN[run], table[:, 1:3])
     frames: list[SensorFrame] = []
@@ -85,27 +86,46 @@ def _scans(path: Path) -> tuple[Array, list[Array], list[Array]]:
     information)."""
     text = read_text(path)
     times = re.findall(r"^(\d+\.\d+)\s*$", text, flags=re.MULTILINE)
-    try:
-        blocks = [np.array(block.split(), float) for block in re.findall(r"\[([^\]]*)\]", text)]
-    except ValueError as error:
-        raise DataError(f"{path} is not a scan file: {error}; expected numbers in brackets") from error
+    blocks = [
+        _block(found[1], f"{path}, line {text.count(chr(10), 0, found.start()) + 1}")
+        for found in re.finditer(r"\[([^\]]*)\]", text)
+    ]
     angles, ranges = blocks[0::2], blocks[1::2]
     if not times or not len(times) == len(angles) == len(ranges) or [*map(len, angles)] != [*map(len, ranges)]:
         raise DataError(f"{path} is not a scan file or is truncated; expected a time, angles and ranges for each scan")
+    _check_order(np.array(times, float), path)
     kept = [np.where((r > 100 * RANGE_MIN_M) & (r < 100 * RANGE_RELIABLE_M), 0.01 * r, 0.0) for r in ranges]
     return np.array(times, float), [np.deg2rad(0.001 * a) for a in angles], kept
 
 
+def _block(text: str, where: str) -> Array:
+    """The numbers in a pair of brackets that opens at this line."""
+    try:
+        values = np.array(text.split(), float)
+    except ValueError as error:
+        raise DataError(f"{where}: {error}; expected numbers in brackets") from error
+    if not (np.abs(values) < NUMBER_MAX).all():
+        raise DataError(f"{where}: expected finite numbers in brackets; fetch the file again")
+    return values
+
+
+def _check_order(times_s: Array, path: Path) -> None:
+    """Raise DataError if times go back."""
+    back = np.flatnonzero(np.diff(times_s) < 0)
+    if len(back):
+        raise DataError(f"{path}: time {times_s[back[0] + 1]:.3f} follows {times_s[back[0]]:.3f}; fetch the file again")
+
+
 def _commanded(path: Path, times_s: Array) -> tuple[Array, Array]:
     """Poses (k, 3) according to the commands, in the middle of each scan, and whether the robot turned during it."""
-    try:
-        lines = [line.split(",") for line in read_text(path).splitlines() if line.strip()]
-        starts = np.array([float(line[0]) for line in lines])
-        speed = np.array([float(line[2]) for line in lines])
-        ahead = np.array([{"forward": 1.0, "reverse": -1.0}.get(line[1], 0.0) for line in lines]) * speed * SPEED_M_S
-        turn = np.array([TURN_RAD_S.get(line[1], 0.0) for line in lines]) * speed
-    except (ValueError, IndexError) as error:
-        raise DataError(f"{path} holds no commands: {error}; expected lines unix_s,command,speed") from error
+    lines = [(k, line.split(",")) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
+    for k, words in lines:
+        if len(words) < 3:
+            raise DataError(f"{path}, line {k}: expected unix_s,command,speed; got {','.join(words)[:40]!r}")
+    starts, speed = numbers([[words[0], words[2]] for _, words in lines], [k for k, _ in lines], path).T
+    _check_order(starts, path)
+    ahead = np.array([{"forward": 1.0, "reverse": -1.0}.get(words[1], 0.0) for _, words in lines]) * speed * SPEED_M_S
+    turn = np.array([TURN_RAD_S.get(words[1], 0.0) for _, words in lines]) * speed
     at_start = np.zeros((len(starts), 3))
     for k in range(1, len(starts)):
         at_start[k] = compose(at_start[k - 1], _moved(ahead[k - 1], turn[k - 1], starts[k] - starts[k - 1]))

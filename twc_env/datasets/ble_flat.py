@@ -53,7 +53,7 @@ def read_ble_run(folder: str | Path, run: str) -> RadioSurvey:
     if run not in POSE_LAYOUT_RUN:
         raise DataError(f"the flat has no run {run!r}; known are {', '.join(POSE_LAYOUT_RUN)}")
     columns = tuple(f"rssi_{anchor}" for anchor in ANCHORS[run])
-    table = read_numbers(Path(folder) / f"{run}_df.csv.gz", ("ts", "x", "y", *columns))
+    table = read_numbers(Path(folder) / f"{run}_df.csv.gz", ("ts", "x", "y", *columns), filled=3)
     return RadioSurvey(
         name=f"ble_lidar/{run}",
         position_m=transform_points(POSE_LAYOUT_RUN[run], table[:, 1:3]),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +15,9 @@ from numpy.typing import NDArray as Array
 
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
+
+NUMBER_MAX = 9e18
+"""Larger numbers are no measurements; times in nanoseconds and stamps of seventeen digits are smaller."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,34 +88,65 @@ class RadioSurvey:
         return self.transmitter_m, self.transmitter_floor, self.is_high_band
 
 
-def read_table(path: Path, columns: tuple[str, ...] = ()) -> tuple[list[str], list[list[str]]]:
-    """Header and non-empty rows of a CSV file; DataError if `columns` are missing or a row is incomplete."""
+def read_table(path: Path, columns: tuple[str, ...] = ()) -> tuple[list[str], list[list[str]], list[int]]:
+    """Header, non-empty rows and their line numbers of a CSV file.
+
+    Raises DataError if `columns` are missing or a row is incomplete.
+    """
+    reader = csv.reader(io.StringIO(read_text(path)))
     try:
-        rows = list(csv.reader(io.StringIO(read_text(path))))
+        rows = [(reader.line_num, row) for row in reader]
     except csv.Error as error:
-        raise DataError(f"{path} is not a table: {error}; fetch the file again") from error
-    if not rows or (missing := [c for c in columns if c not in rows[0]]):
+        raise DataError(f"{path}, line {reader.line_num}: no table: {error}; fetch the file again") from error
+    header = rows[0][1] if rows else []
+    if not rows or (missing := [c for c in columns if c not in header]):
         raise DataError(f"{path} lacks the columns {', '.join(columns if not rows else missing)}; fetch the file again")
-    for number, row in enumerate(rows[1:], 2):
-        if row and len(row) != len(rows[0]):
-            raise DataError(f"{path}, line {number}: expected {len(rows[0])} values; got {len(row)}")
-    return rows[0], [row for row in rows[1:] if row]
+    for number, row in rows[1:]:
+        if row and len(row) != len(header):
+            raise DataError(f"{path}, line {number}: expected {len(header)} values; got {len(row)}")
+    told = [(number, row) for number, row in rows[1:] if row]
+    return header, [row for _, row in told], [number for number, _ in told]
 
 
-def numbers(rows: list[list[str]], path: Path) -> Array:
-    """Rows of text as (rows, columns) floats, empty cells as NaN; DataError without rows, or for invalid numbers."""
+def numbers(rows: list[list[str]], lines: Sequence[int], path: Path, filled: Sequence[int] | None = None) -> Array:
+    """Rows of text, from these lines of a file, as (rows, columns) floats, empty cells as NaN.
+
+    `filled`: the columns in which no cell may be empty; None: all. Raises DataError without rows, and naming the line
+    for rows of unequal length, invalid numbers and empty cells.
+    """
     if not rows:
         raise DataError(f"{path} holds no rows; fetch the file again")
+    for number, row in zip(lines, rows, strict=True):
+        if len(row) != len(rows[0]):
+            raise DataError(f"{path}, line {number}: expected {len(rows[0])} values; got {len(row)}")
+    values = np.array(
+        [[_number(cell, path, number) for cell in row] for number, row in zip(lines, rows, strict=True)], float
+    )
+    needed = values if filled is None else values[:, filled]
+    is_empty = np.isnan(needed).any(axis=1)
+    if is_empty.any():
+        raise DataError(f"{path}, line {lines[int(np.argmax(is_empty))]}: a value is missing; fetch the file again")
+    return values
+
+
+def _number(cell: str, path: Path, line: int) -> float:
     try:
-        return np.array([[float(cell) if cell else np.nan for cell in row] for row in rows], float)
-    except ValueError as error:
-        raise DataError(f"{path}: {error}; expected a table of numbers") from error
+        value = float(cell) if cell else math.nan
+    except ValueError:
+        value = math.inf
+    if abs(value) > NUMBER_MAX:
+        raise DataError(f"{path}, line {line}: expected a number of at most {NUMBER_MAX:g}; got {cell[:40]!r}")
+    return value
 
 
-def read_numbers(path: Path, columns: tuple[str, ...]) -> Array:
-    """(rows, columns) the named columns of a CSV file; DataError as from `read_table` and `numbers`."""
-    header, rows = read_table(path, columns)
-    return numbers(rows, path)[:, [header.index(name) for name in columns]]
+def read_numbers(path: Path, columns: tuple[str, ...], filled: int | None = None) -> Array:
+    """(rows, columns) the named columns of a CSV file, of which the first `filled` (None: all) have no empty cell.
+
+    Raises DataError as from `read_table` and `numbers`.
+    """
+    header, rows, lines = read_table(path, columns)
+    at = [header.index(name) for name in columns]
+    return numbers([[row[k] for k in at] for row in rows], lines, path, range(len(at))[:filled])
 
 
 def heard_only(rssi: Array) -> Array:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.fingerprints import RadioSurvey, from_rows
+from twc_env.datasets.fingerprints import NUMBER_MAX, RadioSurvey, from_rows
 from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 
@@ -50,18 +51,33 @@ def trace_rows(path: Path, *kinds: str) -> list[list[list[str]]]:
     return list(rows.values())
 
 
-def numbers_in(rows: list[list[str]], *columns: int) -> Array:
-    """(rows, columns) the numbers in these columns; ValueError or IndexError if one is missing or invalid."""
-    return np.array([[float(words[k]) for k in columns] for words in rows])
+def numbers_in(path: Path, rows: list[list[str]], *columns: int) -> Array:
+    """(rows, columns) the numbers in these columns of lines of a trace.
+
+    Raises DataError naming the first line where one is missing, not finite or too large.
+    """
+    try:
+        values = np.array([[float(words[k]) for k in columns] for words in rows]).reshape(-1, len(columns))
+        if (np.abs(values) <= NUMBER_MAX).all():
+            return values
+    except (ValueError, IndexError):
+        pass
+    faulty = next(words for words in rows if not _has_numbers(words, columns))
+    line = read_text(path).splitlines().index("\t".join(faulty)) + 1
+    raise DataError(f"{path}, line {line}: a number of {faulty[1]} is missing or invalid; fetch the trace again")
+
+
+def _has_numbers(words: list[str], columns: Sequence[int]) -> bool:
+    try:
+        return all(abs(float(words[k])) <= NUMBER_MAX for k in columns)
+    except (ValueError, IndexError):
+        return False
 
 
 def _trace(path: Path, number: int, age_max_s: float):
     """The readings of one file as columns; None if it has no scan between its waypoints."""
     waypoints, readings = trace_rows(path, "WAYPOINT", "WIFI")
-    try:
-        route, values = numbers_in(waypoints, 0, 2, 3), numbers_in(readings, 0, 4, 5, 6)
-    except (ValueError, IndexError) as error:
-        raise DataError(f"{path.name}: {error}; fetch the trace again") from error
+    route, values = numbers_in(path, waypoints, 0, 2, 3), numbers_in(path, readings, 0, 4, 5, 6)
     if len(waypoints) < 2 or not readings:
         return None
     inside = (values[:, 0] >= route[0, 0]) & (values[:, 0] <= route[-1, 0])

@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.datasets.fingerprints import numbers
 from twc_env.datasets.raster import read_grey
+from twc_env.datasets.text_file import read_text
 from twc_env.errors import DataError
 
 ROUTERS_PX = np.array([(397.0, 236.0), (830.0, 620.0)])
@@ -42,11 +44,8 @@ def read_authors_walk(folder: str | Path, routers: int) -> AuthorsWalk:
         raise DataError(f"the authors published walks with 1 and 2 routers; got {routers}")
     name, count, columns = _FILES[routers]
     path = Path(folder) / name
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()[1:]
-        table = np.array([[float(cell) for cell in line.split(",")[: 2 + columns]] for line in lines if line.strip()])
-    except (OSError, ValueError) as error:
-        raise DataError(f"cannot read {path}: {error}") from error
+    lines = [(k, line) for k, line in enumerate(read_text(path).splitlines(), 1) if k > 1 and line.strip()]
+    table = numbers([line.split(",")[: 2 + columns] for _, line in lines], [k for k, _ in lines], path)
     if table.shape != (count, 2 + columns):
         raise DataError(f"{path} must hold {count} rows of {2 + columns} numbers; got {table.shape}")
     router_of = np.array([0]) if columns == 1 else np.array([0, 0, 1, 1])

@@ -23,21 +23,23 @@ def read_sod(folder: str | Path, building: str) -> RadioSurvey:
     if building not in _TRAINING:
         raise DataError(f"SODIndoorLoc has no building {building!r} here; known are {', '.join(_TRAINING)}")
     path, aps_path = Path(folder) / _TRAINING[building], Path(folder) / f"aps_{building}.csv"
-    header, rows = read_table(path, _PLACE)
-    table = numbers(rows, path)
+    header, rows, lines = read_table(path, _PLACE)
     at = {name: i for i, name in enumerate(header)}
+    table = numbers(rows, lines, path, [at[name] for name in _PLACE])
     _, first = np.unique(table[:, [at[name] for name in _PLACE[:3]]], axis=0, return_index=True)
     table = table[np.sort(first)]
-    aps_header, aps = read_table(aps_path, _ACCESS_POINT)
+    aps_header, aps, aps_lines = read_table(aps_path, _ACCESS_POINT)
     sent = [
-        (dict(zip(aps_header, ap, strict=True))[band], ap, band == "Attribute_5")
-        for ap in aps
+        (dict(zip(aps_header, ap, strict=True))[band], (line, ap), band == "Attribute_5")
+        for line, ap in zip(aps_lines, aps, strict=True)
         for band in _ACCESS_POINT[3:]
     ]
     sent = [(mac, ap, is_high) for mac, ap, is_high in sent if mac in at]
     if not sent:
         raise DataError(f"{aps_path} names no address of {path.name}; wrong pair of files")
-    places = numbers([[ap[aps_header.index(key)] for key in _ACCESS_POINT[:3]] for _, ap, _ in sent], aps_path)
+    place_at = [aps_header.index(key) for key in _ACCESS_POINT[:3]]
+    placed = [[ap[k] for k in place_at] for _, (_, ap), _ in sent]
+    places = numbers(placed, [line for _, (line, _), _ in sent], aps_path)
     return RadioSurvey(
         name=f"sod/{building}",
         position_m=table[:, [at["ECoord"], at["NCoord"]]],

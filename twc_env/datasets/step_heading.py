@@ -102,12 +102,13 @@ def read_walks(folder: str | Path, traces_max: int | None = None) -> list[Walker
 
 def _read_walk(path: Path) -> WalkerTrace | None:
     marks, heard, accelerations, rotations = trace_rows(path, "WAYPOINT", "WIFI", "ACCELEROMETER", "ROTATION_VECTOR")
+    waypoints = numbers_in(path, marks, 0, 2, 3)
+    acceleration, rotation = numbers_in(path, accelerations, 0, 2, 3, 4), numbers_in(path, rotations, 0, 2, 3, 4)
+    numbers_in(path, heard, 0, 4, 5, 6)
     try:
-        waypoints = numbers_in(marks, 0, 2, 3)
-        acceleration, rotation = numbers_in(accelerations, 0, 2, 3, 4), numbers_in(rotations, 0, 2, 3, 4)
         at_s, prints = phone_hearing.fingerprints(heard)
     except (ValueError, IndexError, OverflowError) as error:
-        raise DataError(f"{path.name}: {error}; fetch the trace again") from error
+        raise DataError(f"{path}: {error}; fetch the trace again") from error
     if len(waypoints) < 2 or len(acceleration) < 10 or len(rotation) < 2:
         return None
     for table in (waypoints, acceleration, rotation):

@@ -38,7 +38,7 @@ def write_tum(path: str | Path, times_s: Array, poses: Array) -> None:
 def read_tum(path: str | Path) -> tuple[Array, Array]:
     """Times (k,) [s] and poses (k, 3) of a file; height, roll and pitch are dropped.
 
-    Raises DataError naming the first line that is not eight numbers.
+    Raises DataError naming the first line that is not eight numbers or whose quaternion is zero.
     """
     rows = []
     for number, line in enumerate(read_text(path).splitlines(), 1):
@@ -60,4 +60,8 @@ def _row(words: list[str], path: str | Path, number: int) -> list[float]:
         values = []
     if len(values) != 8 or not all(map(math.isfinite, values)):
         raise DataError(f"{path}, line {number}: expected 8 numbers 'time x y z qx qy qz qw'; got {' '.join(words)!r}")
+    if not any(values[4:]):
+        raise DataError(
+            f"{path}, line {number}: the quaternion qx qy qz qw is zero, which is no rotation; remove the line"
+        )
     return values

@@ -16,14 +16,16 @@ _PART = "trn01"
 def read_uji_library(folder: str | Path, month: str) -> RadioSurvey:
     """One collection of one month ("01", "13"). Raises DataError for missing or inconsistent files."""
     values = []
-    for what in ("rss", "crd", "tms"):
-        path = Path(folder) / month / f"{_PART}{what}.csv.gz"
-        values.append(numbers([line.split(",") for line in read_text(path).split()], path))
+    paths = [Path(folder) / month / f"{_PART}{what}.csv.gz" for what in ("rss", "crd", "tms")]
+    for path in paths:
+        lines = [(k, line.strip()) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
+        values.append(numbers([line.split(",") for _, line in lines], [k for k, _ in lines], path))
     rssi, places, times = values
-    if len({len(table) for table in values}) > 1 or places.shape[1] < 3:
-        raise DataError(
-            f"the tables of {folder}/{month}/{_PART} have {[len(v) for v in values]} rows; expected as many each"
-        )
+    if len({len(table) for table in values}) > 1:
+        told = ", ".join(f"{path.name} {len(table)}" for path, table in zip(paths, values, strict=True))
+        raise DataError(f"the tables of {paths[0].parent} differ in rows ({told}); fetch the shorter ones again")
+    if places.shape[1] < 3:
+        raise DataError(f"{paths[1]}, line 1: expected x, y and floor; got {places.shape[1]} values")
     heard = heard_only(rssi)
     known = np.isfinite(heard).any(axis=0)
     _, point = np.unique(places, axis=0, return_inverse=True)

@@ -66,7 +66,8 @@ def match_globally(
     """Pose of the source points (n, 2) in the frame of the target points (m, 2) with the highest score.
 
     Searches all headings, or with `lays_walls_along` those of `headings_along_walls`, and all shifts of up to
-    `window_m` along x and y. None if no pose reaches `score_min`. Raises DataError for invalid points or settings.
+    `window_m`, rounded to whole cells, along x and y; with a window of 0 it only rotates. None if no pose reaches
+    `score_min`. Raises DataError for invalid points or settings.
     """
     target_points, source_points = given_points(target_points), given_points(source_points)
     for points in (target_points, source_points):
@@ -86,7 +87,7 @@ def match_globally(
     headings = lattice_headings(chosen)
     if lays_walls_along:
         headings = headings_along_walls(headings, target_points, source_points)
-    reach = max(int(round(window_m / CELL_M)), 1)
+    reach = int(round(window_m / CELL_M))
     best = np.zeros(3, np.int64)
     least = int(score_min * FULL * len(chosen))
     score, evaluated = _branch_and_bound(fields, chosen, headings, origin_m, reach, least, best)

@@ -1,7 +1,8 @@
 """Appearance of a place in a laser scan: a rotation-invariant descriptor, and a direct comparison of two scans.
 
 The descriptor is Scan Context (Kim and Kim 2018) in 2D: rings of range by sectors of bearing. A rotation shifts the
-sectors, so the best shift gives the similarity and the rotation between two scans.
+sectors, so the best shift gives the similarity and the rotation between two scans. A rotation by part of a sector
+lowers the similarity a little: in a rectangular room to 0.97 with 180 beams, 0.93 with 60, 0.86 with 24.
 """
 
 from __future__ import annotations
@@ -23,9 +24,12 @@ THROUGH_M = 0.4
 
 
 def describe(ranges_m: Array, range_max_m: float) -> Array:
-    """Ranges (beams,) -> (RINGS, SECTORS) with normalised sectors; beams marked as mates or without return are
-    skipped."""
-    descriptor = np.zeros((RINGS, SECTORS))
+    """Ranges (beams,) -> (RINGS, sectors) with normalised sectors; beams marked as mates or without return are
+    skipped.
+
+    There are SECTORS, or one for each beam of a scan with fewer: a beam-wise rotation would not shift gaps evenly.
+    """
+    descriptor = np.zeros((RINGS, min(SECTORS, len(ranges_m))))
     _bin(ranges_m, range_max_m, descriptor)
     return descriptor
 
@@ -43,18 +47,20 @@ def compare(target: Array, source: Array) -> tuple[float, float]:
 
 
 def compare_many(targets: Array, source: Array) -> tuple[Array, Array]:
-    """(k, RINGS, SECTORS) against one: (k,) similarities at the best rotation and (k,) rotations [rad].
+    """(k, RINGS, sectors) against one: (k,) similarities at the best rotation and (k,) rotations [rad], multiples of a
+    sector.
 
-    The cosine between sectors that are non-empty in both, averaged over those non-empty in either.
+    The sum of the cosines between sectors, divided by the number of non-empty sectors of the fuller descriptor.
     """
+    sectors = source.shape[-1]
     shifts = np.fft.irfft(
-        (np.fft.rfft(targets, axis=-1) * np.conj(np.fft.rfft(source, axis=-1))).sum(axis=-2), n=SECTORS, axis=-1
+        (np.fft.rfft(targets, axis=-1) * np.conj(np.fft.rfft(source, axis=-1))).sum(axis=-2), n=sectors, axis=-1
     )
     filled = max(int((source.max(axis=-2) > 0).sum()), 1)
     counts = np.maximum((targets.max(axis=-2) > 0).sum(axis=-1), filled)
     best = np.argmax(shifts, axis=-1)
     similarity = np.clip(shifts[np.arange(len(best)), best] / counts, 0.0, 1.0)
-    return similarity, wrap_angle(best * (2 * np.pi / SECTORS))
+    return similarity, wrap_angle(best * (2 * np.pi / sectors))
 
 
 def scan_agreement(
