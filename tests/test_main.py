@@ -149,6 +149,13 @@ def test_a_replay_reports_that_the_oracle_is_ignored(tmp_path, capsys):
         assert said in remark and bool(remark) == bool(said)
 
 
+@pytest.mark.parametrize("kind", ["waypoint", "frontier"])
+def test_a_recorded_team_is_driven_by_velocities_only(kind, tmp_path, refusal):
+    arguments = ["record", "--steps", "30", "--out", str(tmp_path / "out"), "--set", f"action.kind={kind}"]
+    assert "action.kind must be 'velocity'" in refusal(main, arguments)
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("topology", ["central", "peer"])
 def test_a_replay_of_peers_reports_whose_groups_it_prints(topology, tmp_path, capsys):
     main(["record", "--set", f"link.topology={topology}", "--steps", "3", "--out", str(tmp_path)])
