@@ -100,9 +100,19 @@ def test_override_converts_strings_to_the_type_of_the_field():
     assert config.map == "3"
 
 
+@pytest.mark.parametrize("section", [{"beam_count": 90}, {}])
+def test_a_nested_override_leaves_the_other_settings_of_its_section(section):
+    config = override(EnvConfig(), {"lidar.range_max_m": 7.0, "lidar": section})
+    assert config.lidar == LidarConfig(range_max_m=7.0, **section)
+    assert override(config, {"lidar": section}) == config
+
+
 @pytest.mark.parametrize(
     ("assignments", "message"),
     [
+        ({"lidra": {}}, r"there is no setting lidra; did you mean 'lidar'\?"),
+        ({"robots": {}}, r"robots must be a whole number; got {}"),
+        ({"lidar": {"beam_cuont": 9}}, r"there is no setting lidar\.beam_cuont; did you mean 'beam_count'\?"),
         ({"lidar.beam_cuont": 9}, r"there is no setting lidar\.beam_cuont; did you mean 'beam_count'\?"),
         ({"lidar.beam_count.more": 9}, r"there is no setting lidar\.beam_count\.more"),
         ({"lidar.beam_count": "many"}, r"lidar\.beam_count must be a whole number; got 'many'"),

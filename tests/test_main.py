@@ -149,6 +149,23 @@ def test_a_replay_reports_that_the_oracle_is_ignored(tmp_path, capsys):
         assert said in remark and bool(remark) == bool(said)
 
 
+@pytest.mark.parametrize("is_enabled", [True, False])
+def test_a_replay_reports_that_known_transmitters_are_ignored(is_enabled, tmp_path, capsys):
+    radio = "slam.k_visibility"
+    settings = ["--set", f"{radio}.enabled={is_enabled}", "--set", f"{radio}.are_transmitters_known=true"]
+    assert main(["record", "--robots", "2", "--steps", "3", *settings, "--out", str(tmp_path)]) == 0
+    capsys.readouterr()
+    assert main(["replay", str(tmp_path)]) == 0
+    assert (f"{radio}.are_transmitters_known: ignored" in capsys.readouterr().err) is is_enabled
+
+
+@pytest.mark.parametrize("kind", ["waypoint", "frontier"])
+def test_a_recorded_team_is_driven_by_velocities_only(kind, tmp_path, refusal):
+    arguments = ["record", "--steps", "30", "--out", str(tmp_path / "out"), "--set", f"action.kind={kind}"]
+    assert "action.kind must be 'velocity'" in refusal(main, arguments)
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("topology", ["central", "peer"])
 def test_a_replay_of_peers_reports_whose_groups_it_prints(topology, tmp_path, capsys):
     main(["record", "--set", f"link.topology={topology}", "--steps", "3", "--out", str(tmp_path)])

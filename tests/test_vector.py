@@ -65,6 +65,13 @@ def test_each_environment_plays_as_it_would_alone():
 
 
 @pytest.mark.parametrize("workers", [0, 2])
+def test_last_observations_name_their_blocks_in_the_order_of_the_others(workers):
+    *_, (observations, _, ended, infos) = play(VectorTeams(2, {**SMALL, "max_cycles": 2}, workers), 2)
+    assert ended.all()
+    assert all(list(info["final_observation"]) == list(observations) for team in infos for info in team)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
 def test_centralised_critics_get_the_state_of_each_environment_and_that_in_which_an_episode_ended(workers):
     teams = VectorTeams(3, SMALL, workers=workers)
     teams.reset(7)

@@ -50,7 +50,14 @@ class Wanderer:
 
 
 def wander(env: ExplorationEnv, seed: int) -> Iterator[dict[str, Array]]:
-    """Yields the actions of a team of Wanderers until the episode ends; the caller steps the environment."""
+    """Yields the actions of a team of Wanderers until the episode ends; the caller steps the environment.
+
+    Raises ConfigError unless actions are velocities: a Wanderer's speed and turn rate are no goal.
+    """
+    if env.config.action.kind != "velocity":
+        raise ConfigError(
+            f"this team is driven by velocities: action.kind must be 'velocity'; it is {env.config.action.kind!r}"
+        )
     drivers = {agent: Wanderer(seed * 1000 + robot) for robot, agent in enumerate(env.agents)}
     while env.agents:
         seen = {f.robot: f.ranges_m for f in env.frames}  # failed robots have no frame, and do not move

@@ -8,7 +8,7 @@ from typing import Any
 
 from twc_env.errors import TwcError
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.shared_arrays import SharedArrays, write_observations
+from twc_env.shared_arrays import FLAT, SharedArrays, write_observations
 
 RESET, STEP, STATE = range(3)
 """Commands to one environment."""
@@ -61,12 +61,17 @@ class EnvironmentGroup:
         if has_ended:
             state = env.state()
             for agent, info in infos.items():
-                info["final_observation"], info["final_state"] = observations[agent], state
+                info["final_observation"], info["final_state"] = self._named(observations[agent]), state
             self._seeds[k] += len(arrays.ended)
             self._begin(k)
         else:
             write_observations(arrays.observations, k, observations)
         return list(infos.values())
+
+    def _named(self, observation: Any) -> Any:
+        """The observation with its blocks in the order of `arrays.observations`, as from environments of workers."""
+        blocks = self._arrays.observations
+        return observation if FLAT in blocks else {name: observation[name] for name in blocks}
 
     def _begin(self, k: int) -> None:
         names, seed = self._buildings, self._seeds[k]

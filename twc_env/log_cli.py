@@ -153,6 +153,9 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     odom_poses: list[np.ndarray] = []
     if config.slam.oracle != "none":
         print(f"slam.oracle = {config.slam.oracle!r}: ignored, since logs contain no ground truth", file=sys.stderr)
+    if config.slam.k_visibility.enabled and config.slam.k_visibility.are_transmitters_known:
+        ignored = "slam.k_visibility.are_transmitters_known"
+        print(f"{ignored}: ignored, since logs contain no ground truth", file=sys.stderr)
     if config.link.topology == "peer":
         print(
             "each robot has a mapper of its own: groups, closures, map and graph are those of robot 0", file=sys.stderr

@@ -83,14 +83,15 @@ def load(path: str | Path) -> EnvConfig:
 
 
 def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
-    """A copy with dotted keys replaced: `override(config, {"lidar.beam_count": 360})`.
+    """A copy with dotted keys replaced: `override(config, {"lidar.beam_count": 360})`, or nested ones, which leave the
+    other settings of their section as they are.
 
     Strings are converted to the type of the field, as for command lines. `radio.preset` is applied before the others.
     Raises ConfigError for an unknown key or an invalid value.
     """
     if not isinstance(assignments, Mapping) or not all(isinstance(key, str) for key in assignments):
         raise ConfigError(f"settings must be a dict with names as keys, such as {{'robots': 2}}; got {assignments!r}")
-    values, assignments = to_dict(config), dict(assignments)
+    values, assignments = to_dict(config), dotted_keys(assignments)
     if "radio.preset" in assignments:
         values["radio"] = dataclasses.asdict(radio_preset(str(assignments.pop("radio.preset"))))
     for dotted, value in assignments.items():
@@ -102,8 +103,19 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
                 raise ConfigError(f"there is no setting {name}{_near(part, known)}")
             if depth < len(parts) - 1:
                 node = node[part]
+        if isinstance(value, Mapping) and isinstance(node[parts[-1]], dict):  # empty
+            continue
         node[parts[-1]] = _from_text(value, node[parts[-1]], dotted)
     return from_dict(values)
+
+
+def dotted_keys(settings: Mapping, prefix: str = "") -> dict[str, object]:
+    """Nested settings with dotted keys; an empty table stays one, so that its name is checked."""
+    flat: dict[str, object] = {}
+    for key, value in settings.items():
+        is_nested = isinstance(value, Mapping) and value
+        flat |= dotted_keys(value, f"{prefix}{key}.") if is_nested else {f"{prefix}{key}": value}
+    return flat
 
 
 def _value(kind: type, value, where: str):

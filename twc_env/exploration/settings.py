@@ -51,12 +51,4 @@ def _base(config: EnvConfig | Mapping[str, Any] | None, task: str | None) -> Env
         if task_config(task) != config and override(config, TASKS[task]) != config:
             raise ConfigError(f"config has other settings than {task}: give what differs from the task as a dict")
         return config
-    return override(task_config(task), _dotted(config or {}))
-
-
-def _dotted(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings with dotted keys."""
-    flat: dict[str, Any] = {}
-    for key, value in settings.items():
-        flat |= _dotted(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
-    return flat
+    return override(task_config(task), config or {})
