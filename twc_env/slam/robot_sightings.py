@@ -39,8 +39,7 @@ training buildings 300 to 349 none of 143 wrong hypotheses was confirmed and 92 
 were confirmed and none was contradicted."""
 PLACES_MIN, PLACE_APART_M = 5, 0.5
 """Successive places of a seen robot, this far apart, that prove the hypothesis of a single closure by a sign: what
-stands still may be a pillar. In training buildings 350 to 379, by hard settings and without WiFi, none of 1,061 wrong
-hypotheses was proven, and 150 of 318 right ones were."""
+stands still may be a pillar. Checked on training buildings 350 to 379, by hard settings and without WiFi."""
 
 
 class Sightings(NamedTuple):

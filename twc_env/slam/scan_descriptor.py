@@ -2,7 +2,7 @@
 
 The descriptor is Scan Context (Kim and Kim 2018) in 2D: rings of range by sectors of bearing. A rotation shifts the
 sectors, so the best shift gives the similarity and the rotation between two scans. A rotation by part of a sector
-lowers the similarity a little: in a rectangular room to 0.97 with 180 beams, 0.93 with 60, 0.86 with 24.
+lowers the similarity, more so with few beams.
 """
 
 from __future__ import annotations
