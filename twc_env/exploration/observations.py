@@ -63,7 +63,7 @@ class ObservationBuilder:
     ) -> list[dict[str, Array]] | list[Array]:
         """The observation of each robot after the last step given to `notice`; `masks`: its action mask."""
         beliefs, names = self._beliefs, self._names
-        self._signs.know(beliefs.signs)
+        self._signs.know(beliefs)
         rows = self._small.build()
         if names == _USUAL and not self._is_flat:
             return _usual(rows, self._maps())
