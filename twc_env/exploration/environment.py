@@ -74,7 +74,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `overview` | (4, 32, 32) uint8 | 0..255 | the merged map, downscaled: free, wall, this robot, teammates |
     | `pose` | (8,) | m, m, -, -, m, m, rad, m | x, y, cos, sin of heading in the map frame of the robot's group; |
     | | | | standard deviations of x, y, heading and path length since the last closure |
-    | `wifi` | (16,) | [0, 1] | RSSI per transmitter, -100..-20 dBm; slots keep their transmitter; 0: not heard |
+    | `wifi` | (16,) | [0, 1] | last scan: RSSI per transmitter, -100..-20 dBm; slots keep their transmitter; 0: not |
+    | | | | heard |
     | `signs` | (4, 5) | [-1, 1] | recent readings, newest first: present, bearing / pi, distance d / (d + 10 m), age |
     | | | | / `sign_memory_s`, c / (c + 2) if the text is known from c other places |
     | `team` | (n-1, 5) | [-1, 1] | per teammate: shares my map, bearing / pi, d / (d + 10 m), heading / pi, |
@@ -86,6 +87,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `action_mask` | (11,) int8 | 0, 1 | valid choices (only with `action.kind = "frontier"`) |
     | `radio` | (2, 64, 64) uint8 | 0, 255 | with `slam.k_visibility.enabled`: probably free, probably wall, estimated |
     | | | | from signal strength alone; egocentric like `map` |
+
+    A robot that has failed measures nothing: its `lidar` and `wifi` are 0.
 
     With `observation.kind = "flat"` the blocks are concatenated to one float32 vector, images scaled to [0, 1].
 

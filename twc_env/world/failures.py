@@ -6,8 +6,11 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import FailureConfig
-from twc_env.messages import UNSEEN_M, Contacts
+from twc_env.messages import UNSEEN_M, Contacts, WifiScan
 from twc_env.team_messages import TeamFrames
+
+_DEAF = WifiScan(np.zeros(0, np.int64), np.zeros(0))
+"""A scan in which nothing was heard."""
 
 
 class Failures:
@@ -43,7 +46,10 @@ class Failures:
 
 
 def silenced(frames: TeamFrames, is_alive: Array) -> TeamFrames:
-    """The frames of a step with empty measurements for failed robots; is_alive (robots,) bool."""
+    """The frames of a step with empty measurements for failed robots; is_alive (robots,) bool.
+
+    A failed robot has an empty scan in every step, so that what it heard before does not count as heard now.
+    """
     alive = is_alive.tolist()
     return TeamFrames(
         frames.step,
@@ -51,6 +57,6 @@ def silenced(frames: TeamFrames, is_alive: Array) -> TeamFrames:
         np.where(is_alive[:, None], frames.odometry, 0.0),
         np.where(is_alive, frames.turn_rates_rad_s, 0.0),
         np.where(is_alive[:, None], frames.ranges_m, UNSEEN_M),
-        [scan if lives else None for scan, lives in zip(frames.wifi, alive, strict=True)],
+        [scan if lives else _DEAF for scan, lives in zip(frames.wifi, alive, strict=True)],
         [signs if lives else () for signs, lives in zip(frames.signs, alive, strict=True)],
     )
