@@ -96,6 +96,31 @@ def test_the_overview_shows_the_map_of_the_present_step(wander):
     assert len(set(pictures)) > 3
 
 
+def test_the_overview_of_an_empty_map_has_the_robot_in_its_middle():
+    env = twc_env.parallel_env(robots=2, max_cycles=20, config={"observation.overview": True, "slam.mode": "off"})
+    observations, _ = env.reset(seed=0)
+    while env.agents:
+        for seen in observations.values():
+            cells = seen["overview"].shape[1]
+            assert np.argwhere(seen["overview"]).tolist() == [[2, cells // 2, cells // 2]]
+        observations = env.step({agent: np.array([1.0, 0.2]) for agent in env.agents})[0]
+
+
+def test_a_robot_beside_the_known_part_of_the_map_is_marked_at_the_rim_of_the_overview():
+    outage = {"failure.link_begin_step": 1, "failure.link_end_step": 10_000}
+    config = {"observation.overview": True, "lidar.range_max_m": 1.0, **outage}
+    env, are_beside = twc_env.parallel_env(robots=1, max_cycles=40, config=config), set()
+    env.reset(seed=0, options={"starts": [(9.0, 1.2, 0.0)]})
+    while env.agents:
+        seen, belief = env.step({"robot_0": np.array([1.0, 0.0])})[0]["robot_0"], env.belief("robot_0")
+        cells = seen["overview"].shape[1]
+        _, corner_m, cell_m = map_view.shrink(belief.grid, cells)
+        column, row = np.floor((belief.pose_map_robot[:2] - corner_m) / cell_m).astype(int)
+        are_beside.add(not (0 <= row < cells and 0 <= column < cells))
+        assert np.argwhere(seen["overview"][2]).tolist() == [np.clip([row, column], 0, cells - 1).tolist()]
+    assert are_beside == {False, True}
+
+
 @pytest.mark.parametrize(("speed_m_s", "time_step_s"), [(3.0, 0.2), (1.0, 0.1), (0.3, 0.1)])
 def test_the_own_path_is_shown_as_far_back_as_the_config_says_at_any_speed(wander, speed_m_s, time_step_s):
     config = {
