@@ -223,6 +223,38 @@ def test_a_closed_recorder_records_no_more_frames(tmp_path, monkeypatch):
     assert before > 0 and len(filmed) == before
 
 
+def test_a_closed_recorder_records_again_from_the_next_reset(tmp_path):
+    image = pytest.importorskip("PIL.Image", reason="needs the extra 'viz'")
+    from twc_env.video import RecordEpisodes
+
+    film = RecordEpisodes(shown_team(8), tmp_path, every=2)
+    for seed in (0, 1, 2):
+        film.reset(seed=seed)
+        while film.agents:
+            film.step(dict.fromkeys(film.agents, np.zeros(2, np.float32)))
+        film.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"episode-{k}.gif" for k in range(3)]
+    for path in tmp_path.iterdir():
+        with image.open(path) as shown:
+            assert shown.n_frames == 5
+
+
+@pytest.mark.parametrize(("steps", "frames"), [(0, 0), (1, 2), (2, 2), (5, 4), (6, 4)])
+@pytest.mark.parametrize("end", ["reset", "close"])
+def test_the_film_of_an_abandoned_episode_ends_with_its_last_step(tmp_path, monkeypatch, end, steps, frames):
+    pytest.importorskip("PIL", reason="needs the extra 'viz'")
+    from twc_env import video
+
+    films = []
+    monkeypatch.setattr(video, "write_film", lambda _path, frames, _duration_ms: films.append(len(frames)))
+    film = video.RecordEpisodes(shown_team(), tmp_path, every=2)
+    film.reset(seed=0)
+    for _ in range(steps):
+        film.step({agent: np.array([0.9, 0.5], np.float32) for agent in film.agents})
+    getattr(film, end)()
+    assert films == [frames] * (frames > 0)
+
+
 def test_captions_state_the_progress_of_the_team(tmp_path, monkeypatch):
     pytest.importorskip("PIL", reason="needs the extra 'viz'")
     from twc_env import video

@@ -33,7 +33,8 @@ class RecordEpisodes(BaseParallelWrapper):
 
     The caption shows the time, how many robots share a map and the share of the floor that is mapped correctly. Every
     `every`-th time step is recorded, also within long actions, and shown in real time. An episode abandoned before its
-    first step leaves no film; one abandoned later leaves a shorter one.
+    first step leaves no film; one abandoned later leaves a shorter one, to its last step. After `close`, nothing is
+    recorded until the next `reset`.
     """
 
     def __init__(self, env: ExplorationEnv, folder: str | Path, every: int = 2):
@@ -47,6 +48,8 @@ class RecordEpisodes(BaseParallelWrapper):
         check_folder(Path(folder))
         self._team, self._folder, self._every = env, Path(folder), whole_number("every", every, 1)
         self._frames: list[Any] = []
+        self._is_late = False
+        """Whether time steps were made since the last recorded one."""
         self._episodes = 0
         env.watch(self._look)
 
@@ -54,6 +57,7 @@ class RecordEpisodes(BaseParallelWrapper):
         """Begin an episode, and its film."""
         self._write()
         result = super().reset(seed=seed, options=options)
+        self._team.watch(self._look)  # again, as closing the environment drops it
         self._shoot()
         return result
 
@@ -71,6 +75,7 @@ class RecordEpisodes(BaseParallelWrapper):
 
     def _look(self) -> None:
         episode = self._team.episode
+        self._is_late = True
         if episode.steps % self._every == 0 or episode.is_over:
             self._shoot()
 
@@ -78,9 +83,12 @@ class RecordEpisodes(BaseParallelWrapper):
         picture = self._team.render()
         assert picture is not None
         self._frames.append(film_frame(picture, self._team.episode.caption(), WIDTH_MAX_PX))
+        self._is_late = False
 
     def _write(self) -> None:
-        frames, self._frames = self._frames, []
+        if self._frames and self._is_late:
+            self._shoot()
+        frames, self._frames, self._is_late = self._frames, [], False
         if len(frames) < 2:
             return
         path = self._folder / f"episode-{self._episodes}.gif"

@@ -292,8 +292,12 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return None if self._viewer is None else self._viewer.draw(self.episode)
 
     def watch(self, spectator: Callable[[], None]) -> None:
-        """Call `spectator` after every time step from now on, also within long actions; for example to record video."""
-        self._spectators.append(spectator)
+        """Call `spectator` after every time step from now on, also within long actions; for example to record video.
+
+        Until `close`; one that watches already is not called twice.
+        """
+        if spectator not in self._spectators:
+            self._spectators.append(spectator)
         self._watch = self._tell
 
     def _tell(self, episode: Episode) -> None:
