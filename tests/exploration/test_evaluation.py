@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -218,6 +219,19 @@ def test_a_wrong_merge_stays_counted_whether_or_not_it_is_undone(
     assert figures["wrong_merges"] >= 1
     assert figures["merged_robots"] >= 2
     assert (figures["team_ate_m"] > 1.0) == is_wrong
+
+
+def test_a_result_between_two_evaluations_adds_nothing_to_later_ones(monkeypatch):
+    env = twc_env.parallel_env(robots=2, max_cycles=6, config={"reward.period_steps": 3})
+    env.reset(seed=0)
+    found, judge_view = [], verdicts.judge_view
+    for step in range(1, 7):
+        env.step(dict.fromkeys(env.agents, np.zeros(2)))
+        wrong = ((0, 1),) if step == 4 else ()
+        with monkeypatch.context() as lie:
+            lie.setattr(verdicts, "judge_view", lambda *given, w=wrong: replace(judge_view(*given), wrong_pairs=w))
+            found.append(env.result().figures["wrong_merges"])
+    assert found == [0, 0, 0, 1, 0, 0]
 
 
 def test_maps_are_evaluated_once_per_step(monkeypatch):

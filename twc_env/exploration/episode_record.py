@@ -27,6 +27,7 @@ class EpisodeRecord(BindsAnew):
         self._run: Callable[..., None] | None = None
         """`_note` bound to these arrays."""
         self.wrong_pairs: set[tuple[int, int]] = set()
+        """Pairs of robots that were wrongly merged at a step at which the rewards were evaluated."""
         self.map_judges = MapJudges()
 
     def append(self, true_poses: Array, odom_poses: Array, motions: Array, contacts: Array) -> None:

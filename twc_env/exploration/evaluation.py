@@ -106,10 +106,9 @@ def numbers(
     config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord,
     verdicts: Sequence[GroupVerdict], paths: EpisodePaths,
 ) -> dict[str, float]:  # fmt: skip
-    """The scalar figures of the report; verdicts, paths: of the present maps. Adds wrong pairs to the record."""
+    """The scalar figures of the report; verdicts, paths: of the present maps. Modifies nothing."""
     cells, best = floorplan.cells(), verdicts[0]
-    for verdict in verdicts:
-        record.wrong_pairs.update(verdict.wrong_pairs)
+    wrong_pairs = record.wrong_pairs.union(*(verdict.wrong_pairs for verdict in verdicts))
     true, estimated, alignment, reckoned = paths
     score = _score(best.grid, best.pose_building_map, cells)
     robots = range(true.shape[1])
@@ -127,7 +126,7 @@ def numbers(
         "map_iou": score.map_iou,
         "wall_iou": score.wall_iou,
         "merged_robots": len(best.robots),
-        "wrong_merges": len(record.wrong_pairs),
+        "wrong_merges": len(wrong_pairs),
         "team_ate_m": position_error_m(alignment, estimated, true),
         "epe_m": float(np.mean([metrics.end_point_error_m(estimated[:, r], true[:, r]) for r in robots])),
         "odometry_ate_m": metrics.absolute_trajectory_error_m(reckoned, true),
