@@ -67,6 +67,15 @@ def test_one_place_scores_higher_than_two_different_ones(place, hall, name):
     assert recogniser.score(here, again) > recogniser.score(here, elsewhere)
 
 
+@pytest.mark.parametrize("name", ["twc", "text", "fused"])
+@pytest.mark.parametrize(("first", "second"), [("", ""), (" ", ""), ("", "A301 OPTICS LAB"), ("A301 OPTICS LAB", "")])
+def test_readings_without_text_give_no_candidate_by_signs(place, name, first, second):
+    recogniser, one, other = make(name), place(0), place(1)
+    one.signs[0].text, other.signs[0].text = first, second
+    recogniser.propose(one)
+    assert recogniser.propose(other) == []
+
+
 @pytest.mark.parametrize("name", ["wifi", "lidar"])
 def test_some_recognisers_need_no_sign(place, name):
     recogniser = make(name)
