@@ -6,10 +6,12 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray as Array
+from scipy.spatial import cKDTree
 
 from twc_env.geometry import farthest_first
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, AccessPoint, Floorplan, Sign, local_macs
+from twc_env.world.floorplan_check import hangs_well
 
 AREA_PER_ACCESS_POINT_M2 = 25.0
 ACCESS_POINTS_MIN, ACCESS_POINTS_MAX = 6, 40
@@ -20,6 +22,13 @@ SIGN_SPACING_M = 1.5
 REPEATED = ("EXIT", "FIRE EXTINGUISHER")
 """Texts of repeated signs, as in every building, which mislead text-only place recognition."""
 _WALL_STEP_M = 0.5
+_STAIR_REACH_M, _STAIR_REACH_PIXELS = 0.6, 6.0
+"""The direction of a slanted wall is fitted to its stairs this far around a place."""
+_STAIR_DEPTH_M, _STAIR_DEPTH_PIXELS = 0.15, 2.3
+"""Stairs of a straight wall, both faces of a thin one included, lie within this depth; those at a corner do not."""
+_STAIR_TRIES = 50
+"""Places tried per sign."""
+_STAIR_ROUNDS = 4
 _POOL_MAX = 300_000
 """On larger floors only every second, third, ... cell is a candidate for an access point."""
 _NOUNS = (
@@ -32,11 +41,41 @@ _NOUNS = (
 def furnish(plan: Floorplan, seed: int = 0) -> Floorplan:
     """The plan with unique room labels, repeated signs and access points, which depend only on the seed."""
     random = random_stream(seed, "furnish")
-    return dataclasses.replace(plan, signs=place_signs(plan, random), access_points=place_access_points(plan, random))
+    _, signs = place_signs(plan, random)
+    return dataclasses.replace(plan, signs=signs, access_points=place_access_points(plan, random))
 
 
-def place_signs(plan: Floorplan, random: np.random.Generator) -> tuple[Sign, ...]:
-    """Signs on walls that face free space, some metres apart: about one unique label per 20 m2 of floor."""
+def furnish_picture(plan: Floorplan, seed: int, pixel_m: float, pose: Array) -> Floorplan:
+    """`furnish` for a plan made of pixels of this size, which then moves by `pose` (3,).
+
+    Slanted walls are stairs of pixels there; they get the signs for which the straight walls have no place. So do signs
+    that lose theirs as the building moves, beside a corner or in a narrow floor.
+    """
+    random = random_stream(seed, "furnish")
+    texts, signs = place_signs(plan, random)
+    plan = dataclasses.replace(plan, access_points=place_access_points(plan, random))
+    moved, random = _moved(plan, pose), random_stream(seed, "furnish-stairs")
+    for number in range(_STAIR_ROUNDS):
+        turned = _moved(dataclasses.replace(plan, signs=signs), pose).signs
+        is_sound = [hangs_well(moved, sign) for sign in turned]
+        texts += [sign.text for sign, stays in zip(signs, is_sound, strict=True) if not stays]
+        signs = tuple(sign for sign, stays in zip(signs, is_sound, strict=True) if stays)
+        if not texts or number == _STAIR_ROUNDS - 1:
+            break
+        more = _signs_on_stairs(plan, texts, signs, pixel_m, random)
+        signs, texts = signs + more, texts[len(more) :]
+    return _moved(dataclasses.replace(plan, signs=signs), pose)
+
+
+def _moved(plan: Floorplan, pose: Array) -> Floorplan:
+    return plan.moved(pose) if np.any(pose) else plan
+
+
+def place_signs(plan: Floorplan, random: np.random.Generator) -> tuple[list[str], tuple[Sign, ...]]:
+    """Signs on walls that face free space, some metres apart: about one unique label per 20 m2 of floor.
+
+    Returns also the texts for which the walls have no place.
+    """
     cells = plan.cells()
     area_m2 = cells.free.sum() * cells.resolution_m**2
     places, facings = _wall_faces(plan)
@@ -46,7 +85,8 @@ def place_signs(plan: Floorplan, random: np.random.Generator) -> tuple[Sign, ...
     texts = [room_label(i) for i in range(label_count)]
     texts += [text for text in REPEATED for _ in range(repeat_count)]
     texts = [texts[i] for i in random.permutation(len(texts))]
-    return tuple(Sign(text, places[i], float(facings[i])) for text, i in zip(texts, order, strict=False))
+    signs = tuple(Sign(text, places[i], float(facings[i])) for text, i in zip(texts, order, strict=False))
+    return texts[len(signs) :], signs
 
 
 def place_access_points(
@@ -116,6 +156,40 @@ def _wall_faces(plan: Floorplan) -> tuple[Array, Array]:
     crossed = [plan.wall_index.crossing(front, face[None])[0][0] for front, face in zip(fronts, faces, strict=True)]
     is_seen = np.array(crossed, int) == 0
     return place[is_seen], np.arctan2(normal[is_seen, 1], normal[is_seen, 0])
+
+
+def _signs_on_stairs(
+    plan: Floorplan, texts: list[str], hung: tuple[Sign, ...], pixel_m: float, random: np.random.Generator
+) -> tuple[Sign, ...]:
+    """Signs with the first of these texts on walls of any direction, away from those that hang already."""
+    ends = plan.walls_m
+    lengths, middles = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), ends.mean(axis=1)
+    pieces = np.ceil(lengths / pixel_m).astype(int)  # a wall of n pixels is n points
+    wall = np.repeat(np.arange(len(ends)), pieces)
+    share = (np.arange(len(wall)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[wall]
+    points = ends[wall, 0] + share[:, None] * (ends[wall, 1] - ends[wall, 0])
+    tree = cKDTree(points)
+    reach_m = max(_STAIR_REACH_M, _STAIR_REACH_PIXELS * pixel_m)
+    depth_m = max(_STAIR_DEPTH_M, _STAIR_DEPTH_PIXELS * pixel_m)
+    taken, signs = [sign.position_m for sign in hung], []
+    for i in random.permutation(len(ends))[: _STAIR_TRIES * len(texts)]:
+        if len(signs) == len(texts):
+            break
+        if taken and (np.linalg.norm(np.array(taken) - middles[i], axis=1) < SIGN_SPACING_M + reach_m / 2).any():
+            continue
+        offsets = points[tree.query_ball_point(middles[i], reach_m)] - middles[i]
+        _, axes = np.linalg.eigh(np.cov(offsets.T))
+        along, across = offsets @ axes[:, 1], offsets @ axes[:, 0]
+        if np.ptp(across) > depth_m or min(-along.min(), along.max()) < reach_m / 2:
+            continue
+        for normal, depths in ((axes[:, 0], across), (-axes[:, 0], -across)):
+            # In front of the outermost stair, so that none of them hides the sign.
+            sign = hung_sign(plan, texts[len(signs)], middles[i] + depths.max() * normal, normal)
+            if sign is not None:
+                signs.append(sign)
+                taken.append(sign.position_m)
+                break
+    return tuple(signs)
 
 
 def _spread(places: Array, random: np.random.Generator, spacing_m: float) -> list[int]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 from scipy import ndimage
 
-from twc_env.datasets.furnish import furnish
+from twc_env.datasets.furnish import furnish_picture
 from twc_env.datasets.outline import outer_ring, simplified_ring
 from twc_env.datasets.raster import parts, plan_from_free, read_grey
 from twc_env.errors import MapError
@@ -37,7 +37,8 @@ def read_picture(path: str | Path, seed: int = 0, resolution_m: float = PICTURE_
     path = Path(path)
     free = read_grey(path)[::-1] > FREE_ABOVE
     plan = validate(plan_from_free(free, resolution_m, path.name.split(".")[0]))
-    return validate(furnish(dataclasses.replace(plan, rooms=_rooms_beside(path, plan, free.shape, resolution_m)), seed))
+    plan = dataclasses.replace(plan, rooms=_rooms_beside(path, plan, free.shape, resolution_m))
+    return validate(furnish_picture(plan, seed, resolution_m, np.zeros(3)))
 
 
 def _rooms_beside(path: Path, plan: Floorplan, shape: tuple[int, ...], resolution_m: float) -> tuple[Room, ...]:

@@ -11,7 +11,7 @@ from pathlib import Path, PureWindowsPath
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.furnish import furnish
+from twc_env.datasets.furnish import furnish_picture
 from twc_env.datasets.raster import plan_from_free, read_grey
 from twc_env.errors import MapError
 from twc_env.messages import GridMap
@@ -53,7 +53,7 @@ def read_ros_map(path: str | Path, seed: int = 0) -> Floorplan:
     path = Path(path)
     ros_map = read_ros_cells(path)
     plan = plan_from_free(ros_map.free, ros_map.resolution_m, path.stem)
-    return validate(furnish(plan, seed).moved(ros_map.origin))
+    return validate(furnish_picture(plan, seed, ros_map.resolution_m, ros_map.origin))
 
 
 def read_ros_cells(path: str | Path) -> RosMap:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError, did_you_mean
 from twc_env.world.floor_cells import Cells
-from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, Floorplan, mac_text
+from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, Floorplan, Sign, mac_text
 from twc_env.world.materials import MATERIALS
 
 SIGN_TO_WALL_MAX_M = 0.3
@@ -100,20 +100,28 @@ def _check_names(plan: Floorplan, where: str) -> None:
             raise MapError(f"{where}: sign {i} at {_point_text(sign.position_m)} has no text; give it one or remove it")
 
 
+def hangs_well(plan: Floorplan, sign: Sign) -> bool:
+    """Whether a sign hangs on a wall of the plan, with free floor in front."""
+    return not _sign_fault(plan, sign, plan.cells(_CHECK_RESOLUTION_M))
+
+
 def _check_signs(plan: Floorplan, cells: Cells, where: str) -> None:
     for sign in plan.signs:
-        label = f"{where}: sign {sign.text!r} at {_point_text(sign.position_m)}"
-        if plan.wall_index.distance_m(sign.position_m[None], SIGN_TO_WALL_MAX_M)[0] >= SIGN_TO_WALL_MAX_M:
-            raise MapError(f"{label} is not on a wall: there is none within {SIGN_TO_WALL_MAX_M} m; move it onto one")
-        normal = np.array([np.cos(sign.facing_rad), np.sin(sign.facing_rad)])
-        front = sign.position_m + SIGN_FRONT_M * normal
-        if not cells.is_free(front):
-            raise MapError(
-                f"{label} has no free floor in front of it: {_point_text(front)} is not free; turn or move it"
-            )
-        face = sign.position_m + SIGN_FACE_M * normal
-        if plan.wall_index.crossing(front, face[None])[0][0]:
-            raise MapError(f"{label} is buried inside a wall; move it to the wall's face, towards its facing side")
+        if fault := _sign_fault(plan, sign, cells):
+            raise MapError(f"{where}: sign {sign.text!r} at {_point_text(sign.position_m)} {fault}")
+
+
+def _sign_fault(plan: Floorplan, sign: Sign, cells: Cells) -> str:
+    if plan.wall_index.distance_m(sign.position_m[None], SIGN_TO_WALL_MAX_M)[0] >= SIGN_TO_WALL_MAX_M:
+        return f"is not on a wall: there is none within {SIGN_TO_WALL_MAX_M} m; move it onto one"
+    normal = np.array([np.cos(sign.facing_rad), np.sin(sign.facing_rad)])
+    front = sign.position_m + SIGN_FRONT_M * normal
+    if not cells.is_free(front):
+        return f"has no free floor in front of it: {_point_text(front)} is not free; turn or move it"
+    face = sign.position_m + SIGN_FACE_M * normal
+    if plan.wall_index.crossing(front, face[None])[0][0]:
+        return "is buried inside a wall; move it to the wall's face, towards its facing side"
+    return ""
 
 
 def _point_text(point: Array) -> str:
