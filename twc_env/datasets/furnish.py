@@ -171,7 +171,8 @@ def _signs_on_stairs(
     tree = cKDTree(points)
     reach_m = max(_STAIR_REACH_M, _STAIR_REACH_PIXELS * pixel_m)
     depth_m = max(_STAIR_DEPTH_M, _STAIR_DEPTH_PIXELS * pixel_m)
-    taken, signs = [sign.position_m for sign in hung], []
+    taken: list[Array] = [sign.position_m for sign in hung]
+    signs: list[Sign] = []
     for i in random.permutation(len(ends))[: _STAIR_TRIES * len(texts)]:
         if len(signs) == len(texts):
             break
