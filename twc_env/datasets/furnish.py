@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from twc_env.geometry import farthest_first
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, AccessPoint, Floorplan, Sign, local_macs
-from twc_env.world.floorplan_check import hangs_well
+from twc_env.world.floorplan_check import hangs_well, validate
 
 AREA_PER_ACCESS_POINT_M2 = 25.0
 ACCESS_POINTS_MIN, ACCESS_POINTS_MAX = 6, 40
@@ -98,6 +98,8 @@ def place_access_points(
     """
     cells = plan.cells()
     free = np.argwhere(cells.free)
+    if not len(free):
+        validate(plan)  # says why nothing is free
     area_m2 = len(free) * cells.resolution_m**2
     if count is None:
         count = int(np.clip(round(area_m2 / AREA_PER_ACCESS_POINT_M2), ACCESS_POINTS_MIN, ACCESS_POINTS_MAX))
