@@ -130,7 +130,7 @@ def test_a_run_folder_is_read_as_the_config_in_it(tmp_path):
     config = override(EnvConfig(), {"lidar.beam_count": 90})
     (tmp_path / "config.json").write_text(json.dumps(to_dict(config)), encoding="utf-8")
     assert load(tmp_path) == config
-    with pytest.raises(ConfigError, match=r"cannot read the config file .*empty.config\.json: No such file"):
+    with pytest.raises(ConfigError, match=r"empty is a folder without config\.json: name a run folder, or a \.toml"):
         (tmp_path / "empty").mkdir()
         load(tmp_path / "empty")
 
@@ -201,6 +201,52 @@ def test_a_file_that_is_no_toml_or_json_is_rejected_by_name(tmp_path, name):
     (tmp_path / name).write_text("{ this is neither")
     with pytest.raises(ConfigError, match=rf"{name} is not valid {name[-4:].upper()}"):
         load(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.json", b'{"robots": 2, "lidar": {"beam_count": 90, "beam_count": 360}}', r"key 'beam_count' stands twice"),
+        ("a.toml", b"robots = 2\nrobots = 3\n", r"not valid TOML: Cannot overwrite a value .*line 2"),
+        ("a.toml", b'{"robots": 2}', r"not valid TOML: .*: it looks like JSON, whose name must end in \.json"),
+        ("a.toml", "robots = 2".encode("utf-16"), r"a\.toml is UTF-16 text; save it as UTF-8"),
+        ("a.json", "{}".encode("utf-16-le"), r"a\.json holds null characters, as UTF-16 text does; save it as UTF-8"),
+        ("a.toml", b'map = "caf\xe9"', r"a\.toml is not UTF-8 text; save it as UTF-8"),
+        ("a.toml", b"", r"a\.toml is empty; without a file all settings have their defaults"),
+        (
+            "a.json",
+            b"\xef\xbb\xbf\n",
+            r"a\.json is empty; .* a \.toml or \.json file such as `python -m twc_env settings",
+        ),
+        ("a.yaml", b"robots: 2", r"a\.yaml is YAML by its name; settings are a \.toml or \.json file"),
+        ("a.json", b"[" * 100_000, r"a\.json nests its values too deeply"),
+        ("a.toml", b"a=" + b"[" * 100_000, r"a\.toml nests its values too deeply"),
+    ],
+)
+def test_a_file_that_holds_no_settings_is_rejected_with_the_remedy(tmp_path, name, content, message):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ConfigError, match=message) as caught:
+        load(tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.JSON", b'{"robots": 2}'),
+        ("a.toml", b"\xef\xbb\xbfrobots = 2\r\n"),
+        ("a.json", b'\xef\xbb\xbf{"robots": 2}'),
+        ("a", b"robots = 2"),
+    ],
+)
+def test_settings_are_read_in_spite_of_capitals_byte_order_marks_and_missing_suffixes(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    assert load(tmp_path / name) == from_dict({"robots": 2})
+
+
+def test_a_file_of_comments_only_leaves_the_defaults(tmp_path):
+    (tmp_path / "a.toml").write_text("# robots = 2\n", encoding="utf-8")
+    assert load(tmp_path / "a.toml") == EnvConfig()
 
 
 def test_a_missing_file_is_rejected_by_name(tmp_path):

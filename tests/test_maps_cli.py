@@ -115,8 +115,9 @@ def test_generate_uses_consecutive_seeds(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["o-2.json", "o-3.json", "o-4.json"]
 
 
-def test_an_exported_ros_map_can_be_imported(tmp_path):
+def test_an_exported_ros_map_can_be_imported(tmp_path, capsys):
     assert run("export", "twin-01", tmp_path / "twin.yaml") == 0
+    assert "left out: 5 rooms, 14 signs" in capsys.readouterr().out
     assert (tmp_path / "twin.pgm").is_file()
     assert run("import", tmp_path / "twin.yaml", "--seed", 3, "--out", tmp_path / "again.json") == 0
     assert load_map(tmp_path / "again.json").floor_area_m2 == pytest.approx(load_map("twin-01").floor_area_m2, rel=0.06)

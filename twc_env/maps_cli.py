@@ -73,7 +73,8 @@ def add_maps_parser(commands) -> None:
     _seed(bring)
 
     text = "write a map as .json (native), .yaml + .pgm (ROS map_server) or .png"
-    give = _part(parts, "export", _export, text, ["export twin-01 twin-01.yaml"])
+    more = "\nOnly .json keeps rooms, signs and access points."
+    give = _part(parts, "export", _export, text, ["export twin-01 twin-01.yaml"], more)
     give.add_argument("map", metavar="MAP", help="see below")
     give.add_argument("out", type=Path, metavar="FILE", help="the suffix selects the format")
     give.add_argument(
@@ -178,13 +179,15 @@ def _picture(path: Path, seed: int, resolution_m: float) -> Floorplan:
 
 
 def _export(options: argparse.Namespace) -> None:
-    from twc_env.datasets.map_export import EXPORT_RESOLUTION_M, export_map
+    from twc_env.datasets.map_export import EXPORT_RESOLUTION_M, export_map, lost_in_export
 
     resolution_m = EXPORT_RESOLUTION_M if options.resolution is None else options.resolution
     if options.resolution is not None and options.out.suffix.lower() == ".json":
         raise MapError(f"--resolution is for .yaml and .png; a native map has no pixels: omit it for {options.out}")
     plan = load_map(options.map, options.seed)
     print(f"written: {export_map(plan, options.out, resolution_m)}")
+    if remark := lost_in_export(plan, options.out):
+        print(remark)
 
 
 def _write(plan: Floorplan, path: Path) -> None:

@@ -9,14 +9,15 @@ import pytest
 
 from tests.real_data import DATA, needs_data
 from twc_env.config import EnvConfig
+from twc_env.datasets import osm_level
 from twc_env.datasets.competition_floor import DRAWING_CLASSES
 from twc_env.datasets.geojson import read_geojson
+from twc_env.datasets.osm_level import metres_per_degree
 from twc_env.errors import MapError
 from twc_env.maps import load_map
 from twc_env.world.world import World
 
-EAST_M, NORTH_M = 111_320 * np.cos(np.deg2rad(47.0)), 111_320
-"""Metres per degree."""
+EAST_M, NORTH_M = metres_per_degree(47.0)
 
 
 def lonlat(x: float, y: float) -> list[float]:
@@ -354,3 +355,79 @@ def test_every_level_of_a_real_building_loads(number, rooms, names):
     # Closed in a fine raster too, and rooms and doors are all of the floor.
     assert plan.floor_area_m2 == pytest.approx(sum(area_m2(room.polygon_m) for room in plan.rooms), rel=0.02)
     World(EnvConfig(), plan).reset(0)
+
+
+@pytest.mark.parametrize(
+    ("latitude_deg", "along_km", "across_km"),
+    [(0, 110.574, 111.320), (30, 110.852, 96.486), (45, 111.132, 78.847), (60, 111.412, 55.800), (75, 111.618, 28.902)],
+)
+def test_a_degree_is_as_long_as_on_the_ellipsoid(latitude_deg, along_km, across_km):
+    for sign in (-1, 1):
+        assert metres_per_degree(sign * latitude_deg) == pytest.approx([1e3 * across_km, 1e3 * along_km], abs=0.6)
+
+
+def grid_of_rooms(columns: int, rows: int) -> dict:
+    """Rooms of 2.9 m, each with a door in its northern wall."""
+    rooms, doors = [], []
+    for x in range(columns):
+        for y in range(rows):
+            x0, y0 = 3.0 * x, 3.0 * y
+            corners = [(x0, y0), (x0 + 2.9, y0), (x0 + 2.9, y0 + 2.9), (x0 + 1.5, y0 + 2.9), (x0, y0 + 2.9)]
+            rooms.append(room(corners, f"{x}-{y}"))
+            doors.append(node(x0 + 1.5, y0 + 2.9, door="yes"))
+    return collection(*rooms, *doors)
+
+
+def test_doors_are_only_compared_with_rooms_near_them(building, monkeypatch):
+    compared = []
+    original = osm_level._nearest
+    monkeypatch.setattr(osm_level, "_nearest", lambda sides, place: compared.append(1) or original(sides, place))
+    plan = load_map(building(grid_of_rooms(8, 12)))
+    assert len(plan.rooms) == 12
+    assert len(compared) < 10 * 8 * 12
+
+
+def test_rooms_and_doors_that_a_file_repeats_count_once(building):
+    once = grid_of_rooms(1, 3)
+    twice = load_map(building({**once, "features": [*once["features"], *once["features"]]}))
+    assert len(twice.rooms) == 3
+    plan = load_map(building(once))
+    assert (len(twice.walls_m), len(twice.signs)) == (len(plan.walls_m), len(plan.signs))
+
+
+def test_an_odd_number_as_a_tag_is_no_name(building):
+    values = grid_of_rooms(1, 2)
+    values["features"][0]["properties"]["tags"]["name"] = 10**400
+    assert [r.name for r in load_map(building(values)).rooms] == ["ROOM 1", "0-1"]
+
+
+def test_a_byte_order_mark_before_the_file_is_skipped(building):
+    path = building(grid_of_rooms(1, 2))
+    plain = load_map(path).digest
+    path.write_text("\ufeff" + path.read_text(), encoding="utf-8")
+    assert load_map(path).digest == plain
+
+
+def test_a_floor_too_large_for_the_raster_is_refused_at_once(floor, tmp_path):
+    (tmp_path / "floor_info.json").write_text('{"map_info": {"width": 1999.0, "height": 1999.0}}')
+    with pytest.raises(MapError, match=r"a floor of 1999 x 1999 m is too large; check floor_info\.json"):
+        load_map(floor())
+
+
+def test_a_floor_too_narrow_for_the_raster_is_refused(tmp_path):
+    (tmp_path / "floor_info.json").write_text('{"map_info": {"width": 20.0, "height": 15.0}}')
+    blocks = [polygon(box(0, 0, 9.99, 15)), polygon(box(10.15, 0, 20, 15))]
+    (tmp_path / "a.geojson").write_text(json.dumps(collection(polygon(box(0, 0, 20, 15)), *blocks)))
+    with pytest.raises(MapError, match="has no free space"):
+        load_map(tmp_path / "a.geojson")
+
+
+def test_the_faulty_feature_of_a_file_is_named(floor, building):
+    values = grid_of_rooms(1, 2)
+    values["features"][1]["geometry"]["coordinates"] = [[[19.0, 47.0]]]
+    with pytest.raises(MapError, match=r"building\.geojson: feature 1: a Polygon must hold closed rings"):
+        load_map(building(values))
+    broken = polygon([(1.0, 1.0), (2.0, 1.0), (2.0, 2.0)])
+    broken["geometry"]["coordinates"][0][1] = [1e5, 5e6]
+    with pytest.raises(MapError, match=r"feature 1: \[100000, 5000000\] is not a longitude and latitude"):
+        load_map(floor(features=[polygon(box(0, 0, 20, 15)), broken]))

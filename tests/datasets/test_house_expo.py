@@ -80,7 +80,10 @@ def test_a_contour_that_crosses_itself_keeps_its_largest_part():
         ({"verts": "none"}, "three or more corners"),
         ({"verts": [[0, 0], [5, 0], [9, 0]]}, "no free space inside"),
         ({"verts": [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]}, "no free space"),
-        ({"verts": [[0, 0], [90000, 0], [90000, 90000]]}, "verts must be metres"),
+        (
+            {"verts": [[0, 0], [90000, 0], [90000, 90000]]},
+            "spans 90000 x 90000 m, too large for one building; lengths must",
+        ),
         ({"verts": [[0, 0], [1, 10**400], [1, 0]]}, "three or more corners"),
         ({"verts": [[0, 0], [1e300, 0], [1, 1]]}, "verts must be metres"),
         ({"room_category": ["Kitchen"]}, "room_category must map labels to boxes"),

@@ -128,10 +128,21 @@ def test_the_faulty_line_of_a_file_is_named(tmp_path, name, content, line, read)
     [
         ("calib3_scan.txt.gz", "1.0\n[0 1]\n[100 x]\n", "calib3_scan.txt.gz, line 3: "),
         ("calib3_scan.txt.gz", "1.0\n[0 1]\n[100 inf]\n", "calib3_scan.txt.gz, line 3: "),
-        ("calib3_scan.txt.gz", "2.0\n[0]\n[100]\n1.0\n[0]\n[100]\n", "time 1.000 follows 2.000"),
+        ("calib3_scan.txt.gz", "2.0\n[0]\n[100]\n1.0\n[0]\n[100]\n", "scan.txt.gz, line 4: time 1.000 follows 2.000"),
+        (
+            "calib3_scan.txt.gz",
+            "1.0\n[0\n 1]\n",
+            r"line 3: the file ends where ranges in brackets should follow; fetch",
+        ),
+        ("calib3_scan.txt.gz", "1.0\n[0]\n[100]\n2.0\n", "scan.txt.gz, line 4: the file ends where angles in brackets"),
+        ("calib3_scan.txt.gz", "1.0\n[0]\n[1\n 00", r"scan.txt.gz, line 3: expected ranges in brackets; got '\[1'"),
+        ("calib3_scan.txt.gz", "1.0\n[0]\n2.0\n[0]\n[100]\n", r"scan.txt.gz, line 3: expected ranges .*; got '2\.0'"),
+        ("calib3_scan.txt.gz", "1.0\n[0 1]\n[100]\n", r"line 3: 1 ranges, where line 2 has 2 angles; fetch the file"),
+        ("calib3_scan.txt.gz", "html\n", r"scan.txt.gz, line 1: expected a time in unix seconds; got 'html'"),
+        ("calib3_scan.txt.gz", "", r"scan.txt.gz holds no scans: expected a time, angles and ranges for each; fetch"),
         ("calib3_motion.txt.gz", "1.0,stop,0\n2.0,left\n", "calib3_motion.txt.gz, line 2: "),
         ("calib3_motion.txt.gz", "1.0,stop,0\n2.0,left,inf\n", "calib3_motion.txt.gz, line 2: "),
-        ("calib3_motion.txt.gz", "2.0,stop,0\n1.0,left,0.1\n", "time 1.000 follows 2.000"),
+        ("calib3_motion.txt.gz", "2.0,stop,0\n1.0,left,0.1\n", "motion.txt.gz, line 2: time 1.000 follows 2.000"),
         (
             "calib3_df.csv.gz",
             "ts,x,y,rssi_3,rssi_4,rssi_5,rssi_8,rssi_10,rssi_11\n1,,2,3,4,5,6,7,8\n",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import dataclasses
 import hashlib
 import json
@@ -63,23 +64,66 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
 
 
 def load(path: str | Path) -> EnvConfig:
-    """Read a TOML or JSON file (or the config.json of a folder); missing values keep their default.
+    """Read a TOML or JSON file (or the config.json of a folder), UTF-8; missing values keep their default.
 
-    Raises ConfigError if the file is unreadable or invalid.
+    Files whose names end in .json are JSON, all others TOML. Raises ConfigError if the file is unreadable or invalid.
     """
     path = Path(path)
-    path = path / "config.json" if path.is_dir() else path
+    if path.is_dir():
+        if not (path / "config.json").is_file():
+            raise ConfigError(f"{path} is a folder without config.json: name a run folder, or {_FILE}")
+        path = path / "config.json"
+    text = _text_of(path)
+    kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
     try:
-        text = path.read_text(encoding="utf-8")
-        values = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-    except OSError as error:
-        raise ConfigError(f"cannot read the config file {path}: {error.strerror}") from error
+        values = json.loads(text, object_pairs_hook=_table_of) if kind == "JSON" else tomllib.loads(text)
+    except RecursionError as error:
+        raise ConfigError(f"{path} nests its values too deeply; settings are {_FILE}") from error
     except ValueError as error:
-        raise ConfigError(f"{path} is not valid {'JSON' if path.suffix == '.json' else 'TOML'}: {error}") from error
+        hint = (
+            ": it looks like JSON, whose name must end in .json" if kind == "TOML" and text.lstrip()[0] in "{[" else ""
+        )
+        raise ConfigError(f"{path} is not valid {kind}: {error}{hint or '; correct it there'}") from error
     try:
         return from_dict(values)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
+
+
+_FILE = "a .toml or .json file such as `python -m twc_env settings > mine.toml` writes"
+
+
+def _text_of(path: Path) -> str:
+    """Text of a config file without a byte order mark. Raises ConfigError."""
+    if path.suffix.lower() in (".yaml", ".yml"):
+        raise ConfigError(f"{path} is YAML by its name; settings are {_FILE}")
+    try:
+        raw = path.read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(f"cannot read the config file {path}: {reason}; name {_FILE}") from error
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        coding = "UTF-16 text" if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "not UTF-8 text"
+        raise ConfigError(f"{path} is {coding}; save it as UTF-8") from error
+    if "\x00" in text:
+        raise ConfigError(f"{path} holds null characters, as UTF-16 text does; save it as UTF-8")
+    if not text.strip():
+        raise ConfigError(
+            f"{path} is empty; without a file all settings have their defaults, with one they are {_FILE}"
+        )
+    return text
+
+
+def _table_of(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """A JSON object; of a repeated key `json` would keep the last value silently."""
+    table: dict[str, object] = {}
+    for key, value in pairs:
+        if key in table:
+            raise ValueError(f"the key {key!r} stands twice in one table; keep one of its values")
+        table[key] = value
+    return table
 
 
 def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:

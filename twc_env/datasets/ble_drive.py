@@ -7,6 +7,7 @@ wrapped over lines; commands are lines `unix_s,command,speed`.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -84,18 +85,46 @@ def _heard(rssi_dbm: Array) -> WifiScan | None:
 def _scans(path: Path) -> tuple[Array, list[Array], list[Array]]:
     """Times (scans,), and angles [rad] and ranges [m] of each scan; ranges too near or too far are 0 (no
     information)."""
+    times, lines, blocks = [], [], []
+    parts = _parts(path)
+    for (line, time), (first, angles), (second, ranges) in zip(parts[::3], parts[1::3], parts[2::3], strict=True):
+        times.append(float(time))
+        lines.append(line)
+        blocks.append((_block(angles, f"{path}, line {first}"), _block(ranges, f"{path}, line {second}")))
+        if len(blocks[-1][0]) != len(blocks[-1][1]):
+            counts = f"{len(blocks[-1][1])} ranges, where line {first} has {len(blocks[-1][0])} angles"
+            raise DataError(f"{path}, line {second}: {counts}; {_REMEDY}")
+    if not times:
+        raise DataError(f"{path} holds no scans: expected a time, angles and ranges for each; {_REMEDY}")
+    _check_order(times, lines, path)
+    kept = [np.where((r > 100 * RANGE_MIN_M) & (r < 100 * RANGE_RELIABLE_M), 0.01 * r, 0.0) for _, r in blocks]
+    return np.array(times), [np.deg2rad(0.001 * a) for a, _ in blocks], kept
+
+
+def _parts(path: Path) -> list[tuple[int, str]]:
+    """Times and contents of brackets of a scan file with the lines on which they begin: a time, angles, ranges, ...
+
+    Raises DataError for anything else, and for a file that ends within a scan.
+    """
     text = read_text(path)
-    times = re.findall(r"^(\d+\.\d+)\s*$", text, flags=re.MULTILINE)
-    blocks = [
-        _block(found[1], f"{path}, line {text.count(chr(10), 0, found.start()) + 1}")
-        for found in re.finditer(r"\[([^\]]*)\]", text)
-    ]
-    angles, ranges = blocks[0::2], blocks[1::2]
-    if not times or not len(times) == len(angles) == len(ranges) or [*map(len, angles)] != [*map(len, ranges)]:
-        raise DataError(f"{path} is not a scan file or is truncated; expected a time, angles and ranges for each scan")
-    _check_order(np.array(times, float), path)
-    kept = [np.where((r > 100 * RANGE_MIN_M) & (r < 100 * RANGE_RELIABLE_M), 0.01 * r, 0.0) for r in ranges]
-    return np.array(times, float), [np.deg2rad(0.001 * a) for a in angles], kept
+    found: list[tuple[int, str]] = []
+    line, end = 1, 0
+    for match in _PART.finditer(text):
+        line += text.count("\n", end, match.start())
+        end = match.start()
+        expected = _CYCLE[len(found) % 3]
+        if match.lastgroup != ("time" if expected == _CYCLE[0] else "block"):
+            raise DataError(f"{path}, line {line}: expected {expected}; got {match[0].split()[0][:40]!r}; {_REMEDY}")
+        found.append((line, match[match.lastgroup]))
+    if len(found) % 3:
+        last = text.count("\n", 0, len(text.rstrip())) + 1
+        raise DataError(f"{path}, line {last}: the file ends where {_CYCLE[len(found) % 3]} should follow; {_REMEDY}")
+    return found
+
+
+_PART = re.compile(r"^(?P<time>\d+(?:\.\d*)?)[ \t\r]*$|\[(?P<block>[^\[\]]*)\]|\S+", re.MULTILINE)
+_CYCLE = ("a time in unix seconds", "angles in brackets", "ranges in brackets")
+_REMEDY = "fetch the file again"
 
 
 def _block(text: str, where: str) -> Array:
@@ -105,15 +134,16 @@ def _block(text: str, where: str) -> Array:
     except ValueError as error:
         raise DataError(f"{where}: {error}; expected numbers in brackets") from error
     if not (np.abs(values) < NUMBER_MAX).all():
-        raise DataError(f"{where}: expected finite numbers in brackets; fetch the file again")
+        raise DataError(f"{where}: expected finite numbers in brackets; {_REMEDY}")
     return values
 
 
-def _check_order(times_s: Array, path: Path) -> None:
+def _check_order(times_s: Sequence[float], lines: Sequence[int], path: Path) -> None:
     """Raise DataError if times go back."""
     back = np.flatnonzero(np.diff(times_s) < 0)
     if len(back):
-        raise DataError(f"{path}: time {times_s[back[0] + 1]:.3f} follows {times_s[back[0]]:.3f}; fetch the file again")
+        k = back[0] + 1
+        raise DataError(f"{path}, line {lines[k]}: time {times_s[k]:.3f} follows {times_s[k - 1]:.3f}; {_REMEDY}")
 
 
 def _commanded(path: Path, times_s: Array) -> tuple[Array, Array]:
@@ -123,7 +153,7 @@ def _commanded(path: Path, times_s: Array) -> tuple[Array, Array]:
         if len(words) < 3:
             raise DataError(f"{path}, line {k}: expected unix_s,command,speed; got {','.join(words)[:40]!r}")
     starts, speed = numbers([[words[0], words[2]] for _, words in lines], [k for k, _ in lines], path).T
-    _check_order(starts, path)
+    _check_order(starts.tolist(), [k for k, _ in lines], path)
     ahead = np.array([{"forward": 1.0, "reverse": -1.0}.get(words[1], 0.0) for _, words in lines]) * speed * SPEED_M_S
     turn = np.array([TURN_RAD_S.get(words[1], 0.0) for _, words in lines]) * speed
     at_start = np.zeros((len(starts), 3))

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.furnish import hung_sign
-from twc_env.datasets.geojson_features import EXTENT_MAX_M, Area, name_of, polygons_of, signed_area_m2, walls_of
+from twc_env.datasets.geojson_features import EXTENT_MAX_M, Area, distinct, name_of, polygons_of, walls_of
 from twc_env.datasets.house_expo import fill_ring
 from twc_env.datasets.outline import sides_of
 from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
+from twc_env.world.floor_cells import CELLS_MAX
 from twc_env.world.floorplan import Floorplan, Room, Sign
 from twc_env.world.floorplan_file import load_json
 
@@ -26,7 +26,7 @@ _RASTER_M = 0.2
 def competition_floor(features: list[dict], path: Path, name: str) -> Floorplan:
     """The floor plan: feature 0 is the outline of the floor, all other polygons are closed blocks."""
     size_m = _floor_size(path)
-    outline = [ring for polygon in polygons_of(features[0], path.name) for ring in polygon]
+    outline = [ring for polygon in polygons_of(features[0], f"{path.name}: feature 0") for ring in polygon]
     if not outline:
         raise MapError(f"{path.name}: feature 0 must be the polygon of the floor; put the outline first")
     low = np.min([ring.min(axis=0) for ring in outline], axis=0)
@@ -35,10 +35,10 @@ def competition_floor(features: list[dict], path: Path, name: str) -> Floorplan:
         raise MapError(f"{path.name}: the floor's outline has no area; export it again")
     scale = size_m / extent  # metres per degree
     floor = [(ring - low) * scale for ring in outline]
-    blocks = _distinct(
+    blocks = distinct(
         Area(name_of(feature), (rings[0] - low) * scale)
-        for feature in features[1:]
-        for rings in polygons_of(feature, path.name)
+        for number, feature in enumerate(features[1:], 1)
+        for rings in polygons_of(feature, f"{path.name}: feature {number}")
     )
     walls = np.concatenate([walls_of(ring) for ring in [*floor, *(block.ring_m for block in blocks)]])
     plan = Floorplan(
@@ -73,6 +73,8 @@ def _floor_size(path: Path) -> Array:
 def _point_between(floor: list[Array], blocks: list[Area], size_m: Array, where: str) -> Array:
     """A point deep in the largest part of the floor that no block covers."""
     columns, rows = (np.ceil(size_m / _RASTER_M).astype(int) + 2).tolist()
+    if rows * columns > CELLS_MAX:
+        raise MapError(f"{where}: a floor of {size_m[0]:g} x {size_m[1]:g} m is too large; check floor_info.json")
     free = np.zeros((rows, columns), np.bool_)
     for ring in floor:  # filling a hole clears it
         fill_ring(np.ascontiguousarray(ring), _RASTER_M, free)
@@ -103,15 +105,3 @@ def _sign_on(plan: Floorplan, block: Area) -> Sign | None:
         if sign is not None:
             return sign
     return None
-
-
-def _distinct(areas: Iterable[Area]) -> list[Area]:
-    """Areas without duplicates; of coincident ones a named one is kept."""
-    found: dict[tuple, Area] = {}
-    for area in areas:
-        key = tuple(
-            np.round([*area.ring_m.min(axis=0), *area.ring_m.max(axis=0), abs(signed_area_m2(area.ring_m))], 1).tolist()
-        )
-        if key not in found or not found[key].name:
-            found[key] = area
-    return list(found.values())

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from twc_env.geometry import farthest_first
 from twc_env.random_streams import random_stream
 from twc_env.world.floorplan import SIGN_FACE_M, SIGN_FRONT_M, AccessPoint, Floorplan, Sign, local_macs
-from twc_env.world.floorplan_check import hangs_well
+from twc_env.world.floorplan_check import hangs_well, validate
 
 AREA_PER_ACCESS_POINT_M2 = 25.0
 ACCESS_POINTS_MIN, ACCESS_POINTS_MAX = 6, 40
@@ -98,6 +98,8 @@ def place_access_points(
     """
     cells = plan.cells()
     free = np.argwhere(cells.free)
+    if not len(free):
+        validate(plan)  # says why nothing is free
     area_m2 = len(free) * cells.resolution_m**2
     if count is None:
         count = int(np.clip(round(area_m2 / AREA_PER_ACCESS_POINT_M2), ACCESS_POINTS_MIN, ACCESS_POINTS_MAX))
@@ -171,7 +173,8 @@ def _signs_on_stairs(
     tree = cKDTree(points)
     reach_m = max(_STAIR_REACH_M, _STAIR_REACH_PIXELS * pixel_m)
     depth_m = max(_STAIR_DEPTH_M, _STAIR_DEPTH_PIXELS * pixel_m)
-    taken, signs = [sign.position_m for sign in hung], []
+    taken: list[Array] = [sign.position_m for sign in hung]
+    signs: list[Sign] = []
     for i in random.permutation(len(ends))[: _STAIR_TRIES * len(texts)]:
         if len(signs) == len(texts):
             break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,8 @@ _DOOR_WIDTH_M = 1.0
 _DOOR_WIDTHS_M = (0.9, 3.0)
 _DEGREES = ("CRS84", ":4326")
 """Last parts of the names of WGS 84 in degrees."""
+_NUMBER_MAX = 1e15
+"""Greater numbers are no level, width or name."""
 _NO_FLOOR = ("shell", "wall", "door", "yes", "no")
 """Tags of outlines and openings, which are not floor."""
 _REMEDY = "export it in longitude and latitude (WGS 84, EPSG:4326)"
@@ -45,6 +48,18 @@ def signed_area_m2(ring: Array) -> float:
     return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
 
 
+def distinct(areas: Iterable[Area]) -> list[Area]:
+    """Areas without duplicates; of coincident ones a named one is kept."""
+    found: dict[tuple, Area] = {}
+    for area in areas:
+        key = tuple(
+            np.round([*area.ring_m.min(axis=0), *area.ring_m.max(axis=0), abs(signed_area_m2(area.ring_m))], 1).tolist()
+        )
+        if key not in found or not found[key].name:
+            found[key] = area
+    return list(found.values())
+
+
 def properties_of(feature: dict) -> dict:
     """The properties of a feature, or an empty dictionary."""
     properties = feature.get("properties")
@@ -63,7 +78,7 @@ def tag_of(feature: dict, key: str) -> str:
     tags = own.get("tags")
     value = (tags if isinstance(tags, dict) else own).get(key, "")
     if isinstance(value, (int, float)) and not isinstance(value, bool):
-        return f"{value:g}"
+        return f"{value:g}" if abs(value) < _NUMBER_MAX else ""
     return value.strip() if isinstance(value, str) else ""
 
 

@@ -75,7 +75,8 @@ def interior_point(rings: Sequence[Array], where: str) -> Array | None:
     low = rings[0].min(axis=0) - _FILL_RESOLUTION_M
     columns, rows = (np.ceil((rings[0].max(axis=0) - low) / _FILL_RESOLUTION_M).astype(int) + 2).tolist()
     if rows * columns > CELLS_MAX:
-        raise MapError(f"{where} spans {columns * _FILL_RESOLUTION_M:.0f} m; verts must be metres")
+        size = f"{columns * _FILL_RESOLUTION_M:.0f} x {rows * _FILL_RESOLUTION_M:.0f} m"
+        raise MapError(f"{where}: an outline spans {size}, too large for one building; lengths must be metres")
     inside = np.zeros((rows, columns), np.bool_)
     for ring in rings:  # filling a hole clears it
         fill_ring(np.ascontiguousarray(ring - low), _FILL_RESOLUTION_M, inside)

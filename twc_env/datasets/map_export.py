@@ -41,6 +41,20 @@ def export_map(plan: Floorplan, path: str | Path, resolution_m: float = EXPORT_R
     return path
 
 
+def lost_in_export(plan: Floorplan, path: str | Path) -> str:
+    """What a file with this suffix does not hold of the plan, and what becomes of it; "" if it holds everything."""
+    if Path(path).suffix == ".json":
+        return ""
+    counts = {"rooms": plan.rooms, "signs": plan.signs, "access points": plan.access_points}
+    lost = [f"{len(things)} {name if len(things) > 1 else name[:-1]}" for name, things in counts.items() if things]
+    if not lost:
+        return ""
+    return (
+        f"it holds the walls only, as pixels; left out: {', '.join(lost)}; read again, the map gets other signs and "
+        "access points, placed by --seed; a .json keeps everything"
+    )
+
+
 def grid_of(plan: Floorplan, resolution_m: float) -> GridMap:
     """The plan as a perfect occupancy grid: free -1, wall 1, unknown 0."""
     cells = plan.cells(resolution_m)

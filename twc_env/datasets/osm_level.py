@@ -11,6 +11,7 @@ from twc_env.datasets.furnish import hung_sign
 from twc_env.datasets.geojson_features import (
     EXTENT_MAX_M,
     Area,
+    distinct,
     levels_of,
     part_of,
     point_of,
@@ -25,7 +26,8 @@ from twc_env.datasets.raster import WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
 from twc_env.world.floorplan import Floorplan, Room
 
-_METRES_PER_DEGREE = 111_320.0
+_EQUATOR_M, _SQUARED_ECCENTRICITY = 6_378_137.0, 0.006694379990
+"""Semi-major axis and squared eccentricity of the ellipsoid of WGS 84."""
 _DOOR_WIDTH_MIN_M = 0.6
 _FRAME_M = 0.05
 _WALL_THICKNESS_MAX_M = 0.6
@@ -35,17 +37,21 @@ _PLATE_OFFSET_M = 0.3
 
 def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorplan:
     """The floor plan of one level; doors are corners of the outlines of rooms. Rooms without a level are on "0"."""
-    parts = [feature for feature in features if part_of(feature)]
+    parts = [(number, feature) for number, feature in enumerate(features) if part_of(feature)]
     if not parts:
         raise MapError(f"{where} has no rooms: polygons tagged indoor=room or buildingpart=room; export these too")
-    levels = sorted({lvl for feature in parts for lvl in levels_of(feature)})
-    chosen = [feature for feature in parts if level in (levels_of(feature) if levels else ("0",))]
-    polygons = [(tag_of(feature, "name"), rings) for feature in chosen for rings in polygons_of(feature, where)]
+    levels = sorted({lvl for _, feature in parts for lvl in levels_of(feature)})
+    polygons = [
+        (tag_of(feature, "name"), rings)
+        for number, feature in parts
+        if level in (levels_of(feature) if levels else ("0",))
+        for rings in polygons_of(feature, f"{where}: feature {number}")
+    ]
     if not polygons:
         raise MapError(f"{where} has no level {level!r}; levels are {', '.join(levels) or '0'}: write FILE#LEVEL")
     origin = np.mean([rings[0].mean(axis=0) for _, rings in polygons], axis=0)
-    scale = _METRES_PER_DEGREE * np.array([np.cos(np.deg2rad(origin[1])), 1.0])
-    drawn = [Area(text, *_in_metres(rings, origin, scale)) for text, rings in polygons]
+    scale = metres_per_degree(origin[1])
+    drawn = distinct(Area(text, *_in_metres(rings, origin, scale)) for text, rings in polygons)
     if max(np.abs(area.ring_m).max() for area in drawn) > EXTENT_MAX_M:
         raise MapError(
             f"{where}: level {level!r} is wider than {EXTENT_MAX_M:g} m; cut out one building, or, "
@@ -59,10 +65,19 @@ def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorp
     walls = [walls_of(outline.ring_m) for outline in outlines]
     plates: list[tuple[str, Array, Array]] = []  # text, (2, 2) either side of the door, normal
     jambs = []
-    for feature in features:
+    boxes = np.array([[*outline.ring_m.min(axis=0), *outline.ring_m.max(axis=0)] for outline in outlines])
+    opened: set[tuple[float, ...]] = set()
+    for number, feature in enumerate(features):
         if tag_of(feature, "door"):
-            place = (point_of(feature, where) - origin) * scale
-            jambs += _open_door(outlines, walls, place, width_m_of(feature), plates)
+            place = (point_of(feature, f"{where}: feature {number}") - origin) * scale
+            if (key := tuple(np.round(place, 2).tolist())) in opened:
+                continue
+            opened.add(key)
+            reach_m = 2 * _WALL_THICKNESS_MAX_M
+            is_near = (boxes[:, :2] <= place + reach_m).all(axis=1) & (boxes[:, 2:] >= place - reach_m).all(axis=1)
+            near = np.flatnonzero(is_near).tolist()
+            if near:
+                jambs += _open_door([outlines[k] for k in near], near, walls, place, width_m_of(feature), plates)
     table = np.concatenate([*walls, np.array(jambs).reshape(-1, 2, 2)])
     # First all rooms are interior points, then only the largest connected part is kept.
     plan = Floorplan(name, table, np.full(len(table), WALL_LOSS_DB / 2), interior_m=np.array(seeds))
@@ -76,6 +91,17 @@ def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorp
     return dataclasses.replace(plan, rooms=tuple(rooms), signs=tuple(signs))
 
 
+def metres_per_degree(latitude_deg: float) -> Array:
+    """(2,) lengths [m] of a degree of longitude and of one of latitude, on the ellipsoid of WGS 84.
+
+    On a sphere with the radius of the equator a degree of latitude would be up to 0.7 % too long.
+    """
+    latitude = np.deg2rad(latitude_deg)
+    shrunk = 1.0 - _SQUARED_ECCENTRICITY * np.sin(latitude) ** 2
+    across_m, along_m = _EQUATOR_M / np.sqrt(shrunk), _EQUATOR_M * (1.0 - _SQUARED_ECCENTRICITY) / shrunk**1.5
+    return np.deg2rad(1.0) * np.array([across_m * np.cos(latitude), along_m])
+
+
 def _in_metres(rings: list[Array], origin: Array, scale: Array) -> tuple[Array, tuple[Array, ...]]:
     """The outer ring, and the holes."""
     outer, *holes = ((ring - origin) * scale for ring in rings)
@@ -83,11 +109,17 @@ def _in_metres(rings: list[Array], origin: Array, scale: Array) -> tuple[Array, 
 
 
 def _open_door(
-    areas: list[Area], walls: list[Array], place: Array, width_m: float, plates: list[tuple[str, Array, Array]]
+    areas: list[Area],
+    numbers: list[int],
+    walls: list[Array],
+    place: Array,
+    width_m: float,
+    plates: list[tuple[str, Array, Array]],
 ) -> list[Array]:
     """Cut a door into the outline that has it as a corner and into the one behind; returns the two jambs.
 
-    A hole of a room is a separate outline with the opposite direction.
+    areas: the outlines near the door, and their numbers in walls. A hole of a room is a separate outline with the
+    opposite direction.
     """
     corner_gaps = [np.linalg.norm(area.ring_m - place, axis=1).min() for area in areas]
     room = int(np.argmin(corner_gaps))
@@ -112,7 +144,7 @@ def _open_door(
     if last - first < _DOOR_WIDTH_MIN_M:
         return []
     for number in (room, behind):
-        walls[number] = _cut(walls[number], begin, along, first, last)
+        walls[numbers[number]] = _cut(walls[numbers[number]], begin, along, first, last)
     into_behind = np.array([-along[1], along[0]])  # outlines run counter-clockwise
     for number, normal, other in ((room, into_behind, behind), (behind, -into_behind, room)):
         base = begin if other == behind else begin + across

@@ -47,7 +47,7 @@ def load_json(path: Path) -> object:
     """Values of a JSON file (also .gz). Raises MapError if unreadable, no JSON or nested too deeply."""
     raw = load_bytes(path)
     try:
-        return json.loads(raw.decode("utf-8"))
+        return json.loads(raw.decode("utf-8-sig"))
     except RecursionError as error:
         raise MapError(f"{path} nests its lists too deeply; export it again") from error
     except ValueError as error:
