@@ -287,6 +287,53 @@ def test_an_error_of_an_environment_reaches_who_receives_it(workers, tmp_path):
                 teams.step(np.zeros((2, 2, 2)))
 
 
+FAULTY = """
+class Unportable(Exception):
+    def __init__(self, first, second):
+        super().__init__(f"{first} and {second}")
+
+class Faulty:
+    name = "faulty"
+
+    def __init__(self, config, range_max_m):
+        pass
+
+    def propose(self, keyframe, skipped_robots=()):
+        raise ERROR
+
+    def score(self, target, source):
+        return 0.0
+
+    def forget(self, is_held):
+        pass
+"""
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize(
+    ("raised", "caught", "message"),
+    [
+        ("ZeroDivisionError('mine')", ZeroDivisionError, "^mine$"),
+        ("Unportable(1, 2)", Exception, "1 and 2"),
+    ],
+    ids=["portable", "unportable"],
+)
+def test_an_error_of_the_users_own_code_is_raised_as_without_workers(tmp_path, workers, raised, caught, message):
+    (tmp_path / "faulty.py").write_text(FAULTY.replace("ERROR", raised))
+    own = {**SMALL, "slam.place_recognition.recogniser": f"{tmp_path / 'faulty.py'}:Faulty"}
+    with contextlib.closing(VectorTeams(2, own, workers)) as teams:
+        if workers:  # the first environment is of this process, and its error would be raised first
+            teams._runner._own.submit = lambda *_: None
+            teams._runner._own.results = lambda count: iter([(0, [])] * count)
+        with pytest.raises(caught, match=message) as told:
+            teams.reset(0)
+        if workers:
+            assert "in propose" in str(told.value.__cause__), "the traceback of the worker process"
+        assert not isinstance(told.value, TwcError)
+        with pytest.raises(TwcError, match="closed"):
+            teams.reset(0)
+
+
 @pytest.mark.parametrize(("what", "least"), [("count", 1), ("workers", 0)])
 @pytest.mark.parametrize("number", [-1, 0.5, "1", True, None])
 def test_what_is_no_number_of_environments_or_workers_is_refused(what, least, number):
