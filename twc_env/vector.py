@@ -81,19 +81,20 @@ class VectorTeams:
         self._early: deque[tuple[int, Infos | TwcError]] = deque()
         """Results of theirs that came while another command was waited for."""
 
-    def reset(self, seed: int = 0) -> dict[str, Array]:
+    def reset(self, seed: int | Sequence[int] = 0) -> dict[str, Array]:
         """Begin new episodes; environment k plays seeds seed + k, seed + k + count, and so on.
 
-        Results of steps that were sent and not yet received are dropped.
+        With one seed per environment, k plays seed[k], seed[k] + count, and so on. Results of steps that were sent and
+        not yet received are dropped. Raises ConfigError for anything else than whole numbers.
         """
-        seed = whole_number("seed", seed, 0)
+        seeds = self._first_seeds(seed)
         if self._pending:
             with self._running() as runner:
                 for _ in runner.results(len(self._pending) - len(self._early)):
                     pass
             self._pending.clear()
             self._early.clear()
-        self._execute(RESET, self._all, seed)
+        self._execute(RESET, self._all, seeds)
         return {name: block.copy() for name, block in self._arrays.observations.items()}
 
     def step(self, actions: Array) -> tuple[dict[str, Array], Array, Array, list[Infos]]:
@@ -158,11 +159,19 @@ class VectorTeams:
         yield from early
         yield from runner.results(count - len(early))
 
-    def _execute(self, command: int, ids: Sequence[int], seed: int = 0) -> None:
-        """Execute a command other than STEP in each of these environments."""
+    def _first_seeds(self, seed: int | Sequence[int]) -> list[int]:
+        if not isinstance(seed, (list, tuple, range)) and not (isinstance(seed, np.ndarray) and seed.ndim == 1):
+            first = whole_number("seed", seed, 0)
+            return [first + k for k in self._all]
+        if len(seed) != self.count:
+            raise ConfigError(f"seed must be one whole number, or {self.count}, one per environment; got {len(seed)}")
+        return [whole_number(f"seed[{k}]", each, 0) for k, each in enumerate(seed)]
+
+    def _execute(self, command: int, ids: Sequence[int], seeds: Sequence[int] = ()) -> None:
+        """Execute a command other than STEP in each of these environments; RESET with these seeds."""
         missing, failures = set(ids), []
         with self._running() as runner:
-            runner.submit(command, ids, seed)
+            runner.submit(command, ids, seeds)
             while missing:
                 for k, result in runner.results(1):
                     if k not in missing:  # a step, which somebody else is to receive

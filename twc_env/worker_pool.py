@@ -53,19 +53,20 @@ class WorkerPool:
         """Results of other processes since the last of this one."""
         self._ready: deque[int] = deque()
 
-    def submit(self, command: int, ids: Sequence[int], seed: int = 0) -> None:
+    def submit(self, command: int, ids: Sequence[int], seeds: Sequence[int] = ()) -> None:
         """Start a command in each of these environments, none of which may have a result that was not yet taken.
 
+        RESET needs one seed per environment.
         Raises WorkerError if a process has died.
         """
-        own = []
-        for k in ids:
+        own: dict[int, int] = {}
+        for k, seed in zip(ids, seeds or [0] * len(ids), strict=True):
             number = k % self._processes
             if number:
                 self._workers[number - 1].submit(command, k, seed)
             else:
-                own.append(k)
-        self._own.submit(command, own, seed)
+                own[k] = seed
+        self._own.submit(command, list(own), list(own.values()))
         self._own_left += len(own)
 
     def results(self, count: int) -> Iterator[tuple[int, Infos | TwcError]]:
