@@ -52,11 +52,12 @@ class WorkerPool:
         self._since_own = 0
         """Results of other processes since the last of this one."""
         self._ready: deque[int] = deque()
+        self._is_closed = False
 
     def submit(self, command: int, ids: Sequence[int], seeds: Sequence[int] = ()) -> None:
         """Start a command in each of these environments, none of which may have a result that was not yet taken.
-
         RESET needs one seed per environment.
+
         Raises WorkerError if a process has died.
         """
         own: dict[int, int] = {}
@@ -114,7 +115,10 @@ class WorkerPool:
         return message
 
     def close(self) -> None:
-        """End the processes; those that do not end within five seconds are terminated."""
+        """End the processes; those that do not end within five seconds are terminated. Again: nothing happens."""
+        if self._is_closed:
+            return
+        self._is_closed = True
         for worker in self._workers:
             worker.tell_to_end()
         for worker in self._workers:
