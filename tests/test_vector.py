@@ -157,6 +157,60 @@ def test_this_process_is_the_first_worker(workers):
     assert not any(process.is_alive() for process in own)
 
 
+def test_the_worker_processes_end_with_the_last_reference_or_with_a_with_block():
+    before = set(multiprocessing.active_children())
+    teams = VectorTeams(2, SMALL, workers=2)
+    (worker,) = set(multiprocessing.active_children()) - before
+    del teams
+    worker.join(30.0)
+    assert not worker.is_alive()
+    with VectorTeams(2, SMALL, workers=2) as teams:
+        (worker,) = set(multiprocessing.active_children()) - before
+        teams.reset(0)
+    worker.join(30.0)
+    assert not worker.is_alive()
+    teams.close()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_a_forked_process_that_drops_its_copy_ends_no_worker():
+    teams = VectorTeams(2, SMALL, workers=2)
+    child = os.fork()
+    if child == 0:
+        del teams
+        os._exit(0)
+    os.waitpid(child, 0)
+    assert teams.reset(0)["lidar"].any()
+    teams.close()
+
+
+def test_a_process_that_may_start_no_others_is_told_to_use_no_workers(monkeypatch):
+    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)
+    with pytest.raises(ConfigError, match=r"workers=2: this process is itself a worker .* use 0"):
+        VectorTeams(2, SMALL, workers=2)
+    VectorTeams(2, SMALL, workers=1).close()
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_each_environment_may_be_given_its_own_seed(workers):
+    with VectorTeams(2, {**SMALL, "max_cycles": 1}, workers) as teams, VectorTeams(1, SMALL) as alone:
+        for seeds in ([9, 4], np.array([9, 4]), (np.int64(9), 4)):
+            observations = teams.reset(seeds)
+            for k, seed in enumerate((9, 4)):
+                assert same({name: block[k] for name, block in observations.items()}, first(alone, seed))
+        observations, *_ = teams.step(np.zeros((2, 2, 2)))
+        for k, seed in enumerate((11, 6)):
+            assert same({name: block[k] for name, block in observations.items()}, first(alone, seed))
+        for wrong in ([1], [1, 2, 3], [1, -2], [1, "2"], "12", [[1, 2]], np.zeros((2, 1), int), [1, 2.0]):
+            with pytest.raises(ConfigError, match="seed"):
+                teams.reset(wrong)
+
+
+def first(teams: VectorTeams, seed: int) -> dict:
+    return {name: block[0] for name, block in teams.reset(seed).items()}
+
+
 def act(config: dict, k: int, place: int, observations: dict) -> np.ndarray:
     """Of environment k in its step number `place`, from nothing but what it has returned."""
     if "action_mask" in observations:
@@ -285,6 +339,53 @@ def test_an_error_of_an_environment_reaches_who_receives_it(workers, tmp_path):
         with pytest.raises(MapError, match=r"mine\.json"):
             for _ in range(25):
                 teams.step(np.zeros((2, 2, 2)))
+
+
+FAULTY = """
+class Unportable(Exception):
+    def __init__(self, first, second):
+        super().__init__(f"{first} and {second}")
+
+class Faulty:
+    name = "faulty"
+
+    def __init__(self, config, range_max_m):
+        pass
+
+    def propose(self, keyframe, skipped_robots=()):
+        raise ERROR
+
+    def score(self, target, source):
+        return 0.0
+
+    def forget(self, is_held):
+        pass
+"""
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize(
+    ("raised", "caught", "message"),
+    [
+        ("ZeroDivisionError('mine')", ZeroDivisionError, "^mine$"),
+        ("Unportable(1, 2)", Exception, "1 and 2"),
+    ],
+    ids=["portable", "unportable"],
+)
+def test_an_error_of_the_users_own_code_is_raised_as_without_workers(tmp_path, workers, raised, caught, message):
+    (tmp_path / "faulty.py").write_text(FAULTY.replace("ERROR", raised))
+    own = {**SMALL, "slam.place_recognition.recogniser": f"{tmp_path / 'faulty.py'}:Faulty"}
+    with contextlib.closing(VectorTeams(2, own, workers)) as teams:
+        if workers:  # the first environment is of this process, and its error would be raised first
+            teams._runner._own.submit = lambda *_: None
+            teams._runner._own.results = lambda count: iter([(0, [])] * count)
+        with pytest.raises(caught, match=message) as told:
+            teams.reset(0)
+        if workers:
+            assert "in propose" in str(told.value.__cause__), "the traceback of the worker process"
+        assert not isinstance(told.value, TwcError)
+        with pytest.raises(TwcError, match="closed"):
+            teams.reset(0)
 
 
 @pytest.mark.parametrize(("what", "least"), [("count", 1), ("workers", 0)])

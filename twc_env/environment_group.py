@@ -25,9 +25,9 @@ class EnvironmentGroup:
         self._seeds = dict.fromkeys(ids, 0)
         self._commands: deque[tuple[int, int, int]] = deque()
 
-    def submit(self, command: int, ids: Sequence[int], seed: int = 0) -> None:
-        """Queue a command for each of these environments."""
-        self._commands.extend((command, k, seed) for k in ids)
+    def submit(self, command: int, ids: Sequence[int], seeds: Sequence[int] = ()) -> None:
+        """Queue a command for each of these environments; RESET needs one seed per environment."""
+        self._commands.extend((command, k, seed) for k, seed in zip(ids, seeds or [0] * len(ids), strict=True))
 
     def results(self, count: int) -> Iterator[tuple[int, Infos | TwcError]]:
         """Execute the next `count` commands; yields the environment and the result of `execute` or its TwcError."""
@@ -39,10 +39,10 @@ class EnvironmentGroup:
                 yield k, error
 
     def execute(self, command: int, k: int, seed: int = 0) -> Infos:
-        """Execute one command: RESET begins the episode of seed + k, STEP returns one info per robot, STATE writes the
+        """Execute one command: RESET begins the episode of a seed, STEP returns one info per robot, STATE writes the
         state."""
         if command == RESET:
-            self._seeds[k] = seed + k
+            self._seeds[k] = seed
             self._arrays.ended[k] = False
             self._begin(k)
         elif command == STEP:

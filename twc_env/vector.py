@@ -22,7 +22,10 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import multiprocessing
 import operator
+import os
+import weakref
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from os import PathLike
@@ -44,7 +47,10 @@ from twc_env.world.splits import SPLITS, is_of_split, split_names
 
 
 class VectorTeams:
-    """`count` environments of one configuration, stepped together (`step`) or each on its own (`send`, `recv`)."""
+    """`count` environments of one configuration, stepped together (`step`) or each on its own (`send`, `recv`).
+
+    `close` ends the worker processes, as does the end of a `with` block or of the last reference to this object.
+    """
 
     def __init__(
         self,
@@ -57,12 +63,16 @@ class VectorTeams:
         ("train") or names of maps; each new episode plays in one of them, drawn by its seed. Without any, all play on
         the config's own map.
 
-        Raises ConfigError for an invalid count or number of workers, MapError for an unknown building, TwcError for an
-        invalid configuration.
+        Raises ConfigError for an invalid count or number of workers, or for workers of a process that may have none,
+        MapError for an unknown building, TwcError for an invalid configuration.
         """
         count, workers = whole_number("count", count, 1), whole_number("workers", workers, 0)
         if workers > count:
             raise ConfigError(f"{count} environments cannot be shared among {workers} workers: 0 to {count} workers")
+        if workers > 1 and multiprocessing.current_process().daemon:
+            raise ConfigError(
+                f"workers={workers}: this process is itself a worker (such as a DataLoader's) and may start none; use 0"
+            )
         model = ExplorationEnv(config=config)
         self.config, self.count, self.robots = model.config, count, model.config.robots
         self.agents = tuple(model.possible_agents)
@@ -76,24 +86,26 @@ class VectorTeams:
         self._runner: EnvironmentGroup | WorkerPool | None = (
             WorkerPool(count, workers, *task) if workers > 1 else EnvironmentGroup(self._all, *task)
         )
+        weakref.finalize(self, _close_unless_forked, self._runner, os.getpid()).atexit = False
         self._pending: set[int] = set()
         """Environments with a step that was not yet received."""
         self._early: deque[tuple[int, Infos | TwcError]] = deque()
         """Results of theirs that came while another command was waited for."""
 
-    def reset(self, seed: int = 0) -> dict[str, Array]:
+    def reset(self, seed: int | Sequence[int] = 0) -> dict[str, Array]:
         """Begin new episodes; environment k plays seeds seed + k, seed + k + count, and so on.
 
-        Results of steps that were sent and not yet received are dropped.
+        With one seed per environment, k plays seed[k], seed[k] + count, and so on. Results of steps that were sent and
+        not yet received are dropped. Raises ConfigError for anything else than whole numbers.
         """
-        seed = whole_number("seed", seed, 0)
+        seeds = self._first_seeds(seed)
         if self._pending:
             with self._running() as runner:
                 for _ in runner.results(len(self._pending) - len(self._early)):
                     pass
             self._pending.clear()
             self._early.clear()
-        self._execute(RESET, self._all, seed)
+        self._execute(RESET, self._all, seeds)
         return {name: block.copy() for name, block in self._arrays.observations.items()}
 
     def step(self, actions: Array) -> tuple[dict[str, Array], Array, Array, list[Infos]]:
@@ -158,11 +170,19 @@ class VectorTeams:
         yield from early
         yield from runner.results(count - len(early))
 
-    def _execute(self, command: int, ids: Sequence[int], seed: int = 0) -> None:
-        """Execute a command other than STEP in each of these environments."""
+    def _first_seeds(self, seed: int | Sequence[int]) -> list[int]:
+        if not isinstance(seed, (list, tuple, range)) and not (isinstance(seed, np.ndarray) and seed.ndim == 1):
+            first = whole_number("seed", seed, 0)
+            return [first + k for k in self._all]
+        if len(seed) != self.count:
+            raise ConfigError(f"seed must be one whole number, or {self.count}, one per environment; got {len(seed)}")
+        return [whole_number(f"seed[{k}]", each, 0) for k, each in enumerate(seed)]
+
+    def _execute(self, command: int, ids: Sequence[int], seeds: Sequence[int] = ()) -> None:
+        """Execute a command other than STEP in each of these environments; RESET with these seeds."""
         missing, failures = set(ids), []
         with self._running() as runner:
-            runner.submit(command, ids, seed)
+            runner.submit(command, ids, seeds)
             while missing:
                 for k, result in runner.results(1):
                     if k not in missing:  # a step, which somebody else is to receive
@@ -251,11 +271,23 @@ class VectorTeams:
         self._execute(STATE, wanted)
         return self._arrays.states[wanted]
 
+    def __enter__(self) -> VectorTeams:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def close(self) -> None:
         """Close the environments and end the worker processes."""
         runner, self._runner = self._runner, None
         if runner is not None:
             runner.close()
+
+
+def _close_unless_forked(runner: EnvironmentGroup | WorkerPool, owner: int) -> None:
+    """Close what nobody refers to any more; a copy in a forked process must not end the workers of its parent."""
+    if os.getpid() == owner:
+        runner.close()
 
 
 def _building_names(buildings: str | Sequence[str]) -> tuple[str, ...]:

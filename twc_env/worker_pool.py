@@ -5,11 +5,13 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import pickle
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection
+from multiprocessing.pool import ExceptionWithTraceback
 from typing import Any
 
 from twc_env.environment_group import RESET, EnvironmentGroup, Infos
@@ -50,24 +52,27 @@ class WorkerPool:
         self._since_own = 0
         """Results of other processes since the last of this one."""
         self._ready: deque[int] = deque()
+        self._is_closed = False
 
-    def submit(self, command: int, ids: Sequence[int], seed: int = 0) -> None:
+    def submit(self, command: int, ids: Sequence[int], seeds: Sequence[int] = ()) -> None:
         """Start a command in each of these environments, none of which may have a result that was not yet taken.
+        RESET needs one seed per environment.
 
         Raises WorkerError if a process has died.
         """
-        own = []
-        for k in ids:
+        own: dict[int, int] = {}
+        for k, seed in zip(ids, seeds or [0] * len(ids), strict=True):
             number = k % self._processes
             if number:
                 self._workers[number - 1].submit(command, k, seed)
             else:
-                own.append(k)
-        self._own.submit(command, own, seed)
+                own[k] = seed
+        self._own.submit(command, list(own), list(own.values()))
         self._own_left += len(own)
 
     def results(self, count: int) -> Iterator[tuple[int, Infos | TwcError]]:
-        """The next `count` results as they become ready. Raises WorkerError if a process has died."""
+        """The next `count` results as they become ready. Raises WorkerError if a process has died, and any other error
+        of an environment than a TwcError as it was raised there."""
         for left in range(count, 0, -1):
             if not self._ready:
                 self._collect()
@@ -100,6 +105,8 @@ class WorkerPool:
         if not arrays.has_message[k]:
             return [{"reward_terms": dict(zip(TERMS, row, strict=True))} for row in arrays.reward_terms[k].tolist()]
         message = self._workers[k % self._processes - 1].message()
+        if isinstance(message, Exception) and not isinstance(message, TwcError):
+            raise message
         if not isinstance(message, TwcError) and message and arrays.ended[k]:
             state = arrays.states[k].copy()
             for robot, info in enumerate(message):
@@ -108,7 +115,10 @@ class WorkerPool:
         return message
 
     def close(self) -> None:
-        """End the processes; those that do not end within five seconds are terminated."""
+        """End the processes; those that do not end within five seconds are terminated. Again: nothing happens."""
+        if self._is_closed:
+            return
+        self._is_closed = True
         for worker in self._workers:
             worker.tell_to_end()
         for worker in self._workers:
@@ -300,13 +310,15 @@ def _work(
     group, place = EnvironmentGroup(ids, arrays, config, buildings), 0
     while (order := queue.get()) is not None:
         command, k = order
-        message: Infos | TwcError | None
+        message: Infos | TwcError | ExceptionWithTraceback | None
         try:
             message = _share(group.execute(command, k, pipe.recv() if command == RESET else 0), k, arrays)
         except EOFError:  # the parent has died
             return
         except TwcError as error:
             message = error
+        except Exception as error:  # of code of the user's own, such as a recogniser
+            message = _portable(error)
         arrays.has_message[k] = message is not None
         queue.results[place % len(ids)] = k
         place += 1
@@ -315,6 +327,16 @@ def _work(
             with contextlib.suppress(OSError):
                 pipe.send(message)
     group.close()
+
+
+def _portable(error: Exception) -> ExceptionWithTraceback:
+    """The error with its traceback for the parent process; a RuntimeError that names it, if it cannot be pickled."""
+    portable = error
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # of any kind, since pickling calls methods of the error
+        portable = RuntimeError(f"an environment in a worker process raised {type(error).__name__}: {error}")
+    return ExceptionWithTraceback(portable, error.__traceback__)
 
 
 def _share(infos: Infos, k: int, arrays: SharedArrays) -> Infos | None:
