@@ -99,11 +99,11 @@ def data_folder() -> Path:
 
 
 def seeds_argument(text: str) -> list[int]:
-    """Type of a seeds argument: a count ("20": 0 to 19) or ranges ("0-9")."""
+    """Type of a seeds argument: a count ("20": 0 to 19), a range ("0-9") or a list ("0-3,7")."""
     try:
-        return list(parse_seeds(text) if "-" in text else range(count(text)))
+        return list(range(count(text)) if text.isdecimal() else parse_seeds(text))
     except (ConfigError, argparse.ArgumentTypeError):
-        raise argparse.ArgumentTypeError(f"takes a count like 20 or a range like 0-9; got {text!r}") from None
+        raise argparse.ArgumentTypeError(f"takes a count like 20, or seeds like 0-9 or 0-3,7; got {text!r}") from None
 
 
 def add_seeds(parser: argparse.ArgumentParser, default: str, what: str) -> None:
