@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 from twc_env._version import __version__
 from twc_env.command_start import begin_work, end_when_interrupted, is_loading
-from twc_env.errors import ConfigError, DataError, TwcError
+from twc_env.errors import ConfigError, DataError, TwcError, did_you_mean
 from twc_env.file_lock import FileLock
 from twc_env.json_values import check_writable
 
@@ -94,7 +94,8 @@ def _silence() -> None:
 
 
 class Paragraphs(argparse.HelpFormatter):
-    """Help in which each paragraph is filled; lines that begin with two spaces, such as examples, are kept.
+    """Help in which each paragraph and each point of a list is filled; lines that begin with two spaces, such as
+    examples, are kept.
 
     The help of an option ends with its default value, unless its text states a default.
     """
@@ -111,6 +112,9 @@ class Paragraphs(argparse.HelpFormatter):
 
     @staticmethod
     def _filled(part: str, width: int) -> str:
+        if part.startswith("- "):
+            points = [" ".join(point.split()) for point in f"\n{part}".split("\n- ")[1:]]
+            return "\n".join(textwrap.fill(f"- {point}", width, subsequent_indent="  ") for point in points)
         prose: list[str] = []
         lines: list[str] = []
         for line in [*part.splitlines(), None]:
@@ -132,8 +136,17 @@ class Parser(argparse.ArgumentParser):
         """Unknown arguments are rejected by the command itself, which shows its own usage."""
         namespace, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+            options = [word.partition("=")[0] for word in unknown if word.startswith("-")]
+            hint = did_you_mean(options[0], self._option_string_actions) if options else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
         return namespace, unknown
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message += did_you_mean(value, map(str, action.choices or ()))
+            raise
 
     def error(self, message: str) -> NoReturn:
         """Reject arguments, and refer to the help."""
