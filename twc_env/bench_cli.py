@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twc_env.command_line import add_set, aligned, assignments, count
+from twc_env.command_line import add_json, add_set, aligned, assignments, count
 from twc_env.json_values import write_json
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
         help="VectorTeams with 8, 16 and 32 environments: two workers against none, in lockstep and asynchronously",
     )
     speed.add_argument("--long", action="store_true", help="step times along one long episode, in tenths")
-    speed.add_argument("--json", type=Path, metavar="FILE", help="write the results as one object")
+    add_json(speed)
     speed.set_defaults(run=_bench)
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twc_env.command_line import add_set, alone_in, assignments, count, make_folder, natural, show_count
+from twc_env.command_line import add_json, add_set, alone_in, assignments, count, make_folder, natural, show_count
 from twc_env.errors import DataError
 from twc_env.json_values import check_folder, write_json
 
@@ -94,7 +94,7 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         metavar="FOLDER",
         help="write map.pgm + .yaml (map_server), pose_graph.g2o, trajectories/*.tum",
     )
-    replay.add_argument("--json", type=Path, metavar="FILE", help="write the results")
+    add_json(replay)
     replay.set_defaults(run=_replay)
 
 

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from twc_env.command_line import count, natural
+from twc_env.command_line import add_json, count, natural
 from twc_env.errors import MapError
 from twc_env.json_values import check_writable, write_json
 from twc_env.maps import load_map, map_names, schema
@@ -94,7 +94,7 @@ def add_maps_parser(commands) -> None:
         "--splits", action="store_true", help="check that the splits are disjoint, and print their digests"
     )
     check.add_argument("--fuzz", type=count, metavar="COUNT", help="number of mutated map files to read")
-    check.add_argument("--json", type=Path, metavar="FILE", help="write the results")
+    add_json(check)
     _seed(check)
 
     text = "print the JSON schema of the native format"

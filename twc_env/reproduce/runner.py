@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-from twc_env.command_line import add_folder, aligned, count, end_line, parse_seeds, show_line
+from twc_env.command_line import add_folder, add_json, aligned, count, end_line, parse_seeds, show_line
 from twc_env.errors import ConfigError, DataError
 from twc_env.finished_parts import FinishedParts
 from twc_env.json_values import TERMINAL, check_folder, plain, write_json
@@ -146,8 +146,7 @@ def add_parser(commands) -> None:
             epilog=_EPILOG.format(name=name),
         )
         module.add_arguments(table)
-        beside = ", and pictures beside them" if hasattr(module, "draw") else ""
-        table.add_argument("--json", type=Path, metavar="FILE", help=f"write the rows{beside}; - for the terminal")
+        add_json(table, ", and pictures beside it" if hasattr(module, "draw") else "")
         add_folder(table, "--cache", "runs/reproduce", "folder of finished parts")
         table.set_defaults(run=lambda options, name=name, module=module: main(name, module, options))
 
