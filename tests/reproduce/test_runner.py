@@ -57,6 +57,11 @@ def test_seeds_are_a_count_a_range_or_a_list():
     assert seeds_argument("3,5") == [3, 5] and seeds_argument("0-1,7") == [0, 1, 7]
 
 
+@pytest.mark.parametrize("scenes", (["01"], ["#01"]))
+def test_scenes_are_named_without_the_sign_that_begins_a_comment_in_a_shell(scenes, parsed):
+    assert parsed(table_module("twc-table1"), "--scenes", *scenes).scenes == ["#01"]
+
+
 def test_a_missing_data_folder_is_named(monkeypatch):
     monkeypatch.delenv("TWC_DATA", raising=False)
     with pytest.raises(DataError, match=r"set the environment variable TWC_DATA .*it is not set.*real_data\.md"):
