@@ -7,7 +7,7 @@ PINS := pyproject.toml constraints.txt
 .PHONY: help setup demo test test-bounds test-ray check clean
 
 help: ## list the commands
-	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1 \t/' | expand -t 16
+	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1 \t/' | expand -t 20
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "twc_env needs Python 3.11 or newer; name one: make PYTHON=python3.11 ..."; exit 1; }

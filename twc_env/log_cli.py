@@ -121,10 +121,13 @@ def _record(options: argparse.Namespace) -> None:
 
 
 def _replay(options: argparse.Namespace) -> None:
+    is_export = options.html is not None or options.rerun is not None
     for log in options.logs:
         if not log.exists():
-            what = "run folder" if options.html is not None or options.rerun is not None else "run folder or log"
+            what = "run folder" if is_export else "run folder or log"
             raise DataError(f"there is no {what} {log}: `python -m agents explore --out RUN` writes one")
+        if log.is_dir() and not is_export and not (log / "frames.npz").exists():
+            raise DataError(f"{log} is no run folder (no frames.npz): `python -m agents explore --out RUN` writes one")
         if len(options.logs) > 1 and (log.is_dir() or _is_frame_log(log)):
             raise DataError(f"{log} is of a whole team: give it alone; several logs are laser logs, one of each robot")
     log = options.logs[0]
@@ -137,7 +140,7 @@ def _replay(options: argparse.Namespace) -> None:
         from twc_env.rerun_export import write_rerun
 
         print(f"written: {write_rerun(run, run / 'replay.rrd' if options.rerun == Path() else options.rerun)}")
-    if options.html is None and options.rerun is None:
+    if not is_export:
         _replay_frames(options, [log / "frames.npz"] if log.is_dir() else options.logs)
 
 

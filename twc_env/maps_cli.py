@@ -103,7 +103,8 @@ def add_maps_parser(commands) -> None:
 
 def _part(parts, name: str, run, text: str, examples: list[str], more: str = "") -> argparse.ArgumentParser:
     lines = "".join(f"\n  python -m twc_env maps {example}" for example in examples)
-    epilog = f"example{'s' if len(examples) > 1 else ''}:{lines}{more}\n\n{_NAMES}"
+    names = "" if name in ("generate", "schema") else f"\n\n{_NAMES}"
+    epilog = f"example{'s' if len(examples) > 1 else ''}:{lines}{more}{names}"
     parser = parts.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=epilog)
     parser.set_defaults(run=run)
     return parser
