@@ -7,11 +7,11 @@ PINS := pyproject.toml constraints.txt
 .PHONY: help setup demo test test-bounds test-ray check clean
 
 help: ## list the commands
-	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1 \t/' | expand -t 16
+	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1 \t/' | expand -t 20
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "twc_env needs Python 3.11 or newer; name one: make PYTHON=python3.11 ..."; exit 1; }
-	$(PYTHON) -m venv .venv
+	$(PYTHON) -m venv .venv || { rm -rf .venv; exit 1; }
 
 .venv/installed-demo: $(PINS) | .venv/bin/python
 	@echo "installing into .venv (a minute or more)"
@@ -48,7 +48,7 @@ test-bounds: .venv/installed-test ## the engine's tests with numba's bounds chec
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_bounds $(PY) -m pytest -q tests/slam tests/exploration
 
 .venv-ray/installed: pyproject.toml
-	$(PYTHON) -m venv .venv-ray
+	$(PYTHON) -m venv .venv-ray || { rm -rf .venv-ray; exit 1; }
 	@echo "installing ray into .venv-ray (several minutes)"
 	.venv-ray/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ray]' pytest hypothesis
 	@touch $@

@@ -13,13 +13,16 @@ from typing import Any
 from agents import benchmark, compare, picture, radio_survey
 from agents.explore import explore, table_of, write_run
 from agents.policy import make_policy, policy_names
-from twc_env import EnvConfig, load_map, map_names, task_config
+from twc_env import EnvConfig, load_map, map_names
 from twc_env.command_line import (
     Parser,
+    add_config,
     add_folder,
+    add_json,
     add_set,
     add_version,
     assignments,
+    config_of,
     count,
     end_line,
     natural,
@@ -27,7 +30,7 @@ from twc_env.command_line import (
     run_command,
     show_count,
 )
-from twc_env.config import digest, load, override
+from twc_env.config import digest, override
 from twc_env.json_values import TERMINAL, check_folder, write_json
 
 _EXPLORE_HELP = """\
@@ -231,12 +234,9 @@ def _radio_survey(options: argparse.Namespace) -> int:
 
 def _config(options: argparse.Namespace, map_name: str | None, steps: int | None) -> EnvConfig:
     """The settings: defaults, then the file or standard task, then the options, then --set."""
-    if options.config is None:
-        config = EnvConfig()
-    else:
-        config = task_config(options.config) if options.config.startswith("twc/") else load(options.config)
     named = {"map": map_name, "robots": options.robots, "max_cycles": steps}
-    config = override(config, {key: value for key, value in named.items() if value is not None})
+    chosen = {key: value for key, value in named.items() if value is not None}
+    config = override(config_of(options.config), chosen)
     return override(config, assignments(options.set))
 
 
@@ -320,13 +320,9 @@ def _parser() -> argparse.ArgumentParser:
     for command in (one, many, teams):
         command.add_argument("--robots", type=count, help="number of robots (default: 3)")
         command.add_argument("--steps", type=count, help="maximum number of steps (default: 2000)")
-        command.add_argument(
-            "--config", metavar="FILE", help="settings: TOML, JSON, a run folder or a task such as twc/ExploreHard-v0"
-        )
+        add_config(command)
         add_set(command)
-        command.add_argument(
-            "--json", type=Path, metavar="FILE", help="also write the results as JSON; - for the terminal"
-        )
+        add_json(command)
     return parser
 
 

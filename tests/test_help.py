@@ -63,6 +63,20 @@ def test_an_unknown_option_is_an_error_with_the_usage_of_the_command(capsys):
     assert "usage: python -m twc_env reproduce solver" in told and "unrecognized arguments: --walks 1" in told
 
 
+@pytest.mark.parametrize(
+    ("arguments", "near"),
+    [
+        ("explor", "'explore'"),
+        ("compare --bulidings 5", "'--buildings'"),
+        ("compare --bulidings=5", "'--buildings'"),
+    ],
+)
+def test_the_error_of_a_misspelt_command_or_option_suggests_the_nearest(arguments, near, capsys):
+    with pytest.raises(SystemExit):
+        agents.__main__.main(arguments.split())
+    assert f"; did you mean {near}?" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
 def test_the_examples_of_every_command_can_be_parsed(parser):
     examples = [line.split("   ")[0] for line in parser.format_help().splitlines() if line.startswith("  python -m ")]
@@ -79,6 +93,15 @@ def test_paragraphs_are_filled_and_examples_are_kept():
     )
     text = parser.format_help()
     assert "One two three four five six\nseven eight.\n\nNine ten:\n  an example that is longer than a line\n" in text
+
+
+def test_the_points_of_a_list_are_filled_one_by_one():
+    parser = argparse.ArgumentParser(
+        formatter_class=lambda prog: Paragraphs(prog, width=32),
+        description="Two points:\n\n- one two three four five six seven\n  eight\n- nine\n  ten",
+    )
+    text = parser.format_help()
+    assert "Two points:\n\n- one two three four five six\n  seven eight\n- nine ten\n" in text
 
 
 def test_the_help_of_agents_lists_every_team():

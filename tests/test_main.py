@@ -29,6 +29,12 @@ def test_bench_writes_one_flat_object_with_both_speeds(tmp_path, capsys):
     assert "slam_env_steps_per_s" in capsys.readouterr().out
 
 
+def test_bench_measures_one_thing_at_a_time(capsys):
+    with pytest.raises(SystemExit):
+        main(["bench", "--parts", "--peers"])
+    assert "--peers: not allowed with argument --parts" in capsys.readouterr().err
+
+
 def test_bench_accepts_any_setting(tmp_path):
     path = tmp_path / "bench.json"
     arguments = ["bench", "--steps", "5", "--episodes", "1", "--robots", "1", "--set", "lidar.beam_count=90"]
@@ -47,6 +53,10 @@ def test_bench_accepts_any_setting(tmp_path):
 )
 def test_bad_input_ends_with_one_line_and_status_2(arguments, message, refusal):
     assert message in refusal(main, arguments)
+
+
+def test_a_folder_without_a_run_is_named(tmp_path, refusal):
+    assert f"{tmp_path} is no run folder (no frames.npz): `python -m" in refusal(main, ["replay", str(tmp_path)])
 
 
 @pytest.mark.parametrize(

@@ -47,8 +47,15 @@ def test_the_error_of_an_unknown_section_suggests_the_nearest(capsys):
         ConfigError, match=r"no section 'slam\.mergin' among the settings; did you mean 'slam\.merging'"
     ):
         as_toml(EnvConfig(), ["slam.mergin"])
-    assert main(["settings", "--task", "twc/ExploreHard-v0", "--config", "a.toml"]) == 2
-    assert "not with both" in capsys.readouterr().err
+    assert main(["settings", "slam.mergin"]) == 2
+    assert "did you mean 'slam.merging'?" in capsys.readouterr().err
+
+
+def test_settings_begin_with_a_task_as_those_of_an_episode_do(capsys):
+    assert main(["settings", "--config", "twc/ExploreHard-v0"]) == 0
+    assert capsys.readouterr().out == as_toml(task_config("twc/ExploreHard-v0"))
+    assert main(["settings", "--config", "twc/ExploreHrd-v0"]) == 2
+    assert "did you mean 'twc/ExploreHard-v0'?" in capsys.readouterr().err
 
 
 def test_a_changed_setting_can_be_read_back(tmp_path):

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twc_env.command_line import add_set, aligned, assignments, count
+from twc_env.command_line import add_json, add_set, aligned, assignments, count
 from twc_env.json_values import write_json
 
 if TYPE_CHECKING:
@@ -33,25 +32,27 @@ def add_bench_parser(commands: argparse._SubParsersAction) -> None:
     speed.add_argument("--steps", type=count, default=1500, help="steps per episode")
     speed.add_argument("--episodes", type=count, default=3, help="number of episodes, with seeds 0, 1, ...")
     add_set(speed)
-    speed.add_argument("--parts", action="store_true", help="print the time of each part of a step instead")
-    speed.add_argument(
+    instead = speed.add_mutually_exclusive_group()
+    instead.add_argument("--parts", action="store_true", help="print the time of each part of a step instead")
+    instead.add_argument(
         "--peers",
         action="store_true",
-        help="compare with IR-SIM and MPE2 on one core (pip install 'twc_env[peers]'); also start-up time, memory and "
-        "two workers; settings are fixed",
+        help="compare with IR-SIM and MPE2 on one core (pip install 'twc_env[peers]'); also start-up time, memory, "
+        "two workers and --scaling; settings are fixed",
     )
-    speed.add_argument(
+    instead.add_argument(
         "--scaling",
         action="store_true",
-        help="cost of the simulated world by number of walls, beams, robots and area; resets of large buildings",
+        help="cost of the simulated world by number of walls, beams, robots and area; resets of large buildings; "
+        "settings are fixed",
     )
-    speed.add_argument(
+    instead.add_argument(
         "--vector",
         action="store_true",
         help="VectorTeams with 8, 16 and 32 environments: two workers against none, in lockstep and asynchronously",
     )
-    speed.add_argument("--long", action="store_true", help="step times along one long episode, in tenths")
-    speed.add_argument("--json", type=Path, metavar="FILE", help="write the results as one object")
+    instead.add_argument("--long", action="store_true", help="step times along one long episode, in tenths")
+    add_json(speed)
     speed.set_defaults(run=_bench)
 
 
@@ -67,11 +68,11 @@ def _bench(options: argparse.Namespace) -> None:
     if options.long:
         _bench_long(config, options)
         return
-    figures: dict[str, Any] = {}
+    figures: dict[str, Any]
     if options.vector:
         from twc_env.bench_vector import bench_vector
 
-        figures.update(bench_vector(config, report=_report))
+        figures = dict(bench_vector(config, report=_report))
     elif options.peers or options.scaling:
         figures = _bench_peers(options)
     else:

@@ -13,13 +13,16 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from twc_env._version import __version__
 from twc_env.command_start import begin_work, end_when_interrupted, is_loading
-from twc_env.errors import ConfigError, DataError, TwcError
+from twc_env.errors import ConfigError, DataError, TwcError, did_you_mean
 from twc_env.file_lock import FileLock
 from twc_env.json_values import check_writable
+
+if TYPE_CHECKING:
+    from twc_env.config import EnvConfig
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 """Errors when writing to a path that was writable before: no room, or a broken device."""
@@ -94,7 +97,8 @@ def _silence() -> None:
 
 
 class Paragraphs(argparse.HelpFormatter):
-    """Help in which each paragraph is filled; lines that begin with two spaces, such as examples, are kept.
+    """Help in which each paragraph and each point of a list is filled; lines that begin with two spaces, such as
+    examples, are kept.
 
     The help of an option ends with its default value, unless its text states a default.
     """
@@ -111,6 +115,9 @@ class Paragraphs(argparse.HelpFormatter):
 
     @staticmethod
     def _filled(part: str, width: int) -> str:
+        if part.startswith("- "):
+            points = [" ".join(point.split()) for point in f"\n{part}".split("\n- ")[1:]]
+            return "\n".join(textwrap.fill(f"- {point}", width, subsequent_indent="  ") for point in points)
         prose: list[str] = []
         lines: list[str] = []
         for line in [*part.splitlines(), None]:
@@ -132,8 +139,17 @@ class Parser(argparse.ArgumentParser):
         """Unknown arguments are rejected by the command itself, which shows its own usage."""
         namespace, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+            options = [word.partition("=")[0] for word in unknown if word.startswith("-")]
+            hint = did_you_mean(options[0], self._option_string_actions) if options else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
         return namespace, unknown
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message += did_you_mean(value, map(str, action.choices or ()))
+            raise
 
     def error(self, message: str) -> NoReturn:
         """Reject arguments, and refer to the help."""
@@ -165,6 +181,31 @@ def assignments(texts: Sequence[str]) -> dict[str, object]:
         if not separator or not key:
             raise ConfigError(f"--set takes KEY=VALUE, for example lidar.beam_count=360; got {text!r}")
     return {key: value for key, _, value in pairs}
+
+
+def add_config(parser: argparse.ArgumentParser) -> None:
+    """The option `--config`, which `config_of` reads."""
+    parser.add_argument(
+        "--config", metavar="FILE", help="settings: TOML, JSON, a run folder or a task such as twc/ExploreHard-v0"
+    )
+
+
+def config_of(name: str | None) -> EnvConfig:
+    """The settings that `--config` names: a standard task, a TOML or JSON file, or a run folder; without it the
+    defaults. Raises ConfigError."""
+    from twc_env.config import EnvConfig, load
+    from twc_env.tasks import task_config
+
+    if name is None:
+        return EnvConfig()
+    return task_config(name) if name.startswith("twc/") else load(name)
+
+
+def add_json(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """The option `--json`, for `write_json`; more: what else is written then."""
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help=f"also write the results as JSON{more}; - for the terminal"
+    )
 
 
 def add_folder(parser: argparse.ArgumentParser, option: str, default: str, what: str) -> None:

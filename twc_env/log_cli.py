@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twc_env.command_line import add_set, alone_in, assignments, count, make_folder, natural, show_count
+from twc_env.command_line import add_json, add_set, alone_in, assignments, count, make_folder, natural, show_count
 from twc_env.errors import DataError
 from twc_env.json_values import check_folder, write_json
 
@@ -94,7 +94,7 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         metavar="FOLDER",
         help="write map.pgm + .yaml (map_server), pose_graph.g2o, trajectories/*.tum",
     )
-    replay.add_argument("--json", type=Path, metavar="FILE", help="write the results")
+    add_json(replay)
     replay.set_defaults(run=_replay)
 
 
@@ -121,10 +121,13 @@ def _record(options: argparse.Namespace) -> None:
 
 
 def _replay(options: argparse.Namespace) -> None:
+    is_export = options.html is not None or options.rerun is not None
     for log in options.logs:
         if not log.exists():
-            what = "run folder" if options.html is not None or options.rerun is not None else "run folder or log"
+            what = "run folder" if is_export else "run folder or log"
             raise DataError(f"there is no {what} {log}: `python -m agents explore --out RUN` writes one")
+        if log.is_dir() and not is_export and not (log / "frames.npz").exists():
+            raise DataError(f"{log} is no run folder (no frames.npz): `python -m agents explore --out RUN` writes one")
         if len(options.logs) > 1 and (log.is_dir() or _is_frame_log(log)):
             raise DataError(f"{log} is of a whole team: give it alone; several logs are laser logs, one of each robot")
     log = options.logs[0]
@@ -137,7 +140,7 @@ def _replay(options: argparse.Namespace) -> None:
         from twc_env.rerun_export import write_rerun
 
         print(f"written: {write_rerun(run, run / 'replay.rrd' if options.rerun == Path() else options.rerun)}")
-    if options.html is None and options.rerun is None:
+    if not is_export:
         _replay_frames(options, [log / "frames.npz"] if log.is_dir() else options.logs)
 
 

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from twc_env.command_line import count, natural
+from twc_env.command_line import add_json, count, natural
 from twc_env.errors import MapError
 from twc_env.json_values import check_writable, write_json
 from twc_env.maps import load_map, map_names, schema
@@ -95,7 +95,7 @@ def add_maps_parser(commands) -> None:
         "--splits", action="store_true", help="check that the splits are disjoint, and print their digests"
     )
     check.add_argument("--fuzz", type=count, metavar="COUNT", help="number of mutated map files to read")
-    check.add_argument("--json", type=Path, metavar="FILE", help="write the results")
+    add_json(check)
     _seed(check)
 
     text = "print the JSON schema of the native format"
@@ -104,7 +104,8 @@ def add_maps_parser(commands) -> None:
 
 def _part(parts, name: str, run, text: str, examples: list[str], more: str = "") -> argparse.ArgumentParser:
     lines = "".join(f"\n  python -m twc_env maps {example}" for example in examples)
-    epilog = f"example{'s' if len(examples) > 1 else ''}:{lines}{more}\n\n{_NAMES}"
+    names = "" if name in ("generate", "schema") else f"\n\n{_NAMES}"
+    epilog = f"example{'s' if len(examples) > 1 else ''}:{lines}{more}{names}"
     parser = parts.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=epilog)
     parser.set_defaults(run=run)
     return parser

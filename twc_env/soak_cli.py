@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from twc_env.command_line import add_set, assignments, count, natural, show_count, show_line
+from twc_env.command_line import add_json, add_set, assignments, count, natural, show_count, show_line
 from twc_env.errors import TwcError
 from twc_env.json_values import write_json
 
@@ -37,7 +36,7 @@ def add_soak_parser(commands: argparse._SubParsersAction) -> None:
     )
     long.add_argument("--seed", type=natural, default=0, help="seed of the first episode")
     add_set(long)
-    long.add_argument("--json", type=Path, metavar="FILE", help="write the results as one flat object")
+    add_json(long)
     long.set_defaults(run=_soak)
 
 

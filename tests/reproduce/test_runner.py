@@ -52,8 +52,14 @@ def test_rows_are_printed_in_aligned_columns():
     assert lines[0].index("recall") == lines[1].index("0.9877") == lines[2].index("-")
 
 
-def test_seeds_are_a_count_or_a_range():
+def test_seeds_are_a_count_a_range_or_a_list():
     assert seeds_argument("3") == [0, 1, 2] and seeds_argument("4-6") == [4, 5, 6]
+    assert seeds_argument("3,5") == [3, 5] and seeds_argument("0-1,7") == [0, 1, 7]
+
+
+@pytest.mark.parametrize("scenes", (["01"], ["#01"]))
+def test_scenes_are_named_without_the_sign_that_begins_a_comment_in_a_shell(scenes, parsed):
+    assert parsed(table_module("twc-table1"), "--scenes", *scenes).scenes == ["#01"]
 
 
 def test_a_missing_data_folder_is_named(monkeypatch):
@@ -90,7 +96,7 @@ def test_no_seeds_at_all_are_refused(text):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("intel --seeds x", "takes a count like 20 or a range like 0-9; got 'x'"),
+        ("intel --seeds x", "takes a count like 20, or seeds like 0-9 or 0-3,7; got 'x'"),
         ("intel --robots 0", "must be a whole number of at least 1; got '0'"),
         ("merging --buildings 0", "must be a whole number of at least 1; got '0'"),
         ("merging --seed -1", "must be a whole number of at least 0; got '-1'"),

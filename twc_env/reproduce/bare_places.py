@@ -89,7 +89,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
     add_seeds(parser, "10", "seeds of the episodes of each scene")
     parser.add_argument(
-        "--scenes", nargs="+", choices=SCENES, default=list(SCENES), metavar="SCENE", help="scenes (default: all)"
+        "--scenes",
+        nargs="+",
+        choices=SCENES,
+        default=list(SCENES),
+        metavar="SCENE",
+        help=f"any of {'; '.join(SCENES)} (default: all)",
     )
     parser.add_argument("--robots", type=count, default=3, help="number of robots")
     parser.add_argument("--steps", type=count, default=2000, help="maximum steps per episode")

@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-from twc_env.command_line import add_folder, aligned, count, end_line, parse_seeds, show_line
+from twc_env.command_line import add_folder, add_json, aligned, count, end_line, parse_seeds, show_line
 from twc_env.errors import ConfigError, DataError
 from twc_env.finished_parts import FinishedParts
 from twc_env.json_values import TERMINAL, check_folder, plain, write_json
@@ -99,11 +99,11 @@ def data_folder() -> Path:
 
 
 def seeds_argument(text: str) -> list[int]:
-    """Type of a seeds argument: a count ("20": 0 to 19) or ranges ("0-9")."""
+    """Type of a seeds argument: a count ("20": 0 to 19), a range ("0-9") or a list ("0-3,7")."""
     try:
-        return list(parse_seeds(text) if "-" in text else range(count(text)))
+        return list(range(count(text)) if text.isdecimal() else parse_seeds(text))
     except (ConfigError, argparse.ArgumentTypeError):
-        raise argparse.ArgumentTypeError(f"takes a count like 20 or a range like 0-9; got {text!r}") from None
+        raise argparse.ArgumentTypeError(f"takes a count like 20, or seeds like 0-9 or 0-3,7; got {text!r}") from None
 
 
 def add_seeds(parser: argparse.ArgumentParser, default: str, what: str) -> None:
@@ -146,8 +146,7 @@ def add_parser(commands) -> None:
             epilog=_EPILOG.format(name=name),
         )
         module.add_arguments(table)
-        beside = ", and pictures beside them" if hasattr(module, "draw") else ""
-        table.add_argument("--json", type=Path, metavar="FILE", help=f"write the rows{beside}; - for the terminal")
+        add_json(table, ", and pictures beside it" if hasattr(module, "draw") else "")
         add_folder(table, "--cache", "runs/reproduce", "folder of finished parts")
         table.set_defaults(run=lambda options, name=name, module=module: main(name, module, options))
 

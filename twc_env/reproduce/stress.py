@@ -54,7 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robots", type=count, default=3, help="number of robots")
     parser.add_argument("--seed", type=natural, default=0, help="noise seed")
     parser.add_argument(
-        "--conditions", nargs="+", choices=CONDITIONS, default=list(CONDITIONS), help="conditions (default: all)"
+        "--conditions",
+        nargs="+",
+        choices=CONDITIONS,
+        default=list(CONDITIONS),
+        metavar="CONDITION",
+        help=f"any of {', '.join(CONDITIONS)}; quote names of two words (default: all)",
     )
 
 

@@ -31,7 +31,7 @@ from twc_env.config import EnvConfig, override
 from twc_env.reproduce.routes import Walk
 from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.reproduce.sighting_judge import COMBINED, METHODS, RECALL_LEVELS, TEXT, WIFI, judge, judge_some
-from twc_env.reproduce.twc_scenes import AS_DRAWN, DEPARTMENTS, SCENES, scene_config, walk_scene
+from twc_env.reproduce.twc_scenes import AS_DRAWN, DEPARTMENTS, add_scenes, scene_config, walk_scene
 from twc_env.slam.rssi_similarity import BY_DISTANCE, COSINES
 
 RSSI_MODES = (*BY_DISTANCE, *COSINES, "paper")
@@ -52,9 +52,7 @@ EQ7_AS_PRINTED, AS_PRINTED = "eq7", "as printed"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     add_seeds(parser, "20", "seeds of the walks")
-    parser.add_argument(
-        "--scenes", nargs="+", choices=tuple(SCENES), default=list(SCENES), help="scenes (default: both)"
-    )
+    add_scenes(parser)
     parser.add_argument(
         "--alternatives", action="store_true", help="add rows for the other interpretations of Eq. 7 and 10"
     )

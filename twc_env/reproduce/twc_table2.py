@@ -44,7 +44,7 @@ from twc_env.reproduce.offline_mapping import (
 )
 from twc_env.reproduce.routes import Walk
 from twc_env.reproduce.runner import Runner, add_seeds
-from twc_env.reproduce.twc_scenes import SCENES, SIGNS, scene_config, walk_scene
+from twc_env.reproduce.twc_scenes import SCENES, SIGNS, add_scenes, scene_config, walk_scene
 from twc_env.reproduce.twc_table1 import PRINT as PRINT_TABLE1
 from twc_env.reproduce.twc_table1 import over_known
 from twc_env.slam.team import TeamMapper
@@ -75,9 +75,7 @@ PRINT = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     add_seeds(parser, "20", "seeds of the walks")
-    parser.add_argument(
-        "--scenes", nargs="+", choices=tuple(SCENES), default=list(SCENES), help="scenes (default: both)"
-    )
+    add_scenes(parser)
     parser.add_argument("--signs", choices=SIGNS, default=SIGNS[0], help="signs on the walls")
 
 
