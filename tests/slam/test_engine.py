@@ -66,6 +66,26 @@ def test_the_digest_changes_with_one_millimetre_in_one_frame(recorded, engine):
     assert digest_of(replay(config, changed)) != digest_of(engine)
 
 
+@pytest.mark.parametrize("settings", [{}, {"slam.k_visibility.enabled": True, "link.topology": "peer"}])
+def test_beliefs_do_not_depend_on_when_they_are_asked_for(record, settings):
+    config = override(EnvConfig(map="twin-01", robots=3), settings)
+    frames, _ = record(config, 450, seed=5)
+    often, seldom = CooperativeSlam(config, 3), CooperativeSlam(config, 3)
+    for k, step in enumerate(frames):
+        often.update(step)
+        seldom.update(step)
+        often.beliefs()
+        if k % 50 == 49:
+            for belief, other in zip(often.beliefs(), seldom.beliefs(), strict=True):
+                assert [s.text for s in belief.signs] == [s.text for s in other.signs]
+                assert all(
+                    np.array_equal(a.position_m, b.position_m) for a, b in zip(belief.signs, other.signs, strict=True)
+                )
+                if belief.radio_map is not None:
+                    assert np.array_equal(belief.radio_map.log_odds, other.radio_map.log_odds)
+                    assert np.array_equal(belief.transmitter_m, other.transmitter_m)
+
+
 def test_replaying_does_not_modify_frames(recorded):
     config, frames, _ = recorded
     before = hashlib.sha256(pickle.dumps(frames[:150])).hexdigest()

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env import metrics
-from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
+from twc_env.kernels import Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.messages import GridMap
 from twc_env.metrics.mapping import recount_free
 from twc_env.metrics.merging import WRONG_M, WRONG_RAD, find_frames, find_wrong
@@ -26,8 +26,8 @@ from twc_env.world.floor_cells import Cells
 PLACE_M, TURN_RAD = 0.02, 0.001
 """Resolution to which a map's alignment is rounded, so that its mask stays valid for longer."""
 JUDGED_MAX = 4000
-"""If a mapper has more keyframes than this, `_judge` uses every second one, with twice as many every third, and so on,
-which bounds its run time."""
+"""If a mapper has more keyframes than this, `MapJudges` uses every second one, with twice as many every third, and so
+on, which bounds its run time and memory."""
 NOT_KNOWN = -1.0
 """Instead of the number of wrong pairs: there are no keyframes. Instead of the number of cells: the map has moved."""
 
@@ -41,15 +41,16 @@ Judgement = tuple[list[float], Pairs, float]
 is wrong by more than 1 m or 10 degrees; correctly mapped area [m2]."""
 
 
-def lay(robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> tuple[Array, Pairs] | None:
+def lay(robots: tuple[int, ...], nodes: Nodes, true_poses: Array, stride: int = 1) -> tuple[Array, Pairs] | None:
     """Rigid alignment (3,) of a group's map with the building, and its wrongly merged pairs; None without keyframes.
 
-    nodes: of the mapper that holds the map; true_poses (steps + 1, robots, 3).
+    nodes: of the mapper that holds the map; true_poses (steps + 1, robots, 3). Every `stride`-th keyframe of each robot
+    is used. Memory: about 100 bytes per keyframe used, until it returns.
     """
     if not len(nodes[0]):
         return None
-    pose, room = np.empty(3), _room_for(len(nodes[0]), len(robots))
-    if _lay_paths(_numbers(robots), *nodes, true_poses, 1, room, pose) == NOT_KNOWN:
+    pose, room = np.empty(3), _room_for(len(nodes[0]) // stride, len(robots))
+    if _lay_paths(_numbers(robots), *nodes, true_poses, stride, room, pose) == NOT_KNOWN:
         return None
     return pose, tuple((robots[i], robots[j]) for i, j in np.argwhere(room[-1]).tolist())
 
@@ -61,7 +62,11 @@ def _numbers(robots: tuple[int, ...]) -> Array:
 
 def _room_for(nodes: int, robots: int) -> tuple[Array, ...]:
     """Scratch arrays of `_lay_paths`: estimated and true poses, cosine and sine of their heading differences, robot of
-    each; frames of the robots; per node the latest heading difference with cosine and sine; which pairs are wrong."""
+    each; frames of the robots; per node the latest heading difference with cosine and sine; which pairs are wrong.
+
+    For so many nodes, and one more of each robot: every s-th keyframe of each path is at most so many of all paths.
+    """
+    nodes += robots
     return (
         np.empty((nodes, 3)), np.empty((nodes, 3)), np.empty((nodes, 2)), np.empty(nodes, np.int64),
         np.empty((robots, 3)), np.full((nodes, 3), math.nan), np.zeros((robots, robots), bool),
@@ -74,10 +79,10 @@ def _collect(robots, poses, step_of_node, paths, lengths, truth, stride, estimat
 
     Of each robot, every `stride`-th keyframe from the first on. paths, lengths: nodes of each robot and their number;
     truth (steps, robots, 3); poses, estimated, true (nodes, 3); turns (nodes, 2): cosine and sine as of
-    `turns_between`; owner (nodes,): index into `robots`; latest (nodes, 3): cache of each node's heading difference
-    with cosine and sine.
+    `turns_between`; owner (nodes,): index into `robots`; latest (rows, 3): cache of each node's heading difference
+    with cosine and sine; nodes share a row if there are more of them than rows.
     """
-    count, x, y = 0, 0.0, 0.0
+    count, x, y, rows = 0, 0.0, 0.0, latest.shape[0]
     for a in range(robots.shape[0]):
         robot = robots[a]
         for number in range(0, lengths[robot], stride):
@@ -86,9 +91,10 @@ def _collect(robots, poses, step_of_node, paths, lengths, truth, stride, estimat
             for axis in range(3):
                 estimated[count, axis], true[count, axis] = poses[k, axis], truth[step, robot, axis]
             turned = true[count, 2] - estimated[count, 2]
-            if latest[k, 0] != turned:
-                latest[k, 0], latest[k, 1], latest[k, 2] = turned, math.cos(turned), math.sin(turned)
-            turns[count, 0], turns[count, 1] = latest[k, 1], latest[k, 2]
+            row = k % rows
+            if latest[row, 0] != turned:
+                latest[row, 0], latest[row, 1], latest[row, 2] = turned, math.cos(turned), math.sin(turned)
+            turns[count, 0], turns[count, 1] = latest[row, 1], latest[row, 2]
             owner[count] = a
             x += poses[k, 0]
             y += poses[k, 1]
@@ -114,6 +120,12 @@ def _lay_paths(robots, poses, step_of_node, paths, lengths, truth, stride, room,
     return float(find_wrong(own, x, y, WRONG_M, WRONG_RAD, is_wrong))
 
 
+@kernel
+def _stride(nodes):
+    """Of a mapper with this number of keyframes `MapJudges` uses every n-th one of each robot: n."""
+    return 1 + nodes // (JUDGED_MAX + 1)
+
+
 @borrowing_kernel
 def _judge(
     room, place, mask, known, counts, result, robots, poses, step_of_node, paths, lengths, truth, log_odds, touched
@@ -122,7 +134,7 @@ def _judge(
 
     The last is `NOT_KNOWN` if the rounded alignment differs from place (3,), to which the mask belongs.
     """
-    stride = 1 + poses.shape[0] // (JUDGED_MAX + 1)
+    stride = _stride(poses.shape[0])
     result[3] = _lay_paths(robots, poses, step_of_node, paths, lengths, truth, stride, parts_of(room), result[:3])
     result[4] = NOT_KNOWN
     x, y, turn = np.rint(result[0] / PLACE_M), np.rint(result[1] / PLACE_M), np.rint(result[2] / TURN_RAD)
@@ -150,7 +162,11 @@ class _Held:
 
 
 class MapJudges:
-    """Evaluates maps, with a cache per map. The cache can be computed from the maps, so copies start with none."""
+    """Evaluates maps, with a cache per map. The cache can be computed from the maps, so copies start with none.
+
+    Memory: of each map the two latest places with a mask of a byte per cell and, if it has grown in between, the map
+    itself; and 100 bytes for each of at most `JUDGED_MAX` keyframes, and one more of each robot.
+    """
 
     def __init__(self) -> None:
         self._held: dict[int, tuple[_Held, ...]] = {}
@@ -178,7 +194,7 @@ class MapJudges:
                 if count == NOT_KNOWN:
                     return pose, (), self.correct_area_m2(owner, grid, pose, cells)
                 return pose, (), count * grid.resolution_m**2
-        laid = lay(robots, nodes, true_poses)
+        laid = lay(robots, nodes, true_poses, _stride(len(nodes[0])))
         if laid is None:
             return None
         pose = laid[0].tolist()
@@ -186,8 +202,9 @@ class MapJudges:
 
     def _judge_again(self, held: _Held, robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> list[float]:
         """The result (5,) of `_judge` for a cached map."""
-        if not self._room or len(nodes[0]) > len(self._room[0]):
-            self._room, self._run = _room_for(2 * len(nodes[0]), true_poses.shape[1]), None
+        robots_in_all = true_poses.shape[1]
+        if not self._room or min(len(nodes[0]), JUDGED_MAX) + robots_in_all > len(self._room[0]):
+            self._room, self._run = _room_for(min(2 * len(nodes[0]), JUDGED_MAX), robots_in_all), None
         now = (
             *held.arguments, self._result, _numbers(robots), *nodes, true_poses, held.grid.log_odds, held.grid.touched
         )  # fmt: skip

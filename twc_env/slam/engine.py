@@ -216,6 +216,7 @@ class CooperativeSlam(CopiedWhole):
             if delivery.scans:
                 self._maps = None
         self._update_poses()
+        self._update_maps()
 
     def _update_poses(self) -> None:
         """Compute the poses in the map frames from the current front-end poses, and the steps of the last contacts."""
@@ -270,6 +271,7 @@ class CooperativeSlam(CopiedWhole):
             mapper.update(self._listening.last_step, [])
             self._update_robots(number, mapper)
         self._update_poses()
+        self._update_maps()
 
     def update(self, frames: Sequence[SensorFrame], contacts: Contacts | None = None) -> None:
         """`track` and `absorb` in one call.
@@ -303,13 +305,19 @@ class CooperativeSlam(CopiedWhole):
     def beliefs(self) -> TeamBeliefs:
         """Current beliefs of all robots."""
         if self._beliefs is None:
-            if self._maps is None or self._radio is not None:
+            if self._maps is None:
                 self._maps = self._look_up_maps()
             self._beliefs = MapBeliefs(
                 self._poses, self._since_closure_m, self._maps, self._mates, self._mate_poses, self._contact_steps,
                 *self._latest_scans,
             )  # fmt: skip
         return self._beliefs
+
+    def _update_maps(self) -> None:
+        """Look up what has changed of signs and radio maps, which are cumulative: in every step, so that they do not
+        depend on when beliefs are asked for."""
+        if self._maps is None or self._radio is not None:
+            self._maps = self._look_up_maps()
 
     def _look_up_maps(self) -> HeldMaps:
         """Grid, signs, version and radio map of each robot."""
