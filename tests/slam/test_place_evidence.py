@@ -135,6 +135,29 @@ def test_radio_along_the_path_to_a_sign_is_evidence_for_or_against_one_place(key
     assert there.total == pytest.approx(there.text + there.radio + there.geometry + there.neighbours + there.sequence)
 
 
+def test_an_empty_text_is_no_evidence_for_one_place(seen):
+    blank, other, named = seen(0, 0, ""), seen(1, 0, " "), seen(2, 0, "A301 OPTICS LAB")
+    memory = remember(blank, other, named)
+    assert -0.2 < weigh(memory, blank, other).text < 0
+    assert -0.2 < weigh(memory, blank, named).text < 0
+    assert memory.like_text(memory.signs[1][0], 0) == memory.like_text(memory.signs[2][0], 0) == []
+
+
+def test_a_neighbouring_sign_without_text_is_no_evidence(keyframe):
+    def room(robot, label):
+        signs = [sign("FIRE CABINET"), sign(label, (2.0, 2.5))]
+        return keyframe(robot, signs=signs, macs=MACS, rssi_dbm=NEAR_DBM, ranges_m=np.full(90, RANGE_MAX_M))
+
+    one, blank = room(0, "A301 OPTICS LAB"), room(1, "")
+    assert weigh(remember(one, blank), one, blank).neighbours == 0.0
+
+
+def test_empty_readings_do_not_outvote_a_text(seen):
+    readings = [seen(0, k, text) for k, text in enumerate(("", "", "", "", "A301 LAB", "", "A301 LAB", ""))]
+    (place,) = remember(*readings).signs[0]
+    assert (place.consensus, place.support) == ("A301LAB", 2)
+
+
 def test_unknown_places_give_no_evidence(seen):
     known, unknown = seen(0, 0, "EXIT"), seen(1, 0, "EXIT")
     assert weigh(remember(known), known, unknown) is NO_EVIDENCE

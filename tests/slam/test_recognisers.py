@@ -9,6 +9,7 @@ from twc_env.config import PlaceRecognitionConfig, override
 from twc_env.messages import SignObservation
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.place_recognition import make_recogniser
+from twc_env.slam.wayside_recognisers import least
 
 NAMES = ("twc", "text", "wifi", "lidar", "fused")
 MACS = (1, 2, 3, 4, 5)
@@ -67,11 +68,43 @@ def test_one_place_scores_higher_than_two_different_ones(place, hall, name):
     assert recogniser.score(here, again) > recogniser.score(here, elsewhere)
 
 
+@pytest.mark.parametrize("name", ["twc", "text", "fused"])
+@pytest.mark.parametrize(("first", "second"), [("", ""), (" ", ""), ("", "A301 OPTICS LAB"), ("A301 OPTICS LAB", "")])
+def test_readings_without_text_give_no_candidate_by_signs(place, name, first, second):
+    recogniser, one, other = make(name), place(0), place(1)
+    one.signs[0].text, other.signs[0].text = first, second
+    recogniser.propose(one)
+    assert recogniser.propose(other) == []
+
+
 @pytest.mark.parametrize("name", ["wifi", "lidar"])
 def test_some_recognisers_need_no_sign(place, name):
     recogniser = make(name)
     recogniser.propose(place(0, text=""))
     assert len(recogniser.propose(place(1, text=""))) == 1
+
+
+def test_of_many_alike_places_the_lidar_recogniser_proposes_some_of_each_robot_and_of_each_part_of_its_path(place):
+    recogniser, count = make("lidar", revisit_travel_m=1000.0), 30
+    for index in range(count):
+        for robot in range(3):
+            recogniser.propose(place(robot, index, heading=index * math.pi / 30, travel_m=2.0 * index))
+    found = [c.target for c in recogniser.propose(place(3))]
+    assert len(found) == 5 and {robot for robot, _ in found} == {0, 1, 2}
+    indices = sorted(index for _, index in found)
+    assert indices[0] < count / 3 < count / 2 < indices[-1] and len(set(indices)) > 2
+
+
+@pytest.mark.parametrize(
+    "values", [[3.0, 1.0, 2.0, 1.5, 0.5], [1.0, 1.0, 1.0, 0.5, 0.5], [1.0, 1.0 + 1e-12, 1.0, 1.0, 1.0]]
+)
+def test_the_least_values_come_first_and_equal_ones_are_spread(values):
+    robots = np.zeros(5, int)
+    found = least(np.array(values), robots, 3)
+    assert len(set(found.tolist())) == 3
+    assert np.round(np.array(values)[found], 9).tolist() == sorted(np.round(values, 9))[:3]
+    assert least(np.array(values), robots, 9).tolist() == np.argsort(np.round(values, 9), kind="stable").tolist()
+    assert least(np.ones(5), np.array([0, 1, 0, 1, 0]), 2).tolist() == [2, 3]
 
 
 def test_the_text_recogniser_does_not_use_radio(place):

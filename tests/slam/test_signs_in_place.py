@@ -59,6 +59,11 @@ def test_readings_are_indexed_incrementally(keyframe, scan, walls):
     assert read.by(0, path[2:])[0].tolist() == [0, 0]
 
 
+def test_readings_without_text_are_no_signs(keyframe):
+    said = [SignObservation(text, np.array([1.0, 2.0]), 0.5) for text in ("", "  ", "EXIT")]
+    assert [part.tolist() for part in SignsRead().by(0, [keyframe(signs=said)])] == [[0], [0], [[1.0, 2.0, 0.5]]]
+
+
 def test_a_text_at_two_places_of_one_map_is_repeated():
     exit_, lab = 0, 1
     texts, maps = np.array([exit_, lab, exit_, lab, lab]), np.array([0, 0, 0, 1, 0])

@@ -71,7 +71,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `lidar` | (beams,) | [0, 1] | range / maximum range; beam 0 ahead, counter-clockwise |
     | `map` | (7, 64, 64) uint8 | 0, 255 | egocentric, robot facing +column: free, wall, unknown, frontier, |
     | | | | own path, teammates, signs |
-    | `overview` | (4, 32, 32) uint8 | 0..255 | the merged map, downscaled: free, wall, this robot, teammates |
+    | `overview` | (4, 32, 32) uint8 | 0..255 | the merged map, downscaled: free, wall, this robot, teammates; robots |
+    | | | | beside its known part are marked at the rim |
     | `pose` | (8,) | m, m, -, -, m, m, rad, m | x, y, cos, sin of heading in the map frame of the robot's group; |
     | | | | standard deviations of x, y, heading and path length since the last closure |
     | `wifi` | (16,) | [0, 1] | last scan: RSSI per transmitter, -100..-20 dBm; slots keep their transmitter; 0: not |

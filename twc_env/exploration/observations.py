@@ -114,10 +114,11 @@ class ObservationBuilder:
         picture, corner_m, cell_m = self._shrunk(belief.grid)
         out = np.zeros((map_view.OVERVIEW_CHANNELS, cells, cells), np.uint8)
         out[:2] = picture
+        if not picture.any():  # an empty map: this robot in its middle
+            corner_m = belief.pose_map_robot[:2] - (cells // 2 + 0.5) * cell_m
         for channel, pose in [(2, belief.pose_map_robot), *((3, pose) for pose in belief.mates.values())]:
-            column, row = (math.floor(v) for v in (pose[:2] - corner_m) / cell_m)
-            if 0 <= row < cells and 0 <= column < cells:
-                out[channel, row, column] = 255
+            column, row = (min(max(math.floor(v), 0), cells - 1) for v in (pose[:2] - corner_m) / cell_m)
+            out[channel, row, column] = 255
         return out
 
     def _shrunk(self, grid: GridMap) -> tuple[Array, Array, float]:

@@ -91,7 +91,11 @@ def largest_agreement(
 
 def agree_with(pose_a_b: Array, in_a: Array, sources: Array, config: MergingConfig) -> Array:
     """(k,) bool: closures consistent with a hypothesis; in_a, sources (k, 3): poses of their keyframes of b, in the map
-    of a by the closure itself, and in b."""
+    of a by the closure itself, and in b.
+
+    Unlike `_heaviest_agreement` without DRIFT_PER_M: a hypothesis that sightings prove needs no further support, and a
+    closure that agrees only within the drift between two places is to be tried as a hypothesis of its own.
+    """
     apart = compose(pose_a_b, sources) - in_a
     turned = np.abs(wrap_angle(apart[:, 2]))
     return (np.hypot(apart[:, 0], apart[:, 1]) <= config.consistency_m) & (turned <= config.consistency_rad)

@@ -280,12 +280,13 @@ class PlaceMemory:
         ]
 
     def _near(self, centre: SignPlace, view: Keyframe) -> list[tuple[SignPlace, Array]]:
-        """Signs near another on the same map, with positions in the frame of one of its views."""
+        """Signs with a text near another on the same map, with positions in the frame of one of its views."""
         robot_odom = inverse(view.pose_odom)
+        others = [place for place in self.signs[centre.robot] if place is not centre and place.consensus]
         return [
             (place, compose(robot_odom, [*place.position_odom, 0.0])[:2])
-            for place in self.signs[centre.robot]
-            if place is not centre and math.dist(place.position_odom, centre.position_odom) < NEIGHBOUR_REACH_M
+            for place in others
+            if math.dist(place.position_odom, centre.position_odom) < NEIGHBOUR_REACH_M
         ]
 
 

@@ -40,9 +40,12 @@ class SignPlace:
     _facings: list[float] = field(default_factory=list)
 
     def add(self, text: str, keyframe: Keyframe, sign: SignObservation, position: Array, facing: float) -> None:
-        """Add a reading at a position and facing in the odom frame."""
+        """Add a reading at a position and facing in the odom frame; an empty one tells where the sign is, not its
+        text."""
         is_settled = text == self.consensus and self.support == len(self.texts) < READINGS_MAX
-        self.texts = [*self.texts[1 - READINGS_MAX :], text]
+        is_told = bool(text) or not self.consensus
+        if is_told:
+            self.texts = [*[told for told in self.texts if told][1 - READINGS_MAX :], text]
         if not self.views or self.views[-1][0].index != keyframe.index:
             if len(self.views) == VIEWS_MAX:
                 self.views.pop(1)
@@ -54,7 +57,7 @@ class SignPlace:
             self.facing_odom = self._facings[int(np.argmin(gaps.sum(axis=1)))]
         if is_settled:
             self.support += 1
-        else:
+        elif is_told:
             self._vote()
 
     def reads_like(self, text: str, is_near: bool, similarity_min: float = SAME_SIGN_SIMILARITY) -> bool:

@@ -33,13 +33,13 @@ class SignsRead:
         """Number of keyframes already processed."""
 
     def by(self, robot: int, path: Sequence[Keyframe]) -> tuple[Array, Array, Array]:
-        """All readings of a robot with these keyframes whose walls are known: index on the path (n,), text number (n,),
-        pose of the sign in the frame of that keyframe (n, 3)."""
+        """All readings of a robot with these keyframes that have a text and whose walls are known: index on the path
+        (n,), text number (n,), pose of the sign in the frame of that keyframe (n, 3)."""
         found, first = self._readings.setdefault(robot, []), self._looked_at.get(robot, 0)
         for place in range(first, len(path)):
             for sign in path[place].signs:
-                if not math.isnan(sign.facing_rad):
-                    text = normalise(sign.text).replace(" ", "")  # OCR loses spaces most often
+                text = normalise(sign.text).replace(" ", "")  # OCR loses spaces most often
+                if text and not math.isnan(sign.facing_rad):
                     number = self._number_of.setdefault(text, len(self._number_of))
                     found.append((place, number, *sign.position_m.tolist(), sign.facing_rad))
         self._looked_at[robot] = len(path)

@@ -24,7 +24,8 @@ def log_text_likelihood(reading: str, others: Sequence[str], reading_count: int,
     """(others,) log probability of a reading if its sign is the one that gave each of the others.
 
     Both texts pass a noisy channel: single characters are misread, or only a fragment is left (papers.md T3). The
-    counts are the numbers of readings that agree on a text: more of them reduce its error probability.
+    counts are the numbers of readings that agree on a text: more of them reduce its error probability. An empty text,
+    on either side, is no evidence for or against a sign: the reading is then as likely as of an unknown sign.
     """
     if not others:
         return np.zeros(0)
@@ -40,7 +41,8 @@ def log_text_likelihood(reading: str, others: Sequence[str], reading_count: int,
     cuts = (longest - shortest + 1) * np.maximum(0.35 * longest, 1)
     part = np.where(is_part, np.log(fragment / cuts), -np.inf)
     noise = np.log(fragment) + log_unknown_text(reading) - 2.0
-    return np.logaddexp(np.logaddexp(whole, part), noise)
+    likelihood = np.logaddexp(np.logaddexp(whole, part), noise)
+    return np.where(shortest > 0, likelihood, log_unknown_text(reading))
 
 
 def log_unknown_text(reading: str) -> float:

@@ -20,6 +20,25 @@ RING_KEY_NEIGHBOURS = 10
 """Number of places with the most similar ring keys that are compared at all rotations."""
 CANDIDATES_MAX = 5
 """Maximum number of candidates per keyframe."""
+TIE_DIGITS = 9
+"""Decimals to which two places are told apart by their similarity; the rest is rounding, as between headings."""
+
+
+def least(values: Array, robots: Array, count: int) -> Array:
+    """Indices of the `count` least values (n,), ascending; all if there are fewer.
+
+    Of values equal to TIE_DIGITS, in the order of robots (n,) and then of the values given, as many as have room are
+    taken at even intervals up to the last: places that look the same are then of all robots, and from all along their
+    paths.
+    """
+    values = np.round(values, TIE_DIGITS)
+    order = np.lexsort((robots, values))
+    if len(order) <= count:
+        return order
+    ascending = values[order]
+    first, end = (int(np.searchsorted(ascending, ascending[count - 1], side)) for side in ("left", "right"))
+    room = count - first
+    return np.concatenate([order[:first], order[first + np.arange(1, room + 1) * (end - first) // room - 1]])
 
 
 class PathPlaces:
@@ -64,13 +83,15 @@ class PathPlaces:
         )
 
     def most_similar(self, numbers: Array, descriptor: Array) -> tuple[Array, Array, Array]:
-        """Those of these places with similar ring keys: indices, similarities and rotations, best first."""
+        """At most CANDIDATES_MAX of these places, those with the most similar scans of those with similar ring keys:
+        indices, similarities and rotations, best first."""
+        robots = np.array([self.keyframes[k].robot for k in numbers])
         keys = np.array([self._keys[k] for k in numbers])
-        near = numbers[np.argsort(((keys - ring_key(descriptor)) ** 2).sum(axis=1), kind="stable")]
-        near = near[:RING_KEY_NEIGHBOURS]
+        apart = ((keys - ring_key(descriptor)) ** 2).sum(axis=1)
+        near = numbers[least(apart, robots, RING_KEY_NEIGHBOURS)]
         similarity, turn = compare_many(np.array([self._descriptors[k] for k in near]), descriptor)
-        order = np.argsort(-similarity, kind="stable")
-        return near[order], similarity[order], turn[order]
+        best = least(-similarity, np.array([self.keyframes[k].robot for k in near]), CANDIDATES_MAX)
+        return near[best], similarity[best], turn[best]
 
     def guess(self, number: int, descriptor: Array) -> Array:
         """(3,) pose guess of a scan in the frame of a stored one: rotation only."""
@@ -178,7 +199,8 @@ class ScanRecogniser:
         self._places = PathPlaces(range_max_m)
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
-        """See `Recogniser`; returns the most similar places."""
+        """See `Recogniser`; returns the most similar places. Of many that look the same, as in rows of rooms, some of
+        each robot and from all along its path."""
         if not self._places.is_due(keyframe):
             return []
         descriptor = self._places.describe(keyframe)
@@ -190,7 +212,7 @@ class ScanRecogniser:
             if similarity >= self._config.scan_similarity_min
         ]
         self._places.add(keyframe, descriptor)
-        return candidates[:CANDIDATES_MAX]
+        return candidates
 
     def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
         """See `Recogniser`."""
