@@ -64,6 +64,20 @@ def test_a_phone_lists_only_the_strongest_cells():
     assert sorted(scan.rssi_dbm) == sorted(all_heard.rssi_dbm)[-7:]
 
 
+@pytest.mark.parametrize("changes", [{}, {"fading_shared": True, "high_band": {"share": 0.5}}, {"sweep_share": 0.7}])
+def test_cells_leave_the_readings_of_wifi_as_they_are(changes):
+    places = np.column_stack([np.linspace(3.0, 27.0, 90), np.full(90, 1.2)])
+    heard = []
+    for count in (0, 1, 7):
+        config = from_dict({"radio": {**changes, "cells": {"count": count, "detection_floor_dbm": -160.0}}}).radio
+        receiver = WifiReceiver(config, RadioModel(config, load_map("twin-01")), 1, 5)
+        scans = [receiver.scan(place, 0.5 * k) for k, place in enumerate(places)]
+        heard.append([dict(zip(scan.macs.tolist(), scan.rssi_dbm.tolist(), strict=True)) for scan in scans])
+        assert any(mac >= CELL_ID_MIN for scan in heard[-1] for mac in scan) == (count > 0)
+    wifi = [[{mac: dbm for mac, dbm in scan.items() if mac < CELL_ID_MIN} for scan in scans] for scans in heard]
+    assert wifi[0] == wifi[1] == wifi[2]
+
+
 def test_cells_move_with_the_building():
     plan = load_map("twin-01")
     moved = plan.moved([30.0, -8.0, 2.0])

@@ -159,12 +159,38 @@ def test_a_plan_built_in_memory_is_validated_too(changes, expected):
         (np.full((3, 3), -50.0), ConfigError, r"starts\[0\] at \(-50, -50\) is not on the free floor"),
         (np.full((3, 3), 1e300), ConfigError, r"starts\[0\] at \(1e\+300, 1e\+300\) is not on the free floor"),
         ([[2, 2, 0], [3, 3, 0], [2, np.nan, 0]], ConfigError, r"finite poses .*; got starts\[2\] = \[2.0, nan, 0.0\]"),
-        ([[2, 2, 0], [3, 3, 0], [2.1, 2, 0]], ConfigError, r"starts\[2\] at \(2.1, 2\) is in robot 0"),
+        (
+            [[2, 2, 0], [3, 3, 0], [2.1, 2, 0]],
+            ConfigError,
+            r"starts\[2\] at \(2.1, 2\) is 0.100 m from that of robot 0",
+        ),
     ],
 )
 def test_invalid_starts_are_rejected(starts, error, expected):
     with pytest.raises(error, match=expected):
         world(starts=starts)
+
+
+@pytest.mark.parametrize(
+    ("starts", "radius_m", "expected"),
+    [
+        ([(1.85, 1.0, 0.0)], 0.2, r"starts\[0\] at \(1\.85, 1\) is 0\.150 m from a wall, .* 0\.2 m; move it at least "
+         r"0\.050 m away"),
+        ([(0.5, 1.0, 0.0), (0.89, 1.0, 0.0)], 0.2, r"starts\[1\] at \(0\.89, 1\) is 0\.390 m from that of robot 0, .* "
+         r"keep them 0\.4 m apart"),
+        ([(1.0, 1.0, 0.0)], 1.0, None),
+        ([(0.2, 1.8, 0.0), (0.6, 1.8, 0.0)], 0.2, None),
+    ],
+)  # fmt: skip
+def test_starts_in_a_wall_or_in_another_robot_are_rejected(starts, radius_m, expected):
+    settings = {"robots": len(starts), "dynamics": {"robot_radius_m": radius_m}}
+    own = dataclasses.replace(TINY, starts=np.array(starts))
+    for plan, given, error in ((TINY, starts, ConfigError), (own, "map", MapError)):
+        if expected is None:
+            assert np.array_equal(world(plan, starts=given, **settings).poses, starts)
+            continue
+        with pytest.raises(error, match=expected):
+            world(plan, starts=given, **settings)
 
 
 @pytest.mark.parametrize("wrong", [np.zeros((2, 2)), np.zeros((5, 2)), np.zeros(2), np.full((3, 2), np.nan), "stop"])

@@ -109,9 +109,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     time step at `metadata["render_fps"]`; closing it ends the display, not the episode.
 
     `reset(options=...)` applies to one episode. `{"starts": "map"}` uses the map's own start poses instead of random
-    ones, `{"starts": [(x, y, heading), ...]}` the given ones, in the building frame. `{"map": NAME}` plays in another
-    building, `{"split": "train"}` (or validation, test) in a building of that split drawn by the seed;
-    `floorplan.name` is its name.
+    ones, `{"starts": [(x, y, heading), ...]}` the given ones, in the building frame; robots that would overlap a wall
+    or each other are refused. `{"map": NAME}` plays in another building, `{"split": "train"}` (or validation, test)
+    in a building of that split drawn by the seed; `floorplan.name` is its name.
 
     `belief(agent)` is what a robot knows, for planners; `result()` evaluates the episode so far against ground truth;
     `snapshot()` and `restore()` save and restore the exact state.

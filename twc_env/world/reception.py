@@ -30,8 +30,17 @@ class WifiReceiver:
         count = len(model.macs)
         noise, detection = random_stream(seed, "wifi-noise", robot), random_stream(seed, "wifi-detection", robot)
         self.streams = noise, detection, random_stream(seed, "wifi-fading", robot)
-        """Random streams of noise, detection and fading."""
-        self._draws = StepNoise([noise], count).beside([detection], count, "random")
+        """Random streams of noise, detection and fading; of all transmitters if they are of one kind."""
+        cells = int(np.count_nonzero(model.is_cell))
+        beside = cells if cells < count else 0
+        self._cells_fading = (random_stream(seed, "cell-fading", robot), beside) if beside else None
+        """Random stream and number of cells beside WiFi, which do not shift the noise of its readings."""
+        self._draws = StepNoise([noise], count - beside)
+        if beside:
+            self._draws.beside([random_stream(seed, "cell-noise", robot)], beside)
+        self._draws.beside([detection], count - beside, "random")
+        if beside:
+            self._draws.beside([random_stream(seed, "cell-detection", robot)], beside, "random")
         self._sweep = random_stream(seed, "wifi-sweep", robot)
         self._is_partial = config.sweep_share < 1.0 or config.sweep_share_std > 0.0
         self.is_plain = model.is_indoor and not self._is_partial and not config.stale_age_max_s
@@ -87,11 +96,14 @@ class WifiReceiver:
 
     def _refresh_fading(self, x: float, y: float) -> None:
         self._fading_x, self._fading_y = x, y
-        if self.is_fading_shared:
-            self._fading_db = self.streams[2].standard_normal(self._model.radio_count)[self._model.radio_of]
-            self._fading_db *= self._config.fading_std_db
-        else:
-            self._fading_db = self._config.fading_std_db * self.streams[2].standard_normal(len(self._fading_db))
+        model, stream = self._model, self.streams[2]
+        count = model.radio_count if self.is_fading_shared else len(model.macs)
+        if self._cells_fading is None:
+            drawn = stream.standard_normal(count)
+        else:  # the cells come last, and each is a radio
+            cell_stream, cells = self._cells_fading
+            drawn = np.append(stream.standard_normal(count - cells), cell_stream.standard_normal(cells))
+        self._fading_db = self._config.fading_std_db * (drawn[model.radio_of] if self.is_fading_shared else drawn)
 
 
 class WifiReceivers:

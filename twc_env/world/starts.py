@@ -20,6 +20,8 @@ START_SPACING_M = 1.5
 START_SPACING_MIN_M = 0.6
 START_MARGIN_M = 0.02
 """Least gap between the rims of large robots and walls or other robots."""
+_TOLERANCE_M = 1e-6
+"""Overlap of given starts that is rounding."""
 _PLACES_MAX = 2000
 """Candidate positions per try."""
 _TRIES = 20
@@ -37,8 +39,11 @@ def start_poses(plan: Floorplan, robots: int, radius_m: float, seed: int, starts
             poses = np.array(starts, float)
         except (TypeError, ValueError):
             raise ConfigError(f"starts must be 'random', 'map' or {robots} poses; got {starts!r}") from None
-        _check_poses(plan, robots, radius_m, poses)
-        return compose(inverse(plan.pose_building_home), poses)
+        _check_poses(plan, robots, poses)
+        poses_home = compose(inverse(plan.pose_building_home), poses)
+        if fault := _overlap(home, radius_m, poses_home, poses):
+            raise ConfigError(fault)
+        return poses_home
     if starts == "random":
         return _random_starts(home, robots, radius_m, random_stream(seed, "starts"))
     if starts == "map":
@@ -46,25 +51,48 @@ def start_poses(plan: Floorplan, robots: int, radius_m: float, seed: int, starts
             raise MapError(
                 f"map {home.name!r} has {len(home.starts)} starts for {robots} robots; add some, or draw them at random"
             )
-        return np.array(home.starts[:robots])
+        poses_home = np.array(home.starts[:robots])
+        if fault := _overlap(home, radius_m, poses_home, compose(plan.pose_building_home, poses_home)):
+            raise MapError(f"map {home.name!r}: {fault}")
+        return poses_home
     raise ConfigError(f"starts must be 'random', 'map' or poses; got {starts!r}")
 
 
-def _check_poses(plan: Floorplan, robots: int, radius_m: float, poses: Array) -> None:
-    """Raise ConfigError for starts in the building frame that are no poses, not on free floor or overlap."""
+def _check_poses(plan: Floorplan, robots: int, poses: Array) -> None:
+    """Raise ConfigError for starts in the building frame that are no poses or not on free floor."""
     wanted = f"starts must be {robots} finite poses (x, y, heading)"
     if poses.shape != (robots, 3):
         raise ConfigError(f"{wanted}; got shape {poses.shape}")
-    is_free, apart_m = plan.cells().is_free(poses[:, :2]), 2 * radius_m
+    is_free = plan.cells().is_free(poses[:, :2])
     for i, pose in enumerate(poses):
-        at = f"starts[{i}] at ({pose[0]:g}, {pose[1]:g})"
         if not np.isfinite(pose).all():
             raise ConfigError(f"{wanted}; got starts[{i}] = {pose.tolist()}")
         if not is_free[i]:
-            raise ConfigError(f"{at} is not on the free floor of map {plan.home.name!r}; move it inside")
-        is_in = np.hypot(*(poses[:i, :2] - pose[:2]).T) < apart_m
-        if is_in.any():
-            raise ConfigError(f"{at} is in robot {np.argmax(is_in)}; keep robots {apart_m:g} m apart")
+            raise ConfigError(f"{_named(i, pose)} is not on the free floor of map {plan.home.name!r}; move it inside")
+
+
+def _overlap(home: Floorplan, radius_m: float, poses_home: Array, poses: Array) -> str | None:
+    """What is wrong with the first robot that overlaps a wall or a robot before it; poses (n, 3) name its place."""
+    gaps_m = home.wall_index.distance_m(poses_home[:, :2], radius_m)
+    for i, (here, gap_m) in enumerate(zip(poses_home, gaps_m.tolist(), strict=True)):
+        at = _named(i, poses[i])
+        if gap_m < radius_m - _TOLERANCE_M:
+            return (
+                f"{at} is {gap_m:.3f} m from a wall, and robots have a radius of {radius_m:g} m; move it at least "
+                f"{radius_m - gap_m:.3f} m away, or reduce dynamics.robot_radius_m"
+            )
+        away_m = np.hypot(*(poses_home[:i, :2] - here[:2]).T)
+        if i and away_m.min() < 2 * radius_m - _TOLERANCE_M:
+            other = int(np.argmin(away_m))
+            return (
+                f"{at} is {away_m[other]:.3f} m from that of robot {other}, and robots have a radius of {radius_m:g} "
+                f"m; keep them {2 * radius_m:g} m apart, or reduce dynamics.robot_radius_m"
+            )
+    return None
+
+
+def _named(robot: int, pose: Array) -> str:
+    return f"starts[{robot}] at ({pose[0]:g}, {pose[1]:g})"
 
 
 def _random_starts(home: Floorplan, robots: int, radius_m: float, random: np.random.Generator) -> Array:
