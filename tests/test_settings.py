@@ -51,9 +51,7 @@ def test_the_error_of_an_unknown_section_suggests_the_nearest(capsys):
     assert "did you mean 'slam.merging'?" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("key", "meant"), [("beam_count", "lidar.beam_count"), ("merging.undo", "slam.merging.undo")]
-)
+@pytest.mark.parametrize(("key", "meant"), [("beam_count", "lidar.beam_count"), ("merging.undo", "slam.merging.undo")])
 def test_a_setting_without_its_section_is_named_with_it(key, meant):
     with pytest.raises(ConfigError, match=rf"there is no setting \w+; did you mean {meant}\?"):
         override(EnvConfig(), {key: 9})
