@@ -51,6 +51,12 @@ def test_the_error_of_an_unknown_section_suggests_the_nearest(capsys):
     assert "did you mean 'slam.merging'?" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("key", "meant"), [("beam_count", "lidar.beam_count"), ("merging.undo", "slam.merging.undo")])
+def test_a_setting_without_its_section_is_named_with_it(key, meant):
+    with pytest.raises(ConfigError, match=rf"there is no setting \w+; did you mean {meant}\?"):
+        override(EnvConfig(), {key: 9})
+
+
 def test_settings_begin_with_a_task_as_those_of_an_episode_do(capsys):
     assert main(["settings", "--config", "twc/ExploreHard-v0"]) == 0
     assert capsys.readouterr().out == as_toml(task_config("twc/ExploreHard-v0"))

@@ -28,7 +28,7 @@ def add_ocr_parser(commands) -> None:
     make.add_argument("--out", type=Path, required=True, metavar="FILE", help="error table to write, JSON")
     make.add_argument("--seed", type=natural, default=0, help="of signs and views")
     make.add_argument("--signs", type=count, default=40, help="signs per grid point")
-    make.add_argument("--processes", type=count, default=2, help="parallel processes")
+    make.add_argument("--jobs", type=count, default=2, help="parallel processes")
     add_folder(make, "--cache", "runs/ocr", "folder of finished parts")
     make.set_defaults(run=_measure)
 
@@ -45,7 +45,7 @@ def add_ocr_parser(commands) -> None:
 def _measure(options: argparse.Namespace) -> None:
     from twc_env.reproduce.ocr_measure import measure
 
-    table = measure(options.out, options.seed, options.signs, options.cache, options.processes)
+    table = measure(options.out, options.seed, options.signs, options.cache, options.jobs)
     print(
         f"{table['made']['signs_read']} signs read; written: {options.out}, {options.out.stat().st_size / 1000:.0f} kB"
     )

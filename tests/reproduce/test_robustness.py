@@ -48,7 +48,7 @@ def test_the_clean_optimum_of_mit_is_better_than_odometry_leads_to(clean):
 
 @needs_data
 def test_ours_survives_where_plain_least_squares_does_not(rows_of):
-    words = "--datasets MIT --shares 0,0.5 --methods plain,ours --seeds 1-2 --other-seeds 1-2 --processes 1"
+    words = "--datasets MIT --shares 0,0.5 --methods plain,ours --seeds 1-2 --other-seeds 1-2 --jobs 1"
     rows = rows_of(robustness, *words.split())
     assert list(rows[0])[:4] == ["dataset", "false_kind", "false_share", "method"]
     assert len(rows) == 6

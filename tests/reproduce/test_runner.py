@@ -100,7 +100,7 @@ def test_no_seeds_at_all_are_refused(text):
         ("intel --robots 0", "must be a whole number of at least 1; got '0'"),
         ("merging --buildings 0", "must be a whole number of at least 1; got '0'"),
         ("merging --seed -1", "must be a whole number of at least 0; got '-1'"),
-        ("radio-table1 --processes 0", "must be a whole number of at least 1; got '0'"),
+        ("radio-table1 --jobs 0", "must be a whole number of at least 1; got '0'"),
         ("radio-table1 --share nan", "must be a number from 0.01 to 1; got 'nan'"),
         ("radio-scale --length -1", "must be a number from 100 to 1e+06; got '-1'"),
         ("ocr --hidden 2", "must be a number from 0 to 0.95; got '2'"),

@@ -144,7 +144,9 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
             if not isinstance(node, dict) or part not in node:
                 known = node if isinstance(node, dict) else ()
                 name = ".".join(parts[: depth + 1])
-                raise ConfigError(f"there is no setting {name}{_near(part, known)}")
+                whole = [key for key in dotted_keys(values) if key.endswith(f".{dotted}")]  # without its section
+                hint = f"; did you mean {' or '.join(whole[:3])}?" if whole else _near(part, known)
+                raise ConfigError(f"there is no setting {name}{hint}")
             if depth < len(parts) - 1:
                 node = node[part]
         if isinstance(value, Mapping) and isinstance(node[parts[-1]], dict):  # empty

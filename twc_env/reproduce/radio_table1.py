@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_seeds(parser, "4-9", "walks, of which 0-3 were used for calibration")
     parser.add_argument("--places", default=",".join(PLACES), help="places")
     parser.add_argument("--methods", default=",".join(METHODS), help="methods")
-    parser.add_argument("--processes", type=count, default=2, help="parallel processes")
+    parser.add_argument("--jobs", type=count, default=2, help="parallel processes")
     parser.add_argument(
         "--share", type=number(0.01, 1.0), default=1.0, help="share of the published length, for a quick look"
     )
@@ -54,7 +54,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per environment and method; means over seeds."""
     chosen(options.places, PLACES)  # an unknown place fails before the first walk
     if options.sweep:
-        return radio_sweep.rows(options.seeds, runner, options.share, options.processes)
+        return radio_sweep.rows(options.seeds, runner, options.share, options.jobs)
     if options.out:
         new_figure(1, 1)  # without matplotlib this fails before the first walk
     methods = chosen(options.methods, METHODS)
@@ -86,7 +86,7 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
 def _walks(options: argparse.Namespace, runner: Runner, seeds: list[int]) -> dict[str, list[dict]]:
     """Place -> results of `_measured` for each seed."""
     work = functools.partial(_measured, share=options.share, methods=chosen(options.methods, METHODS))
-    return runner.grid(chosen(options.places, PLACES), seeds, work, options.processes)
+    return runner.grid(chosen(options.places, PLACES), seeds, work, options.jobs)
 
 
 def _measured(name: str, seed: int, share: float, methods: list[str]) -> dict[str, dict]:

@@ -68,15 +68,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--other-seeds", type=seeds_argument, default="1", help="seeds for the other methods")
     parser.add_argument("--datasets", default=",".join(DATASETS), help="pose graphs")
     parser.add_argument("--shares", default="0,0.2,0.5,0.8", help="shares of false closures")
-    parser.add_argument("--processes", type=count, default=2, help="parallel processes")
+    parser.add_argument("--jobs", type=count, default=2, help="parallel processes")
     parser.add_argument("--methods", default=",".join(METHODS), help="methods")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per set, kind, share and method; means over the seeds, and the worst error."""
-    folder = data_folder() / "posegraph"
     datasets, methods = chosen(options.datasets, DATASETS), chosen(options.methods, METHODS)
     shares = _shares(options.shares)
+    folder = data_folder() / "posegraph"
     seeds = dict.fromkeys(methods, options.other_seeds) | {"ours": options.seeds}
     cases = [
         Case(dataset, kind, share, method, seed)
@@ -86,7 +86,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
         for method in methods
         for seed in (seeds[method] if share else seeds[method][:1])
     ]
-    results = runner.each(cases, partial(run_case, folder=folder), processes=options.processes)
+    results = runner.each(cases, partial(run_case, folder=folder), processes=options.jobs)
     table: dict[tuple, list[dict]] = {}
     for case, result in zip(cases, results, strict=True):
         table.setdefault((case.dataset, case.kind, case.share, case.method), []).append(result)

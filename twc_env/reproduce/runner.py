@@ -153,7 +153,7 @@ def add_parser(commands) -> None:
 
 def main(name: str, module, options: argparse.Namespace) -> None:
     """Run one table, print it, write it."""
-    changes_no_part = ("run", "json", "cache", "out", "processes", *getattr(module, "CHOOSES", ()))
+    changes_no_part = ("run", "json", "cache", "out", "jobs", *getattr(module, "CHOOSES", ()))
     settings = {k: v for k, v in vars(options).items() if k not in changes_no_part}
     check_folder(getattr(options, "out", None))
     runner = Runner(name, options.cache, settings)
