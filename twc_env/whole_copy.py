@@ -39,7 +39,8 @@ class SharingPickler(pickle.Pickler):
         whole = value.base
         while isinstance(whole.base, np.ndarray):
             whole = whole.base
-        if whole.base is not None or not (whole.flags.c_contiguous or whole.flags.f_contiguous):
+        # The base of an array that was loaded before is a buffer; its views must share memory in the next copy too.
+        if not (whole.flags.c_contiguous or whole.flags.f_contiguous):
             return NotImplemented
         offset = value.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
         return _part_of, (whole, value.dtype, value.shape, value.strides, offset, value.flags.writeable)

@@ -1,5 +1,6 @@
 import copy
 import dataclasses
+import io
 import pickle
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import pytest
 
 import twc_env
 from twc_env.errors import ConfigError, TwcError
+from twc_env.whole_copy import SharingPickler
 
 KINDS = ["velocity", "waypoint", "frontier"]
 
@@ -54,6 +56,32 @@ def test_an_episode_continues_exactly_from_a_snapshot(kind, before, after, same_
     other = twc_env.parallel_env(map="twin-02", max_cycles=4000, config=settings(kind))
     other.restore(pickle.loads(pickle.dumps(moment)))
     assert same_steps(go_on(other, observations, after), first)
+
+
+def test_an_episode_continues_exactly_from_a_snapshot_of_a_restored_one(same_steps):
+    env, observations = started("velocity", 20)
+    moment = env.snapshot()
+    first = go_on(env, observations, 40)
+    figures = env.result().figures
+    for _ in range(3):
+        env.restore(moment)
+        moment = env.snapshot()
+    env.restore(moment)
+    assert same_steps(go_on(env, observations, 40), first)
+    assert env.result().figures == figures
+
+
+def test_views_share_memory_with_their_array_in_copies_of_copies():
+    array = np.arange(20, dtype=np.int16).reshape(4, 5)
+    held = {"array": array, "view": array.view(), "part": array[1:3, ::2]}
+    held["view"].flags.writeable = False
+    for _ in range(3):
+        buffer = io.BytesIO()
+        SharingPickler(buffer, pickle.HIGHEST_PROTOCOL).dump(held)
+        held = pickle.loads(buffer.getvalue())
+        held["array"][1, 0] += 100
+        assert held["view"][1, 0] == held["part"][0, 0] == held["array"][1, 0]
+        assert not held["view"].flags.writeable
 
 
 @pytest.mark.parametrize(("robots", "stopped", "steps"), [(1, 0, 60), (3, 0, 60), (3, 1, 60), (3, 1, 30)])

@@ -59,7 +59,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     A waypoint goal is moved to the nearest reachable known place. Waypoints and frontiers are planned and followed on
     the estimated map, which takes many time steps. A step ends when all robots have arrived
     (`action.timing = "synchronous"`: early robots wait) or as soon as one has ("asynchronous": the others continue, and
-    their next actions are ignored), at the latest after `action.decision_max_s`. Rewards of the time steps are summed.
+    their next actions are ignored), at the latest after `action.decision_max_s`. A robot that is stuck or finds no way
+    gives up, which counts as arriving. Rewards of the time steps are summed.
     `info["is_deciding"]` says whether a robot's next action counts, `info["time_steps"]` how long the step was. For
     `frontier`, `action_mask` is in the observation and in `info`. A masked choice counts as stay; for a busy robot,
     stay means "continue". A robot that has failed decides nothing, and no step waits for it.
@@ -76,7 +77,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `pose` | (8,) | m, m, -, -, m, m, rad, m | x, y, cos, sin of heading in the map frame of the robot's group; |
     | | | | standard deviations of x, y, heading and path length since the last closure |
     | `wifi` | (16,) | [0, 1] | last scan: RSSI per transmitter, -100..-20 dBm; slots keep their transmitter; 0: not |
-    | | | | heard |
+    | | | | heard, or weaker |
     | `signs` | (4, 5) | [-1, 1] | recent readings, newest first: present, bearing / pi, distance d / (d + 10 m), age |
     | | | | / `sign_memory_s`, c / (c + 2) if the text is known from c other places |
     | `team` | (n-1, 5) | [-1, 1] | per teammate: shares my map, bearing / pi, d / (d + 10 m), heading / pi, |
