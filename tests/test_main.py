@@ -13,7 +13,7 @@ from twc_env import metrics
 from twc_env.__main__ import main
 from twc_env.bench import wander as drive
 from twc_env.config import override
-from twc_env.datasets.frame_log import read_frame_log, read_truth_log, write_frame_log
+from twc_env.datasets.frame_log import read_frame_log, read_truth_log, write_frame_log, write_truth_log
 from twc_env.datasets.tum import read_tum
 from twc_env.geometry import compose
 from twc_env.maps import bundled_folder
@@ -84,6 +84,22 @@ def test_replay_finds_the_same_poses_as_the_episode(kind, tmp_path, wander, caps
         assert pose == pytest.approx(env.belief(agent).pose_map_robot, abs=1e-5)
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"map.pgm", "map.yaml", "pose_graph.g2o"} <= written
+
+
+def test_a_replay_of_an_episode_without_slam_integrates_its_odometry(tmp_path, wander):
+    env = twc_env.parallel_env(map="twin-01", robots=2, max_cycles=60, config={"slam.mode": "off"})
+    env.reset(seed=1)
+    steps = [env.frames]
+    while env.agents:
+        env.step({a: wander(f.ranges_m, f.step, f.robot) for a, f in zip(env.agents, env.frames, strict=True)})
+        steps.append(env.frames)
+    write_frame_log(tmp_path / "frames.npz", env.config, steps)
+    write_truth_log(tmp_path / "truth.npz", 1, "twin-01", env.result().true_poses)
+    arguments = ["replay", str(tmp_path / "frames.npz"), "--truth", str(tmp_path / "truth.npz")]
+    assert main([*arguments, "--json", str(tmp_path / "replay.json")]) == 0
+    found = json.loads((tmp_path / "replay.json").read_text())
+    assert found["final_poses"] == np.round([env.belief(a).pose_map_robot for a in env.possible_agents], 6).tolist()
+    assert found["keyframes"] == [0, 0] and found["team_ate_m"] == env.result().figures["team_ate_m"]
 
 
 def test_a_replay_does_not_depend_on_the_frame_numbers_of_robots(tmp_path):

@@ -19,7 +19,7 @@ from twc_env.json_values import check_folder, write_json
 if TYPE_CHECKING:
     from twc_env.config import EnvConfig
     from twc_env.messages import Contacts, SensorFrame
-    from twc_env.slam.engine import CooperativeSlam
+    from twc_env.slam.modes import Engine
     from twc_env.slam.team import TeamMapper
 
 
@@ -147,7 +147,7 @@ def _replay(options: argparse.Namespace) -> None:
 def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     from twc_env.config import digest, override
     from twc_env.datasets.frame_log import read_truth_log
-    from twc_env.slam.engine import CooperativeSlam
+    from twc_env.slam.modes import make_engine
 
     check_folder(options.out)
     config, steps, contacts, begun_s = _read_logs(logs)
@@ -164,7 +164,8 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
             "each robot has a mapper of its own: groups, closures, map and graph are those of robot 0", file=sys.stderr
         )
     seen = 1 + max(frame.robot for frames in steps for frame in frames)
-    engine = CooperativeSlam(config, contacts[0].heard.shape[1] if contacts else seen)
+    robots = contacts[0].heard.shape[1] if contacts else seen
+    engine = make_engine(config, robots)
     first = next(frames[0].step - k for k, frames in enumerate(steps) if frames)
     for step, frames in enumerate(steps, first):  # steps in the frames may differ between robots
         if frames:
@@ -181,10 +182,10 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
         "steps": len(steps),
         "filter": config.slam.odometry_filter.backend,
         "groups": [list(group.robots) for group in team.groups],
-        "keyframes": [len(team.keyframe_steps(robot)) for robot in range(len(engine.robots))],
+        "keyframes": [len(team.keyframe_steps(robot)) for robot in range(robots)],
         "closures_accepted": sum(c.status == "accepted" for c in team.closures),
         "closures_proposed": team.closures_verified,
-        "final_poses": [[round(float(v), 6) for v in engine.pose_map_robot(r)] for r in range(len(engine.robots))],
+        "final_poses": [[round(float(v), 6) for v in engine.pose_map_robot(r)] for r in range(robots)],
         "config_digest": digest(config),
     }
     if options.truth:
@@ -220,7 +221,7 @@ def _is_frame_log(log: Path) -> bool:
     return log.suffix == ".npz" or zipfile.is_zipfile(log)
 
 
-def _error_of_log(engine: CooperativeSlam, odom_poses: np.ndarray, true_poses: np.ndarray) -> float:
+def _error_of_log(engine: Engine, odom_poses: np.ndarray, true_poses: np.ndarray) -> float:
     """Team ATE [m] over a whole log, each group of robots aligned once."""
     from twc_env.exploration.team_alignment import team_error_m
 
@@ -241,7 +242,7 @@ def _write_maps(folder: Path, team: TeamMapper) -> None:
 
 def _write_paths(
     folder: Path,
-    engine: CooperativeSlam,
+    engine: Engine,
     steps: Sequence[Sequence[SensorFrame]],
     odom_poses: np.ndarray,
     begun_s: Sequence[float],

@@ -26,6 +26,13 @@ def test_a_perfect_merge_has_one_frame_and_no_wrong_pair(seed, x, y, heading):
     assert wrong_pairs(frames) == []
 
 
+def test_a_robot_without_poses_has_no_frame_and_forms_no_wrong_pair():
+    estimated = team(1)
+    frames = implied_frames(estimated, geometry.compose([30.0, 40.0, 0.5], estimated), ROBOT_OF * 2)
+    assert np.isnan(frames[[1, 3]]).all() and np.isfinite(frames[[0, 2, 4]]).all()
+    assert wrong_pairs(frames) == []
+
+
 def test_a_robot_offset_by_two_metres_forms_wrong_pairs_with_all_others():
     estimated = team(1)
     true = estimated.copy()
@@ -57,6 +64,7 @@ def test_invalid_frames_are_rejected(frames):
         (np.zeros((5, 3)), [0, 0, 1, 1], "equal shape"),
         (np.zeros((4, 3)), [0, 0], "one for each pose"),
         (np.zeros((4, 3)), [0.0, 0.0, 1.0, 1.0], "one for each pose"),
+        (np.zeros((4, 3)), [0, 0, 1, -1], "from 0, one for each pose"),
     ],
 )
 def test_poses_of_unequal_shape_are_rejected(true, robot_of, message):

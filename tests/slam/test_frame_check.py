@@ -40,6 +40,7 @@ def scan(macs, rssi_dbm) -> WifiScan:
         ({"time_s": float("inf")}, "must be finite"),
         ({"signs": (SignReading("A", float("nan"), 2.0),)}, "finite bearing"),
         ({"signs": (SignReading(None, 0.0, 2.0),)}, "give a text"),
+        ({"signs": (SignReading("\ud800", 0.0, 2.0),)}, "surrogates"),
         ({"wifi": scan([2, 1], [-40.0, -50.0])}, "do not ascend"),
         ({"wifi": scan([1, 1], [-40.0, -50.0])}, "do not ascend"),
         ({"wifi": scan([1, 2, 3], [-40.0, -50.0])}, "strengths"),

@@ -32,6 +32,20 @@ def test_a_jump_of_a_clock_does_not_change_the_path(recorded, jump_s):
     assert np.allclose(travelled(jumped[:300]), travelled(steps[:300]), atol=0.02)
 
 
+@pytest.mark.parametrize("pause_s", [3600.0, 1e6, 1.7e9])
+def test_a_robot_without_gyro_keeps_its_heading_while_it_stands_for_long(recorded, pause_s):
+    """Its turn rates are computed from odometry, so that they never contradict it."""
+    _, steps, _ = recorded
+    at, own, paused = 150, [], []
+    for frames in steps[:300]:
+        frame = replace(frames[1], turn_rate_rad_s=frames[1].odometry[2] / 0.1)
+        if frame.step == at:  # it stood still until then
+            frame = replace(frame, odometry=np.zeros(3), turn_rate_rad_s=0.0, ranges_m=own[-1][0].ranges_m)
+        own.append([frame])
+        paused.append([replace(frame, time_s=frame.time_s + pause_s * (frame.step >= at))])
+    assert np.allclose(travelled(paused)[1], travelled(own)[1], atol=0.02)
+
+
 @pytest.mark.parametrize("lost", [6, 8, 16])
 def test_a_gyro_sampled_after_lost_frames_does_not_turn_the_robot(recorded, lost):
     """Odometry accumulates while frames are lost; the gyro gives only the present turn rate."""

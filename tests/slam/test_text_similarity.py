@@ -39,6 +39,10 @@ def test_normalising_ignores_case_and_spaces():
     assert normalise(" \t ") == ""
 
 
+def test_accents_are_compared_as_read_whether_composed_or_not():
+    assert normalise("cafe\u0301") == normalise("caf\u00e9") == "CAF\u00c9"
+
+
 @given(texts)
 def test_normalising_twice_changes_nothing(text):
     assert normalise(normalise(text)) == normalise(text)

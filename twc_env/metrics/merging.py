@@ -21,18 +21,20 @@ def implied_frames(estimated_poses: Array, true_poses: Array, robot_of: Array) -
 
     Both (k, 3): estimates in one map frame and truth in the building frame, of all robots together; robot_of (k,) is
     the robot of each, counted from 0. The heading is the mean heading difference, so that it is defined for a robot
-    that never moved. In a perfect merge all frames are equal.
+    that never moved. In a perfect merge all frames are equal. NaN for a robot without poses. Raises DataError for other
+    shapes and negative robots.
     """
     estimated, true = np.asarray(estimated_poses, float), np.asarray(true_poses, float)
     if estimated.shape != true.shape or true.ndim != 2 or true.shape[1] != 3 or len(true) == 0:
         raise DataError(f"need two arrays of equal shape (poses, 3); got {estimated.shape} and {true.shape}")
     whose = np.asarray(robot_of)
-    if whose.shape != true.shape[:1] or whose.dtype.kind not in "iu":
+    if whose.shape != true.shape[:1] or whose.dtype.kind not in "iu" or whose.min() < 0:
         raise DataError(
-            f"robot_of must be {len(true)} whole numbers, one for each pose; got {whose.dtype} {whose.shape}"
+            f"robot_of must be {len(true)} whole numbers from 0, one for each pose; got {whose.dtype} {whose.shape}"
         )
     frames = np.empty((int(np.max(whose)) + 1, 3))
     find_frames(estimated, true, turns_between(estimated, true), whose, frames)
+    frames[np.bincount(whose, minlength=len(frames)) == 0] = np.nan
     return frames
 
 
@@ -62,10 +64,12 @@ def wrong_pairs(poses_building_map: ArrayLike, centre_map_m: ArrayLike = (0.0, 0
     """Pairs (i, j), i < j, of robots of one group that disagree about the pose of the map frame in the building.
 
     poses_building_map (n, 3) as from `implied_frames`. Two frames agree if they place `centre_map_m` (2,), a point
-    amid the group's paths, at most WRONG_M apart, and differ by at most WRONG_RAD. Raises DataError for invalid poses.
+    amid the group's paths, at most WRONG_M apart, and differ by at most WRONG_RAD. A robot without poses (a row of NaN)
+    disagrees with none. Raises DataError for invalid poses.
     """
     frames, centre_m = np.asarray(poses_building_map, float), np.asarray(centre_map_m, float)
-    if frames.ndim != 2 or frames.shape[1] != 3 or not np.isfinite(frames).all() or centre_m.shape != (2,):
+    is_shaped = frames.ndim == 2 and frames.shape[1] == 3 and centre_m.shape == (2,)
+    if not is_shaped or not (np.isfinite(frames).all(axis=1) | np.isnan(frames).all(axis=1)).all():
         raise DataError(
             "need finite poses (robots, 3) of the map frame, and a point (2,); "
             f"got {frames.tolist()} and {centre_m.tolist()}"

@@ -72,6 +72,8 @@ def _fault(frame: SensorFrame, beam_count: int) -> str | None:
             return f"holds {sign!r} as a sign: give SignReading(text, bearing_rad, range_m)"
         if not isinstance(sign.text, str) or not math.isfinite(sign.bearing_rad) or not 0.0 <= sign.range_m < math.inf:
             return f"holds {sign!r}: give a text, a finite bearing, and a finite, non-negative range"
+        if not sign.text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in sign.text):
+            return f"holds {sign!r}: its text has surrogates, which stand for no character; decode it anew"
     return None if frame.wifi is None else _fault_of_scan(frame.wifi)
 
 

@@ -13,13 +13,16 @@ from twc_env.messages import SensorFrame
 GAP_S, GAP_TIMES = 0.25, 3.0
 """Two frames of a robot have a gap between them if they are further apart in time than this, and than this multiple of
 the previous interval ..."""
+GAP_MAX_S = 60.0
+"""A gap longer than this is removed in any case: the gyro bias, which may change in the meantime, would add more to the
+heading than the odometry's turn is uncertain."""
 DEVIATION_TIMES = 3.0
 """... and if the gyro, integrated over that time, deviates from odometry by more than this multiple of its standard
 deviation: then the rate was not constant, or the time is wrong."""
 
 
 class RobotClocks:
-    """Frame times relative to each robot's first frame; gaps that contradict its gyro are removed."""
+    """Frame times relative to each robot's first frame; gaps that contradict its gyro and long ones are removed."""
 
     def __init__(self, config: EnvConfig, count: int):
         self.times_s = np.full(count, -np.inf)
@@ -41,7 +44,7 @@ class RobotClocks:
         is_gap = max(GAP_S, GAP_TIMES * pace_s) < elapsed_s < math.inf
         if is_first:
             self._skipped_s[robot] = frame.time_s
-        elif is_gap and abs(rate_rad_s * elapsed_s - turned_rad) > self._deviation_max_rad:
+        elif is_gap and (elapsed_s > GAP_MAX_S or abs(rate_rad_s * elapsed_s - turned_rad) > self._deviation_max_rad):
             self._skipped_s[robot] += elapsed_s - pace_s
             rate_rad_s = turned_rad / pace_s
         elif 0.0 < elapsed_s < math.inf:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from functools import lru_cache
+from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -16,8 +17,9 @@ ROUNDING, SLACK = 1e-9, 0.01
 
 @lru_cache(maxsize=4096)
 def normalise(text: str) -> str:
-    """Upper case, without leading and trailing spaces, single spaces between words."""
-    return " ".join(text.upper().split())
+    """Upper case, without leading and trailing spaces, single spaces between words; accents as one character with their
+    letter (NFC), since readers differ in that."""
+    return " ".join(normalize("NFC", text.upper()).split())
 
 
 def text_similarity(a: str, b: str) -> float:
