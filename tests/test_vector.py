@@ -452,6 +452,29 @@ def test_actions_of_another_number_of_rows_are_refused(shape):
         TeamVecEnv(2, SMALL, seed="1")
 
 
+@pytest.mark.parametrize("config", [SMALL, FLAT], ids=["dict", "flat"])
+def test_rows_say_that_the_time_limit_ended_an_episode_what_was_seen_last_and_what_it_paid(config):
+    pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+    from twc_env.sb3 import TeamVecEnv
+
+    config = {**config, "max_cycles": 3}
+    rows, alone = TeamVecEnv(2, config, seed=4), twc_env.parallel_env(config=config)
+    rows.reset()
+    alone.reset(seed=5)  # the second environment, whose robots are rows 2 and 3
+    paid = 0.0
+    for step in range(3):
+        _, rewards, done, infos = rows.step(np.full((4, 2), 0.5, np.float32))
+        seen, *_ = alone.step(dict.fromkeys(alone.agents, np.full(2, 0.5, np.float32)))
+        paid = paid + rewards
+        assert done.tolist() == [step == 2] * 4 and ["TimeLimit.truncated" in info for info in infos] == done.tolist()
+    assert all(info["TimeLimit.truncated"] is True for info in infos)
+    assert [info["episode"]["l"] for info in infos] == [3] * 4
+    assert [info["episode"]["r"] for info in infos] == pytest.approx(paid.tolist())
+    assert same([info["terminal_observation"] for info in infos[2:]], list(seen.values()))
+    *_, infos = rows.step(np.zeros((4, 2), np.float32))
+    assert not any("episode" in info for info in infos)
+
+
 def test_options_of_a_reset_are_refused_where_no_row_could_follow_them():
     pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
     from twc_env.sb3 import TeamVecEnv

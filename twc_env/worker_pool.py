@@ -8,11 +8,11 @@ import os
 import pickle
 import sys
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection
-from multiprocessing.pool import ExceptionWithTraceback
-from typing import Any
+from typing import Any, NamedTuple
 
 from twc_env.environment_group import RESET, EnvironmentGroup, Infos
 from twc_env.errors import TwcError, WorkerError
@@ -105,8 +105,8 @@ class WorkerPool:
         if not arrays.has_message[k]:
             return [{"reward_terms": dict(zip(TERMS, row, strict=True))} for row in arrays.reward_terms[k].tolist()]
         message = self._workers[k % self._processes - 1].message()
-        if isinstance(message, Exception) and not isinstance(message, TwcError):
-            raise message
+        if isinstance(message, _Raised):
+            raise message.error from RuntimeError(message.trace)
         if not isinstance(message, TwcError) and message and arrays.ended[k]:
             state = arrays.states[k].copy()
             for robot, info in enumerate(message):
@@ -125,6 +125,13 @@ class WorkerPool:
             worker.close()
         self._wake_up.close()
         self._own.close()
+
+
+class _Raised(NamedTuple):
+    """An error other than a TwcError in an environment of a worker process, and its traceback there."""
+
+    error: Exception
+    trace: str
 
 
 class _Bell:
@@ -310,7 +317,7 @@ def _work(
     group, place = EnvironmentGroup(ids, arrays, config, buildings), 0
     while (order := queue.get()) is not None:
         command, k = order
-        message: Infos | TwcError | ExceptionWithTraceback | None
+        message: Infos | TwcError | _Raised | None
         try:
             message = _share(group.execute(command, k, pipe.recv() if command == RESET else 0), k, arrays)
         except EOFError:  # the parent has died
@@ -329,14 +336,14 @@ def _work(
     group.close()
 
 
-def _portable(error: Exception) -> ExceptionWithTraceback:
-    """The error with its traceback for the parent process; a RuntimeError that names it, if it cannot be pickled."""
-    portable = error
+def _portable(error: Exception) -> _Raised:
+    """What to send of an error; a RuntimeError that names it, if it cannot be pickled."""
+    trace = "\n" + "".join(traceback.format_exception(error))
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:  # of any kind, since pickling calls methods of the error
-        portable = RuntimeError(f"an environment in a worker process raised {type(error).__name__}: {error}")
-    return ExceptionWithTraceback(portable, error.__traceback__)
+        error = RuntimeError(f"an environment in a worker process raised {type(error).__name__}: {error}")
+    return _Raised(error, trace)
 
 
 def _share(infos: Infos, k: int, arrays: SharedArrays) -> Infos | None:
