@@ -7,7 +7,7 @@ import pytest
 
 from agents.__main__ import main as explore
 from twc_env.__main__ import main
-from twc_env.map_picture import name_rooms, name_sign
+from twc_env.map_picture import draw_plan, name_rooms, name_sign
 from twc_env.maps import load_map, map_names
 from twc_env.world.floorplan_file import write_floorplan
 
@@ -72,6 +72,31 @@ def test_sign_texts_are_in_front_of_their_signs_and_do_not_overlap():
         assert text.get_window_extent().y0 >= 300
         assert text.get_rotation() == 35.0
     assert exit_text.get_window_extent().x1 <= 400 and exit_text.get_rotation() == 0.0
+
+
+def test_no_sign_text_is_cut_off_at_the_edge_of_the_picture(tmp_path):
+    pytest.importorskip("matplotlib")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 6), dpi=72)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0, 0, 1, 1), xlim=(0, 6), ylim=(0, 6))
+    for x, facing in ((0.1, -1), (5.9, 1)):
+        rooms = 72 * x, 72 * (6 - x)
+        name_sign(axes, "FIRE EXTINGUISHER", (x, 3.0), facing * math.pi / 2, room_points=rooms, fontsize=4.5)
+    canvas.draw()
+    for text, is_below in zip(axes.texts, (True, False), strict=True):
+        box = text.get_window_extent()
+        assert box.x0 > 0 and box.x1 < 432 and text.get_rotation() % 360 == 325.0
+        assert box.y1 < 216 if is_below else box.y0 > 216
+
+
+def test_a_plan_of_walls_alone_is_drawn_without_a_warning(tmp_path, recwarn):
+    pytest.importorskip("matplotlib")
+    plan = load_map("sfw-e1")
+    draw_plan(dataclasses.replace(plan, rooms=(), signs=(), access_points=()), tmp_path / "bare.png")
+    assert not [str(warning.message) for warning in recwarn if "legend" in str(warning.message)]
 
 
 def test_room_names_do_not_overlap():

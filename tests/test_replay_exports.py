@@ -219,6 +219,16 @@ def test_a_browser_shows_names_that_contain_markup(run, tmp_path, browser):
     assert browser.find_element("tag name", "h1").text.startswith("<i> on __DATA__ <b>.json")
 
 
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_texts_of_signs_at_the_edges_stay_inside_the_picture(run, browser):
+    browser.get(write_page(run, run / "page.html").as_uri())
+    width, height = browser.execute_script("return [stage.width, stage.height]")
+    for u, v in ((0, 0), (width, 0), (0, height), (width, height), (width / 2, height / 2)):
+        left, top, right, bottom = browser.execute_script(f"return textBox({u}, {v}, 90)")
+        assert 0 <= left < right <= width and 0 <= top < bottom <= height
+        assert not (left <= u <= right and top <= v <= bottom)
+
+
 def test_the_recording_contains_every_step_and_the_figures_of_the_report(run, capsys):
     chunk = pytest.importorskip("rerun.chunk", reason="needs rerun-sdk (extra 'rerun')")
     assert main(["replay", str(run), "--rerun"]) == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,11 +16,12 @@ from twc_env.world.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
 LABELS_MAX = 60
 """With more rooms or signs than this, names are left out, because they would overlap."""
 
-WIDTH_INCHES = 12.0
+WIDTH_INCHES, HEIGHT_MAX_INCHES = 12.0, 24.0
 POINTS_MAX = 0.75 * 72 * WIDTH_INCHES
 """Approximate width left for the building beside axis labels and colour bar."""
-_ROOM_POINTS, _CHARACTER_WIDTH = 6.0, 0.62
-"""Font size in rooms, and the average width of a letter as a share of it."""
+_ROOM_POINTS, _SIGN_POINTS, _CHARACTER_WIDTH = 6.0, 4.5, 0.62
+"""Font sizes in rooms and at signs, and the average width of a letter as a share of it."""
+_SLANT_DEG = 35.0
 
 
 def draw_plan(plan: Floorplan, path: str | Path, with_signal: bool = True) -> Path:
@@ -35,12 +37,13 @@ def draw_plan(plan: Floorplan, path: str | Path, with_signal: bool = True) -> Pa
     width = WIDTH_INCHES
     # The height follows the building; legend and colour bar need a few centimetres more.
     figure = Figure(
-        figsize=(width, float(np.clip(0.82 * width * (y1 - y0) / (x1 - x0), 3.0, 24.0)) + 1.0),
+        figsize=(width, float(np.clip(0.82 * width * (y1 - y0) / (x1 - x0), 3.0, HEIGHT_MAX_INCHES)) + 1.0),
         dpi=110,
         layout="constrained",
     )
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
+    points_per_m = min(POINTS_MAX / (x1 - x0), 72 * HEIGHT_MAX_INCHES / (y1 - y0))
     if with_signal and plan.access_points:
         _draw_signal(axes, figure, plan)
     axes.add_collection(
@@ -49,19 +52,20 @@ def draw_plan(plan: Floorplan, path: str | Path, with_signal: bool = True) -> Pa
     losses = np.asarray(plan.wall_loss_db)
     axes.add_collection(LineCollection(list(plan.walls_m), colors="black", linewidths=0.5 + 0.15 * losses.clip(0, 12)))
     if len(plan.rooms) <= LABELS_MAX:
-        name_rooms(axes, plan.rooms, POINTS_MAX / (x1 - x0))
-    _draw_signs(axes, plan)
+        name_rooms(axes, plan.rooms, points_per_m)
+    margin = 0.02 * max(x1 - x0, y1 - y0)
+    axes.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin), aspect="equal")
+    _draw_signs(axes, plan, points_per_m)
     if plan.access_points:
         places = np.array([a.position_m for a in plan.access_points])
         axes.plot(*places.T, "^", color="tab:purple", markersize=5, label=f"access points ({len(places)})")
-    margin = 0.02 * max(x1 - x0, y1 - y0)
-    axes.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin), aspect="equal")
     axes.set(xlabel="x [m]", ylabel="y [m]")
     axes.set_title(
         f"{plan.name}: {plan.floor_area_m2:,.0f} m2 of floor, {len(plan.rooms)} rooms, {len(plan.signs)} signs",
         parse_math=False,
     )
-    figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    if plan.signs or plan.access_points:
+        figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)
@@ -71,7 +75,7 @@ def draw_plan(plan: Floorplan, path: str | Path, with_signal: bool = True) -> Pa
     return path
 
 
-def _draw_signs(axes, plan: Floorplan) -> None:
+def _draw_signs(axes, plan: Floorplan, points_per_m: float) -> None:
     texts = [sign.text for sign in plan.signs]
     repeated = np.array([texts.count(text) > 1 for text in texts], bool)
     places = np.array([s.position_m for s in plan.signs]).reshape(-1, 2)
@@ -87,31 +91,51 @@ def _draw_signs(axes, plan: Floorplan) -> None:
             axes.plot([], [], ">", color=colour, markersize=5, label=f"{label} ({mask.sum()})")
     if len(plan.signs) <= LABELS_MAX:
         for sign, place, angle in zip(plan.signs, places, facing, strict=True):
-            name_sign(axes, sign.text, place, angle, fontsize=4.5, color="0.2", clip_on=True)
+            room_points = tuple(points_per_m * abs(edge - place[0]) for edge in axes.get_xlim())
+            name_sign(
+                axes, sign.text, place, angle, room_points=room_points, fontsize=_SIGN_POINTS, color="0.2", clip_on=True
+            )
 
 
 def name_rooms(axes, rooms: Sequence[Room], points_per_m: float) -> None:
     """Write the names of rooms; a name that is wider than its room gets one line per word."""
+    from matplotlib.patheffects import withStroke
+
     for room in rooms:
         corners = np.asarray(room.polygon_m)
         width_points = points_per_m * float(np.ptp(corners[:, 0]))
         is_too_wide = len(room.name) * _CHARACTER_WIDTH * _ROOM_POINTS > width_points
         axes.text(
             *corners.mean(axis=0), "\n".join(room.name.split()) if is_too_wide else room.name, fontsize=_ROOM_POINTS,
-            color="darkgreen", ha="center", va="center", clip_on=True, parse_math=False,
+            color="darkgreen", ha="center", va="center", clip_on=True, parse_math=False, zorder=5,
+            path_effects=[withStroke(linewidth=1.5, foreground="white", alpha=0.7)],
         )  # fmt: skip
 
 
-def name_sign(axes, text: str, place_m: Array, facing_rad: float, points: float = 9.0, **style) -> None:
-    """Write the text of a sign in front of it, above all lines; slanted along walls, to avoid overlaps."""
+def name_sign(
+    axes,
+    text: str,
+    place_m: Array,
+    facing_rad: float,
+    points: float = 9.0,
+    room_points: tuple[float, float] = (math.inf, math.inf),
+    **style,
+) -> None:
+    """Write the text of a sign in front of it, above all lines; slanted along walls, to avoid overlaps.
+
+    room_points: room to the left and to the right; a slanted text for which one is too small goes to the other side.
+    """
     from matplotlib.patheffects import withStroke
 
     u, v = np.cos(facing_rad), np.sin(facing_rad)
     is_beside = abs(u) > abs(v)
+    to_right, slant_deg = (u if is_beside else v) > 0, 0.0 if is_beside else _SLANT_DEG
+    width = len(text) * _CHARACTER_WIDTH * style.get("fontsize", _SIGN_POINTS) * math.cos(math.radians(_SLANT_DEG))
+    if not is_beside and width > room_points[int(to_right)] < room_points[int(not to_right)]:
+        to_right, slant_deg = not to_right, -_SLANT_DEG
     axes.annotate(
-        text, place_m, (points * u, points * v), textcoords="offset points",
-        rotation=0.0 if is_beside else 35.0, rotation_mode="anchor",
-        ha="left" if (u if is_beside else v) > 0 else "right", va="center", parse_math=False, zorder=6,
+        text, place_m, (points * u, points * v), textcoords="offset points", rotation=slant_deg,
+        rotation_mode="anchor", ha="left" if to_right else "right", va="center", parse_math=False, zorder=6,
         path_effects=[withStroke(linewidth=2.0, foreground="white")], **style,
     )  # fmt: skip
 

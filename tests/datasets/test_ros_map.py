@@ -181,3 +181,8 @@ def test_willow_garage_loads_from_its_compressed_picture_and_runs():
 def test_other_real_ros_maps_load(stem, area_m2):
     plan = load_map(DATA / f"maps/ros/{stem}.yaml")
     assert plan.cells().free.sum() * 0.01 == pytest.approx(area_m2, rel=0.1)
+
+
+def test_a_key_that_stands_twice_is_refused_by_name(rewritten):
+    with pytest.raises(MapError, match=r"mine\.yaml gives 'resolution' twice; keep one of its values"):
+        read_ros_cells(rewritten("negate: 0", "negate: 0\nresolution: 0.2"))

@@ -143,6 +143,8 @@ def _read_yaml(path: Path) -> dict[str, str]:
         name, separator, value = line.partition(":")
         if separator and "#" not in name:
             key = name.strip()
+            if key in values and key in (*_KEYS, "mode"):
+                raise MapError(f"{path.name} gives {key!r} twice; keep one of its values")
             values[key] = _scalar(value.strip())
         elif key and (item := _COMMENT.sub("", line).strip().removeprefix("- ").strip()):  # continues the line before
             values[key] = ", ".join(part.strip(", ") for part in (values[key], item) if part.strip(", "))
