@@ -62,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
         "--steps",
         type=int,
         default=181_000,
-        help="total decisions of all robots; a busy robot counts as one decision per step",
+        help="total decisions of all robots, rounded up to whole policy updates; a busy robot counts as one per step",
     )
     ppo.add_argument("--max-cycles", type=int, default=500, help="time steps per episode")
     ppo.add_argument(

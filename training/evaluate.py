@@ -54,7 +54,7 @@ class Evaluation:
         lines = [f"{'policy':<18}{'coverage':>18}{'over time':>18}{'trained ahead by':>22}{'merged':>8}{'wrong':>7}"]
         for name, episodes in self.episodes.items():
             end, over = ([getattr(e, key) for e in episodes] for key in ("coverage", "mean_coverage"))
-            ahead = "" if name == "trained" else "{:+.3f} +- {:.3f}".format(*self.ahead(name))
+            ahead = "" if name == "trained" else _with_spread(*self.ahead(name), sign="+")
             merged = np.mean([e.merged_robots for e in episodes])
             wrong = sum(e.wrong_merges for e in episodes)
             lines.append(f"{name:<18}{_interval(end):>18}{_interval(over):>18}{ahead:>22}{merged:>8.2f}{wrong:>7}")
@@ -85,7 +85,12 @@ def _half_width(values: Sequence[float]) -> float:
 
 
 def _interval(values: Sequence[float]) -> str:
-    return f"{np.mean(values):.3f} +- {_half_width(values):.3f}"
+    return _with_spread(float(np.mean(values)), _half_width(values))
+
+
+def _with_spread(mean: float, half_width: float, sign: str = "") -> str:
+    """One episode has no spread."""
+    return f"{mean:{sign}.3f}" + ("" if math.isnan(half_width) else f" +- {half_width:.3f}")
 
 
 def evaluate(

@@ -14,7 +14,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray as Array
-from stable_baselines3.common.vec_env import VecEnv
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError as error:
+    raise ImportError("twc_env.sb3 needs stable-baselines3: pip install 'twc_env[train]'") from error
 
 from twc_env.config import EnvConfig
 from twc_env.config.checks import whole_number

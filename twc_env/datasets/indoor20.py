@@ -24,8 +24,6 @@ def read_indoor20(folder: str | Path, age_max_s: float = FRESH_S, traces_max: in
     for invalid lines.
     """
     paths = trace_paths(folder, traces_max)
-    if not paths:
-        raise DataError(f"{folder} holds no traces/*.txt.xz; check the path")
     parts = [part for number, path in enumerate(paths) if (part := _trace(path, number, age_max_s)) is not None]
     if not parts:
         raise DataError(f"no trace of {folder} holds a WiFi scan between waypoints; check the folder")
@@ -37,8 +35,11 @@ def read_indoor20(folder: str | Path, age_max_s: float = FRESH_S, traces_max: in
 
 
 def trace_paths(folder: str | Path, traces_max: int | None = None) -> list[Path]:
-    """The files of the first traces of a floor, or of all."""
-    return sorted((Path(folder) / "traces").glob("*.txt*"))[:traces_max]
+    """The files of the first traces of a floor, or of all. Raises DataError if there are none."""
+    paths = sorted((Path(folder) / "traces").glob("*.txt*"))[:traces_max]
+    if not paths:
+        raise DataError(f"{folder} holds no traces/*.txt.xz; check the path (docs/real_data.md)")
+    return paths
 
 
 def trace_rows(path: Path, *kinds: str) -> list[list[list[str]]]:
