@@ -154,6 +154,7 @@ def test_generated_signs_and_access_points_follow_the_seed(house):
     ("name", "content", "expected"),
     [
         ("a.json", "{", "not valid JSON"),
+        ("a.json", '{"name": "a", "walls": [], "name": "b"}', "the key 'name' stands twice"),
         ("a.json", "[]", "must be a JSON object"),
         ("a.json", "[" * 100_000, "nests its lists too deeply|not valid JSON"),
         ("a.json#1", "{}", "unknown map format '.json#1'"),

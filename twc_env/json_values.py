@@ -1,4 +1,4 @@
-"""Results as strict JSON: numpy values converted, no NaN, and output paths checked in advance."""
+"""Strict JSON: numpy values converted, no NaN, no key twice, and output paths checked in advance."""
 
 from __future__ import annotations
 
@@ -15,6 +15,19 @@ from twc_env.errors import DataError
 
 TERMINAL = Path("-")
 """Path that stands for standard output."""
+
+
+def table_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object, as the `object_pairs_hook` of `json.loads`; raises ValueError for a repeated key.
+
+    Without it the last value would count, silently.
+    """
+    table: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in table:
+            raise ValueError(f"the key {key!r} stands twice in one table; keep one of its values")
+        table[key] = value
+    return table
 
 
 def plain(value: Any) -> Any:

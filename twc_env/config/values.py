@@ -17,6 +17,7 @@ from twc_env.config.environment import EnvConfig
 from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.world import RadioConfig
 from twc_env.errors import ConfigError, did_you_mean
+from twc_env.json_values import table_of
 
 
 def radio_preset(name: str) -> RadioConfig:
@@ -76,7 +77,7 @@ def load(path: str | Path) -> EnvConfig:
     text = _text_of(path)
     kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
     try:
-        values = json.loads(text, object_pairs_hook=_table_of) if kind == "JSON" else tomllib.loads(text)
+        values = json.loads(text, object_pairs_hook=table_of) if kind == "JSON" else tomllib.loads(text)
     except RecursionError as error:
         raise ConfigError(f"{path} nests its values too deeply; settings are {_FILE}") from error
     except ValueError as error:
@@ -114,16 +115,6 @@ def _text_of(path: Path) -> str:
             f"{path} is empty; without a file all settings have their defaults, with one they are {_FILE}"
         )
     return text
-
-
-def _table_of(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """A JSON object; of a repeated key `json` would keep the last value silently."""
-    table: dict[str, object] = {}
-    for key, value in pairs:
-        if key in table:
-            raise ValueError(f"the key {key!r} stands twice in one table; keep one of its values")
-        table[key] = value
-    return table
 
 
 def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:

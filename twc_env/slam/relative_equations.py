@@ -45,7 +45,9 @@ def relative_squared_errors(poses, edges, measured, information):
 
 @kernel
 def linearise_relative(poses, edges, measured, information, weight, block_of_edge, block_count, held):
-    """Hessian blocks and gradient of half the weighted squared errors; a block holds H[larger index, smaller index].
+    """Hessian blocks and negative gradient of half the weighted squared errors.
+
+    A block holds H[larger index, smaller index].
 
     Fixed poses `held` (k,) have unit blocks and zero gradient. The residual's derivatives by the two poses are A = (-R,
     d; 0, -1) and B = (R, 0; 0, 1) with a rotation R. So the first two rows of A^T O are the negative of those of B^T O,

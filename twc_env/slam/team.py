@@ -181,7 +181,7 @@ class TeamMapper:
         return graph.poses, graph.step_of_node, *graph.paths
 
     def latest_pose_of(self, robot: int) -> Array:
-        """(3,) pose of the robot's newest keyframe in its group's map frame."""
+        """(3,) pose of the robot's newest keyframe in its group's map frame; IndexError without one."""
         return self._graph.latest_pose_of(robot)
 
     def keyframe_steps(self, robot: int) -> Array:

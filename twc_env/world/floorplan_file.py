@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError, did_you_mean
+from twc_env.json_values import table_of
 from twc_env.world.floorplan import FORMAT, AccessPoint, Floorplan, Room, Sign, to_values
 from twc_env.world.floorplan_check import validate
 
@@ -44,10 +45,10 @@ def load_bytes(path: Path, what: str = "map") -> bytes:
 
 
 def load_json(path: Path) -> object:
-    """Values of a JSON file (also .gz). Raises MapError if unreadable, no JSON or nested too deeply."""
+    """Values of a JSON file (also .gz). Raises MapError if unreadable, invalid, too deep, or with a key twice."""
     raw = load_bytes(path)
     try:
-        return json.loads(raw.decode("utf-8-sig"))
+        return json.loads(raw.decode("utf-8-sig"), object_pairs_hook=table_of)
     except RecursionError as error:
         raise MapError(f"{path} nests its lists too deeply; export it again") from error
     except ValueError as error:
