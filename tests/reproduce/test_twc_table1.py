@@ -8,7 +8,7 @@ from twc_env.maps import load_map
 from twc_env.reproduce import twc_table1, twc_table2
 from twc_env.reproduce.runner import Runner
 from twc_env.reproduce.sighting_judge import judge_some
-from twc_env.reproduce.twc_scenes import scene_config, scene_plan, walk_scene
+from twc_env.reproduce.twc_scenes import SCENES, scene_config, scene_plan, walk_scene
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_with_signs_of_departments_text_is_surer_and_the_hard_rule_less_sure_as_
 
 def test_with_signs_of_departments_the_hard_rule_is_near_the_print_on_walks_of_both_scenes():
     gaps = []
-    for scene in twc_table1.SCENES:
+    for scene in SCENES:
         config = scene_config(scene)
         walks = [walk_scene(config, scene, "departments", seed) for seed in (52, 53, 54)]
         figures = [judge_some(config, walk, "departments", ("twc",)) for walk in walks]
