@@ -68,15 +68,20 @@ def test_counts_below_one_are_rejected_by_the_command_line(arguments, capsys):
     assert "must be a whole number of at least 1; got" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("kind", ["compiled", "filterpy"])
-def test_replay_finds_the_same_poses_as_the_episode(kind, tmp_path, wander, capsys):
-    env = twc_env.parallel_env(map="twin-01", robots=2, max_cycles=50)
+def _write_episode(path, env, wander):
+    """Play an episode and write its frames."""
     env.reset(seed=1)
     steps = [env.frames]
     while env.agents:
         env.step({a: wander(f.ranges_m, f.step, f.robot) for a, f in zip(env.agents, env.frames, strict=True)})
         steps.append(env.frames)
-    write_frame_log(tmp_path / "frames.npz", env.config, steps)
+    write_frame_log(path, env.config, steps)
+
+
+@pytest.mark.parametrize("kind", ["compiled", "filterpy"])
+def test_replay_finds_the_same_poses_as_the_episode(kind, tmp_path, wander, capsys):
+    env = twc_env.parallel_env(map="twin-01", robots=2, max_cycles=50)
+    _write_episode(tmp_path / "frames.npz", env, wander)
     arguments = ["replay", str(tmp_path / "frames.npz"), "--filter", kind, "--out", str(tmp_path / "out")]
     assert main([*arguments, "--json", str(tmp_path / "replay.json")]) == 0
     poses = json.loads((tmp_path / "replay.json").read_text())["final_poses"]
@@ -88,12 +93,7 @@ def test_replay_finds_the_same_poses_as_the_episode(kind, tmp_path, wander, caps
 
 def test_a_replay_of_an_episode_without_slam_integrates_its_odometry(tmp_path, wander):
     env = twc_env.parallel_env(map="twin-01", robots=2, max_cycles=60, config={"slam.mode": "off"})
-    env.reset(seed=1)
-    steps = [env.frames]
-    while env.agents:
-        env.step({a: wander(f.ranges_m, f.step, f.robot) for a, f in zip(env.agents, env.frames, strict=True)})
-        steps.append(env.frames)
-    write_frame_log(tmp_path / "frames.npz", env.config, steps)
+    _write_episode(tmp_path / "frames.npz", env, wander)
     write_truth_log(tmp_path / "truth.npz", 1, "twin-01", env.result().true_poses)
     arguments = ["replay", str(tmp_path / "frames.npz"), "--truth", str(tmp_path / "truth.npz")]
     assert main([*arguments, "--json", str(tmp_path / "replay.json")]) == 0

@@ -88,9 +88,10 @@ class PathPlaces:
         robots = np.array([self.keyframes[k].robot for k in numbers])
         keys = np.array([self._keys[k] for k in numbers])
         apart = ((keys - ring_key(descriptor)) ** 2).sum(axis=1)
-        near = numbers[least(apart, robots, RING_KEY_NEIGHBOURS)]
+        kept = least(apart, robots, RING_KEY_NEIGHBOURS)
+        near, robots = numbers[kept], robots[kept]
         similarity, turn = compare_many(np.array([self._descriptors[k] for k in near]), descriptor)
-        best = least(-similarity, np.array([self.keyframes[k].robot for k in near]), CANDIDATES_MAX)
+        best = least(-similarity, robots, CANDIDATES_MAX)
         return near[best], similarity[best], turn[best]
 
     def guess(self, number: int, descriptor: Array) -> Array:
