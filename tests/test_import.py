@@ -38,3 +38,9 @@ def test_a_warm_import_takes_less_than_its_limit():
 @pytest.mark.parametrize("name", ["config", "messages", "geometry"])
 def test_every_public_module_can_be_imported_alone(name):
     assert run(f"import twc_env.{name}; print(twc_env.{name}.__name__)").strip() == f"twc_env.{name}"
+
+
+def test_without_stable_baselines3_its_adapter_names_the_extra():
+    code = "import sys; sys.modules['stable_baselines3'] = None; import twc_env.sb3"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stderr.splitlines()[-1].endswith("twc_env.sb3 needs stable-baselines3: pip install 'twc_env[train]'")

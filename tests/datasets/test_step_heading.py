@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from tests.real_data import DATA, needs_data
+from twc_env.datasets.indoor20 import read_indoor20
 from twc_env.datasets.step_heading import dead_reckoning, headings_rad, read_walks, steps
 from twc_env.errors import DataError
 
@@ -83,3 +84,9 @@ def test_a_trace_that_is_cut_off_in_its_lines_is_a_data_error(tmp_path, changes)
 def test_a_folder_without_traces_is_told(tmp_path):
     with pytest.raises(DataError, match="no trace"):
         read_walks(tmp_path)
+
+
+@pytest.mark.parametrize("read", [read_walks, read_indoor20])
+def test_a_folder_without_traces_is_refused_with_the_pattern_of_their_names(tmp_path, read):
+    with pytest.raises(DataError, match=r"holds no traces/\*\.txt\.xz; check the path"):
+        read(tmp_path / "site1_B1")

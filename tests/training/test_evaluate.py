@@ -67,3 +67,13 @@ def test_the_error_of_a_corrupt_model_or_one_of_another_task_names_it(task, run,
     model.unlink()
     assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
     assert "there is no model" in capsys.readouterr().err
+
+
+def test_one_building_is_printed_without_a_spread():
+    from training.evaluate import POLICIES, Episode, Evaluation  # needs torch
+
+    one = {name: (Episode(0.9, 0.5, 2, 0),) for name in POLICIES}
+    rows = Evaluation((0,), one).table.splitlines()[1:]
+    assert [row.split() for row in rows[:2]] == [
+        ["trained", "0.900", "0.500", "2.00", "0"], ["random", "0.900", "0.500", "+0.000", "2.00", "0"]
+    ]  # fmt: skip
