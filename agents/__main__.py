@@ -14,7 +14,9 @@ from agents import benchmark, compare, picture, radio_survey
 from agents.explore import explore, table_of, write_run
 from agents.policy import make_policy, policy_names
 from twc_env import EnvConfig, load_map, map_names
-from twc_env.command_line import (
+from twc_env.config import digest, override
+from twc_env.records.json_values import TERMINAL, check_folder, write_json
+from twc_env.running.command_line import (
     Parser,
     add_config,
     add_folder,
@@ -30,8 +32,6 @@ from twc_env.command_line import (
     run_command,
     show_count,
 )
-from twc_env.config import digest, override
-from twc_env.json_values import TERMINAL, check_folder, write_json
 
 _EXPLORE_HELP = """\
 Run one episode with a scripted team and write a run folder:

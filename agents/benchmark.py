@@ -14,7 +14,7 @@ import twc_env
 from agents.explore import explore, origin_of, write_run
 from twc_env import EnvConfig
 from twc_env.config import digest
-from twc_env.worker_processes import in_processes
+from twc_env.running.worker_processes import in_processes
 
 COLUMNS = (
     ("merged_robots", "merged", "d"),

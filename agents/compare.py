@@ -14,8 +14,8 @@ import twc_env
 from agents.explore import origin_of
 from agents.policy import make_policy
 from twc_env.config import EnvConfig, override, to_dict
-from twc_env.finished_parts import FinishedParts
-from twc_env.worker_processes import in_processes
+from twc_env.running.finished_parts import FinishedParts
+from twc_env.running.worker_processes import in_processes
 
 GOAL = 0.9
 """Share of the floor to be mapped correctly."""

@@ -15,16 +15,16 @@ import twc_env
 from agents import picture
 from agents.policy import make_policy
 from twc_env import DataError, EnvConfig, EpisodeResult, EpisodeTrace, load_map
-from twc_env.class_file import digest_of, is_in_file
-from twc_env.command_line import alone_in
 from twc_env.config import to_dict
-from twc_env.datasets.frame_log import write_frame_log
-from twc_env.datasets.g2o import write_g2o
-from twc_env.datasets.ros_map import write_ros_maps
-from twc_env.datasets.tum import write_tum
-from twc_env.finished_parts import code_digest
-from twc_env.json_values import plain, write_json
-from twc_env.messages import Contacts, SensorFrame
+from twc_env.datasets.buildings.ros_map import write_ros_maps
+from twc_env.datasets.logs.frame_log import write_frame_log
+from twc_env.datasets.logs.g2o import write_g2o
+from twc_env.datasets.logs.tum import write_tum
+from twc_env.records.class_file import digest_of, is_in_file
+from twc_env.records.json_values import plain, write_json
+from twc_env.records.messages import Contacts, SensorFrame
+from twc_env.running.command_line import alone_in
+from twc_env.running.finished_parts import code_digest
 
 WARM_UP_STEPS = 10
 """Steps at the start that are excluded from the speed."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.geometry import transform_points
 from twc_env.planning import Follower
+from twc_env.records.geometry import transform_points
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

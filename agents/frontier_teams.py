@@ -13,8 +13,8 @@ from scipy.optimize import linear_sum_assignment
 
 from agents.nearest_frontier import NearestFrontier
 from twc_env.config import EnvConfig
-from twc_env.messages import Belief
 from twc_env.planning import PathFinder, Terrain
+from twc_env.records.messages import Belief
 
 WORTH_M = 10.0
 """Detour that a frontier is worth if no other robot will see it (1 / beta of Burgard et al.)."""
@@ -33,7 +33,7 @@ class CostUtility(NearestFrontier):
         """(frontiers,) the lost utility of each."""
         centres = terrain.frontier_centres_m
         worth = np.ones(len(centres))
-        for goal_m in self.goals_of_mates_m(agent, beliefs):
+        for goal_m in self.goals_of_teammates_m(agent, beliefs):
             worth -= np.clip(1.0 - np.hypot(*(centres - goal_m).T) / self._sight_m, 0.0, 1.0)
         return WORTH_M * (1.0 - np.maximum(worth, 0.0))
 

@@ -17,8 +17,6 @@ from agents.explorer_state import UNSEEN, ExplorerConfig, ExplorerRobot, Failure
 from agents.openings import is_open_behind, open_bearing
 from agents.tours import Tours
 from twc_env.config import DynamicsConfig, EnvConfig
-from twc_env.geometry import compose, inverse
-from twc_env.messages import Belief, GridMap
 from twc_env.planning import (
     Disc,
     Follower,
@@ -30,6 +28,8 @@ from twc_env.planning import (
     is_frontier,
     path_is_blocked,
 )
+from twc_env.records.geometry import compose, inverse
+from twc_env.records.messages import Belief, GridMap
 
 
 class NearestFrontier:
@@ -236,7 +236,7 @@ class NearestFrontier:
         penalty = np.where(sizes < explorer.frontier_cells_min, explorer.small_penalty_m, 0.0)
         penalty[sizes < explorer.frontier_cells_last] = np.inf
         centres = terrain.frontier_centres_m
-        for goal_m in self.goals_of_mates_m(agent, beliefs):
+        for goal_m in self.goals_of_teammates_m(agent, beliefs):
             claimed = np.hypot(*(centres - goal_m).T) < explorer.claim_radius_m
             claimed[terrain.label_near(goal_m, 0.3)] = True
             penalty[claimed] += explorer.claim_penalty_m
@@ -258,7 +258,7 @@ class NearestFrontier:
         """(frontiers,) additional penalty of each frontier [m]; zeros here."""
         return np.zeros(len(terrain.frontier_sizes))
 
-    def goals_of_mates_m(self, agent: str, beliefs: dict[str, Belief]) -> list[Array]:
+    def goals_of_teammates_m(self, agent: str, beliefs: dict[str, Belief]) -> list[Array]:
         """Frontier goals (2,) of other robots of the group."""
         mates = [other for other, b in beliefs.items() if other != agent and b.robot in beliefs[agent].mates]
         return [self._robots[mate].goal_m for mate in mates if self._robots[mate].goal_kind == "frontier"]

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env import ConfigError, EpisodeResult
-from twc_env.geometry import compose
-from twc_env.map_picture import name_sign
-from twc_env.video import film_frame, write_film
+from twc_env.pictures.map_picture import name_sign
+from twc_env.pictures.video import film_frame, write_film
+from twc_env.records.geometry import compose
 
 ROBOT_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#785e3c", "#6e6edc")
 LINES_CLEAR = 100

@@ -14,10 +14,10 @@ from agents.radio_frontier import RadioFrontier
 from agents.radio_walk import RadioWalk
 from agents.random_walk import RandomWalk
 from agents.wall_follower import WallFollower
-from twc_env.class_file import class_in, is_in_file
 from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError, did_you_mean
-from twc_env.messages import Belief
+from twc_env.records.class_file import class_in, is_in_file
+from twc_env.records.messages import Belief
 
 
 class Policy(Protocol):

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from agents.nearest_frontier import NearestFrontier
-from twc_env.messages import Belief
 from twc_env.planning import Terrain
+from twc_env.records.messages import Belief
 
 REACH_M = 4.0
 """Unseen floor within this distance of a frontier counts."""

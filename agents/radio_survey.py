@@ -20,9 +20,9 @@ from agents.policy import make_policy
 from agents.radio_bound import shortest_known_walk_m
 from twc_env import load_map
 from twc_env.config import EnvConfig, override
-from twc_env.finished_parts import FinishedParts
-from twc_env.geometry import inverse, transform_points
-from twc_env.messages import GridMap
+from twc_env.records.geometry import inverse, transform_points
+from twc_env.records.messages import GridMap
+from twc_env.running.finished_parts import FinishedParts
 
 AGENTS = ("wall-follower", "radio-walk")
 STEP_M = 1.0

@@ -14,9 +14,9 @@ from numpy.typing import NDArray as Array
 
 from agents.ray_gain import RayGain
 from twc_env.config import EnvConfig
-from twc_env.geometry import travelled_m
-from twc_env.messages import Belief
 from twc_env.planning import Driver, PathFinder, Terrain, WalkGraph, as_action, covering_walk, walk_graph
+from twc_env.records.geometry import travelled_m
+from twc_env.records.messages import Belief
 
 SPACING_M = 0.25
 """Spacing of positions that the walk may visit."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.messages import Belief
+from twc_env.records.messages import Belief
 
 
 class RandomWalk:

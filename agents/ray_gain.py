@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.messages import GridMap
 from twc_env.planning import Terrain
+from twc_env.records.messages import GridMap
 
 WALL_DENSITY = 0.04
 """Prior density of walls per cell: a ray with more walls clears nothing."""

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from agents.explorer_state import ExplorerConfig, ExplorerRobot
-from twc_env.messages import Belief
 from twc_env.planning import Disc, PathFinder, Plan, Terrain
+from twc_env.records.messages import Belief
 
 
 class Tours:

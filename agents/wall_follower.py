@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
-from twc_env.messages import Belief
 from twc_env.planning import as_action, drive_to
+from twc_env.records.messages import Belief
 
 STANDOFF_M = 0.35
 GAIN_RAD_M = 3.0

@@ -10,8 +10,8 @@ from hypothesis import settings
 
 from tests.forks import ALONE, Forks
 from twc_env.errors import ConfigError
-from twc_env.geometry import wrap_angle
-from twc_env.world import ocr
+from twc_env.records.geometry import wrap_angle
+from twc_env.world.sensors import ocr
 
 # No deadlines, because the first call of a kernel compiles it; CI draws the same examples in every run.
 settings.register_profile("twc_env", deadline=None, derandomize="CI" in os.environ)
@@ -54,7 +54,7 @@ def refusal(capsys):
 @pytest.fixture(scope="session")
 def kernel_forks(tmp_path_factory):
     """Runs programs that compile kernels in forked processes; numba is loaded once for all of them."""
-    loaded = "from twc_env.kernels import kernel; kernel(lambda x: 2 * x)(1)"
+    loaded = "from twc_env.kernels.compiled import kernel; kernel(lambda x: 2 * x)(1)"
     forks = Forks(loaded, tmp_path_factory.mktemp("forks"), ALONE)
     yield forks
     forks.close()

@@ -41,6 +41,8 @@ def test_every_public_module_can_be_imported_alone(name):
 
 
 def test_without_stable_baselines3_its_adapter_names_the_extra():
-    code = "import sys; sys.modules['stable_baselines3'] = None; import twc_env.sb3"
+    code = "import sys; sys.modules['stable_baselines3'] = None; import twc_env.vector.sb3"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stderr.splitlines()[-1].endswith("twc_env.sb3 needs stable-baselines3: pip install 'twc_env[train]'")
+    assert done.stderr.splitlines()[-1].endswith(
+        "twc_env.vector.sb3 needs stable-baselines3: pip install 'twc_env[train]'"
+    )

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from twc_env.datasets.ros_map import write_ros_map
+from twc_env.datasets.buildings.ros_map import write_ros_map
 from twc_env.errors import ConfigError, MapError
 from twc_env.maps import load_map, map_names
-from twc_env.messages import GridMap
-from twc_env.world import floorplan_file
-from twc_env.world.floorplan_file import write_floorplan
+from twc_env.records.messages import GridMap
+from twc_env.world.building import floorplan_file
+from twc_env.world.building.floorplan_file import write_floorplan
 
 HOUSE = {
     "id": "house",

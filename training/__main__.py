@@ -6,7 +6,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from twc_env.command_line import (
+from twc_env.errors import DataError
+from twc_env.records.json_values import check_folder, write_json
+from twc_env.running.command_line import (
     Parser,
     add_folder,
     add_set,
@@ -16,8 +18,6 @@ from twc_env.command_line import (
     parse_seeds,
     run_command,
 )
-from twc_env.errors import DataError
-from twc_env.json_values import check_folder, write_json
 
 SEEDS = 2**31
 """Seeds are below this: torch and numpy accept no larger ones, and resuming adds the number of steps."""

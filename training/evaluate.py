@@ -19,7 +19,7 @@ from training.progress import progress_bar
 from training.run_folder import Task, model_in, read_settings, task_of
 from training.team_notes import TeamNotes
 from twc_env.config import override
-from twc_env.video import RecordEpisodes
+from twc_env.pictures.video import RecordEpisodes
 
 Choose = Callable[[dict, int], dict]
 """Observations and time steps gone by -> actions."""

@@ -27,9 +27,9 @@ from training.model_file import load_model, save_model
 from training.progress import progress_bar
 from training.run_folder import Task, read_settings, write_settings
 from training.team_notes import NotedTeams
-from twc_env.command_line import alone_in
 from twc_env.errors import DataError, WorkerError
-from twc_env.sb3 import TeamVecEnv
+from twc_env.running.command_line import alone_in
+from twc_env.vector.sb3 import TeamVecEnv
 
 COLUMNS = ("steps", "episodes", "mean_return", "mean_length", "steps_per_s")
 EPISODES_SHOWN = 100

@@ -9,7 +9,7 @@ from pathlib import Path
 import twc_env
 from twc_env import config as configuration
 from twc_env.errors import DataError, TwcError
-from twc_env.json_values import write_json
+from twc_env.records.json_values import write_json
 
 HELD_OUT_SEED = 100_000
 """Generated buildings with this seed or a larger one are not used for training."""

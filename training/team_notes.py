@@ -13,7 +13,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray as Array
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-from twc_env.sb3 import TeamVecEnv
+from twc_env.vector.sb3 import TeamVecEnv
 
 HALF_WAY_M = 10.0
 """Observations show a distance d as d / (d + this)."""

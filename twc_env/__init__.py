@@ -12,7 +12,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from twc_env import command_start
+from twc_env.running import command_start
 
 if command_start.is_loading():  # before anything that takes long to read
     command_start.end_when_interrupted()
@@ -26,8 +26,8 @@ from twc_env.tasks import TASKS, task_config
 if TYPE_CHECKING:
     from twc_env.config import EnvConfig
     from twc_env.errors import ActionError, ConfigError, DataError, MapError, TwcError
+    from twc_env.exploration.assessment.evaluation import EpisodeResult
     from twc_env.exploration.environment import ExplorationEnv
-    from twc_env.exploration.evaluation import EpisodeResult
     from twc_env.exploration.trace import EpisodeTrace
     from twc_env.maps import load_map, map_names
     from twc_env.slam.engine import CooperativeSlam
@@ -59,7 +59,7 @@ _HOME = {
     "CooperativeSlam": "slam.engine",
     "DataError": "errors",
     "EnvConfig": "config",
-    "EpisodeResult": "exploration.evaluation",
+    "EpisodeResult": "exploration.assessment.evaluation",
     "EpisodeTrace": "exploration.trace",
     "ExplorationEnv": "exploration.environment",
     "MapError": "errors",

@@ -6,14 +6,14 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from twc_env.bench_cli import add_bench_parser
-from twc_env.command_line import Parser, add_version, run_command
-from twc_env.log_cli import add_log_parsers
-from twc_env.maps_cli import add_maps_parser
-from twc_env.ocr_cli import add_ocr_parser
+from twc_env.commands.bench import add_bench_parser
+from twc_env.commands.logs import add_log_parsers
+from twc_env.commands.maps import add_maps_parser
+from twc_env.commands.ocr import add_ocr_parser
+from twc_env.commands.settings import add_settings_parser
+from twc_env.commands.soak import add_soak_parser
 from twc_env.reproduce.runner import add_parser
-from twc_env.settings_cli import add_settings_parser
-from twc_env.soak_cli import add_soak_parser
+from twc_env.running.command_line import Parser, add_version, run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

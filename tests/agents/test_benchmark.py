@@ -8,8 +8,8 @@ import pytest
 from agents import benchmark
 from agents.__main__ import main
 from twc_env import ConfigError, EnvConfig
-from twc_env.command_line import parse_seeds
 from twc_env.maps import bundled_folder
+from twc_env.running.command_line import parse_seeds
 
 
 def some_report(seed=0, **changes):

@@ -40,7 +40,7 @@ def test_episodes_of_other_code_are_run_again_and_reported(tmp_path, monkeypatch
     calls, told = [], []
     monkeypatch.setattr(compare, "explore", lambda config, agent, seed: calls.append(agent) or outcome(50.0))
     compare.compare(SMALL, ["test/0000"], ["voronoi"], tmp_path)
-    monkeypatch.setattr("twc_env.finished_parts.code_digest", lambda *_: "other")
+    monkeypatch.setattr("twc_env.running.finished_parts.code_digest", lambda *_: "other")
     compare.compare(SMALL, ["test/0000"], ["voronoi"], tmp_path, tell=told.append)
     assert calls == ["voronoi", "voronoi"]
     assert "1 finished parts were computed by other code" in told[0]

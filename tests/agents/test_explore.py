@@ -13,10 +13,10 @@ from agents.__main__ import main
 from agents.explore import table_of
 from agents.picture import Film, placed_in_building
 from twc_env import DataError
-from twc_env.command_line import alone_in
 from twc_env.config import digest, from_dict, override
-from twc_env.datasets.g2o import read_g2o
-from twc_env.datasets.tum import read_tum
+from twc_env.datasets.logs.g2o import read_g2o
+from twc_env.datasets.logs.tum import read_tum
+from twc_env.running.command_line import alone_in
 from twc_env.tasks import task_config
 
 DOCUMENTED = {

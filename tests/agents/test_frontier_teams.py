@@ -5,8 +5,8 @@ import pytest
 
 from agents.frontier_teams import WORTH_M, Assignment, CostUtility, Voronoi
 from twc_env.config import EnvConfig
-from twc_env.messages import Belief, GridMap
 from twc_env.planning import Terrain
+from twc_env.records.messages import Belief, GridMap
 
 CELL_M = 0.1
 

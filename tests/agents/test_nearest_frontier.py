@@ -8,7 +8,7 @@ import pytest
 from agents.explorer_state import ExplorerConfig
 from agents.nearest_frontier import NearestFrontier
 from twc_env import EnvConfig
-from twc_env.messages import Belief, GridMap, KnownSign
+from twc_env.records.messages import Belief, GridMap, KnownSign
 
 CELL_M = 0.1
 

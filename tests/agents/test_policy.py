@@ -5,7 +5,7 @@ import pytest
 
 from agents.policy import make_policy, policy_names
 from twc_env import ConfigError, EnvConfig
-from twc_env.messages import Belief, GridMap
+from twc_env.records.messages import Belief, GridMap
 
 
 def some_beliefs(step=0):

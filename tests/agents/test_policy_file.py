@@ -8,7 +8,7 @@ import pytest
 from agents.__main__ import main
 from agents.policy import make_policy
 from twc_env import ConfigError, EnvConfig
-from twc_env.class_file import digest_of
+from twc_env.records.class_file import digest_of
 
 MINE = """
 import numpy as np

@@ -1,7 +1,7 @@
 import numpy as np
 
 from agents.radio_frontier import radio_penalty_m
-from twc_env.messages import Belief, GridMap
+from twc_env.records.messages import Belief, GridMap
 
 
 def belief(radio):

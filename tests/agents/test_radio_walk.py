@@ -10,7 +10,7 @@ from agents.radio_walk import ARRIVAL_M, RadioWalk
 from agents.ray_gain import RayGain
 from agents.wall_follower import STANDOFF_M, WallFollower, nearest_wall
 from twc_env.config import EnvConfig
-from twc_env.messages import Belief, GridMap
+from twc_env.records.messages import Belief, GridMap
 
 
 def grid(levels):

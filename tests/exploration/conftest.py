@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import twc_env
-from twc_env.slam import map_merging
-from twc_env.slam.robot_sightings import RobotSightings, Sightings
+from twc_env.slam.merging import map_merging
+from twc_env.slam.merging.mutual_observations import MutualObservations, Sightings
 
 
 @dataclass
@@ -58,10 +58,10 @@ def wrong_merges(monkeypatch):
 
     lies = {"largest_agreement": agree, "wall_contradiction": lambda *_: 0.0, "wifi_agrees": lambda *_: True}
     told = [(map_merging, name, getattr(map_merging, name)) for name in lies]
-    told.append((RobotSightings, "count", RobotSightings.count))
+    told.append((MutualObservations, "count", MutualObservations.count))
     for name, lie in lies.items():
         monkeypatch.setattr(map_merging, name, lie)
-    monkeypatch.setattr(RobotSightings, "count", lambda *_: Sightings(0, 0))
+    monkeypatch.setattr(MutualObservations, "count", lambda *_: Sightings(0, 0))
     return lambda: [monkeypatch.setattr(*honest) for honest in told]
 
 

@@ -12,8 +12,9 @@ from numba import njit
 
 from twc_env.exploration import compilation
 from twc_env.exploration.compilation import FirstStart, _Announcer, announce_compilation
-from twc_env.file_lock import FileLock
-from twc_env.slam import robust_backend, warm_up
+from twc_env.running.file_lock import FileLock
+from twc_env.slam import warm_up
+from twc_env.slam.pose_graph import robust_back_end as robust_backend
 
 
 def function_of(module: str):
@@ -33,8 +34,8 @@ def test_the_first_compilation_of_a_kernel_of_this_package_is_logged_once(caplog
         with caplog.at_level(logging.WARNING, "twc_env"):
             function_of("another.package")(1, 2)
             assert not caplog.records
-            function_of("twc_env.world.lidar")(1, 2)
-            function_of("twc_env.world.lidar")(1, 2)
+            function_of("twc_env.world.sensors.lidar")(1, 2)
+            function_of("twc_env.world.sensors.lidar")(1, 2)
     finally:
         event.unregister("numba:compile", listener)
     # The announcer of another environment in this process may also have logged it.
@@ -135,11 +136,11 @@ def test_a_forked_process_does_not_kill_the_helper(started):
 def test_the_announcer_prepares_for_kernels_of_this_package_only():
     calls = []
     announcer = _Announcer(lambda: calls.append("prepared"))
-    for module in ("another.package", "twc_env.world.lidar"):
+    for module in ("another.package", "twc_env.world.sensors.lidar"):
         announcer.on_start(SimpleNamespace(data={"dispatcher": function_of(module)}))
         announcer.on_end(None)
         calls.append(module)
-    assert calls == ["another.package", "prepared", "twc_env.world.lidar"]
+    assert calls == ["another.package", "prepared", "twc_env.world.sensors.lidar"]
 
 
 @pytest.mark.parametrize("lacking", ["engine", "core", "right"])

@@ -9,7 +9,7 @@ import pytest
 import twc_env
 from twc_env.__main__ import main
 from twc_env.config import FailureConfig
-from twc_env.messages import Contacts
+from twc_env.records.messages import Contacts
 from twc_env.world.failures import Failures
 
 STOP = 30

@@ -9,13 +9,13 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, see
 
 import twc_env
 from twc_env.exploration.episode import Episode
-from twc_env.exploration.observations import ObservationBuilder
-from twc_env.exploration.pilot import Pilot, Scout
-from twc_env.observation_check import ACTIONS, BLOCKS, random_actions
+from twc_env.exploration.macro_actions import MacroActions, Scout
+from twc_env.exploration.observation.observations import ObservationBuilder
 from twc_env.planning.candidates import features_of, find_candidates
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
 from twc_env.slam.engine import CooperativeSlam
+from twc_env.soak.observation_check import ACTIONS, BLOCKS, random_actions
 
 ALL_BLOCKS = {f"observation.{name}": True for name in BLOCKS}
 
@@ -176,7 +176,7 @@ def test_every_block_can_be_rebuilt_from_the_frames_for_every_kind_of_action(act
     random = np.random.default_rng(0)
     observations, infos = env.reset(seed=0, options={"starts": "map"})
     engine, builder = CooperativeSlam(env.config, 3), ObservationBuilder(env.config)
-    scout, pilot = Scout(env.config), Pilot(env.config)
+    scout, pilot = Scout(env.config), MacroActions(env.config)
     seen = set()
     while env.agents:
         for frames in env.frames_of_step or [env.frames]:

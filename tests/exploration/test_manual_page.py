@@ -8,7 +8,7 @@ import pytest
 
 import twc_env
 from twc_env.config import RewardConfig
-from twc_env.exploration import rewards
+from twc_env.exploration.assessment import rewards
 
 PAGE = twc_env.ExplorationEnv.__doc__
 NUMBERS = {"beams": 180, "n-1": 2, "slots + 3": 11}

@@ -9,10 +9,10 @@ import pytest
 import twc_env
 from twc_env.config import override
 from twc_env.exploration.episode import Episode
-from twc_env.exploration.observations import ObservationBuilder
-from twc_env.exploration.pilot import terrain_of
+from twc_env.exploration.macro_actions import terrain_of
+from twc_env.exploration.observation.observations import ObservationBuilder
 from twc_env.slam.engine import CooperativeSlam
-from twc_env.slam.loop_verification import LoopVerifier
+from twc_env.slam.matching.loop_verification import LoopVerifier
 
 STEPS = 350
 PEERS = {"link.topology": "peer", "link.range_max_m": 6.0, "link.scan_on_request": True, "link.loss_probability": 0.3}

@@ -8,8 +8,8 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 
 import twc_env
 from twc_env.errors import ConfigError
-from twc_env.geometry import compose
 from twc_env.metrics import absolute_trajectory_error_m
+from twc_env.records.geometry import compose
 from twc_env.slam.dead_reckoning import DeadReckoning
 from twc_env.slam.modes import make_engine
 

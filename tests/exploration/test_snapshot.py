@@ -10,7 +10,7 @@ import pytest
 
 import twc_env
 from twc_env.errors import ConfigError, TwcError
-from twc_env.whole_copy import SharingPickler
+from twc_env.records.whole_copy import SharingPickler
 
 KINDS = ["velocity", "waypoint", "frontier"]
 

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twc_env import geometry
 from twc_env.errors import DataError
 from twc_env.metrics import mapping
+from twc_env.records import geometry
 
 ORIGIN_M = np.array([0.0, 0.0])
 FREE, WALL = -50, 50

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twc_env import geometry
 from twc_env.errors import DataError
 from twc_env.metrics import implied_frames, wrong_pairs
+from twc_env.records import geometry
 
 ROBOT_OF = np.repeat([0, 1, 2], [50, 20, 30])
 

@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from twc_env import geometry
 from twc_env.errors import DataError
 from twc_env.metrics import trajectory
+from twc_env.records import geometry
 
 coordinates = st.floats(-50, 50)
 paths = arrays(float, st.tuples(st.integers(2, 20), st.just(3)), elements=coordinates)

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from twc_env.errors import DataError
-from twc_env.geometry import transform_points
 from twc_env.metrics import wall_thickness_m
+from twc_env.records.geometry import transform_points
 
 WALL_M = np.array([[[1.0, 1.0], [3.0, 1.0]]])
 

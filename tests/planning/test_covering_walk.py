@@ -1,7 +1,7 @@
 import numpy as np
 
-from twc_env.messages import GridMap
 from twc_env.planning import Terrain, covering_walk, walk_graph
+from twc_env.records.messages import GridMap
 
 RESOLUTION_M = 0.1
 

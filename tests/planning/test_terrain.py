@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from twc_env.messages import GridMap
 from twc_env.planning import Disc, PathFinder, Terrain, is_frontier, path_is_blocked
 from twc_env.planning.terrain import OPEN_COST
+from twc_env.records.messages import GridMap
 
 CELL_M = 0.1
 

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from twc_env import command_line
 from twc_env.__main__ import main as command
-from twc_env.command_line import aligned
 from twc_env.errors import DataError
 from twc_env.reproduce.runner import TABLES, Runner, data_folder, main, seeds_argument, table_module
+from twc_env.running import command_line
+from twc_env.running.command_line import aligned
 
 
 def test_finished_parts_are_read_back_after_an_interruption(tmp_path):
@@ -81,7 +81,7 @@ def test_several_processes_give_the_same_rows_in_the_same_order(tmp_path):
 
 def test_parts_of_another_code_are_not_taken(tmp_path, monkeypatch, capsys):
     Runner("table", tmp_path, {}).each([0], lambda _: 1)
-    monkeypatch.setattr("twc_env.finished_parts.code_digest", lambda: "other")
+    monkeypatch.setattr("twc_env.running.finished_parts.code_digest", lambda: "other")
     capsys.readouterr()
     assert Runner("table", tmp_path, {}).each([0], lambda _: 2) == [2]
     assert "1 finished parts were computed by other code" in capsys.readouterr().err

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from twc_env.config import EnvConfig
-from twc_env.geometry import between
 from twc_env.maps import load_map
-from twc_env.messages import Fingerprint, Keyframe, SensorFrame
+from twc_env.records.geometry import between
+from twc_env.records.messages import Fingerprint, Keyframe, SensorFrame
 from twc_env.world.world import World
 
 RANGE_MAX_M = 10.0

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from twc_env.config import EnvConfig, override
-from twc_env.geometry import compose
-from twc_env.messages import SensorFrame
+from twc_env.records.geometry import compose
+from twc_env.records.messages import SensorFrame
 from twc_env.slam.robot import FrontEnds
 from twc_env.slam.team import TeamMapper
 

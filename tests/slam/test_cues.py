@@ -8,12 +8,12 @@ import pytest
 
 from tests.conftest import wander_by_scan
 from twc_env.config import CuesConfig, from_dict
-from twc_env.geometry import between, compose
 from twc_env.maps import load_map
-from twc_env.messages import Keyframe, SensorFrame, WifiScan
+from twc_env.records.geometry import between, compose
+from twc_env.records.messages import Keyframe, SensorFrame, WifiScan
 from twc_env.slam.cues import restricted_config, restricted_frame
 from twc_env.slam.engine import CooperativeSlam
-from twc_env.slam.radio_similarity import CELL_ID_MIN
+from twc_env.slam.radio.radio_similarity import CELL_ID_MIN
 from twc_env.world.world import World
 
 NAMES = ("text", "wifi", "lte", "lidar")

@@ -10,8 +10,8 @@ import pytest
 
 import twc_env
 from twc_env.config import EnvConfig, override
-from twc_env.geometry import align_rigidly, between, compose
-from twc_env.messages import Contacts
+from twc_env.records.geometry import align_rigidly, between, compose
+from twc_env.records.messages import Contacts
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.world.world import World
 
@@ -24,7 +24,7 @@ engine = CooperativeSlam(config, config.robots)
 for step in frames:
     engine.update(step)
 engine.finish()
-loaded = sorted(name for name in sys.modules if name.startswith(("twc_env.world", "twc_env.random_streams", "pymunk")))
+loaded = sorted(name for name in sys.modules if name.startswith(("twc_env.world", "twc_env.records.random_streams", "pymunk")))
 print(",".join(loaded))
 print(b"".join(engine.team.poses_of(robot).tobytes() for robot in range(config.robots)).hex())
 """

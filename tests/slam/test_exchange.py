@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from twc_env.config import EnvConfig, override
-from twc_env.messages import Contacts
+from twc_env.records.messages import Contacts
 from twc_env.slam.exchange import Exchange
 
 NOTHING = [(), (), ()]

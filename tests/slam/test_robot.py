@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twc_env.config import EnvConfig, override
-from twc_env.messages import SensorFrame, SignReading
+from twc_env.records.messages import SensorFrame, SignReading
 from twc_env.slam.robot import READINGS_MAX, FrontEnds
 
 STEP_M, STEP_RAD = 0.05, 0.05

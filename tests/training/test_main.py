@@ -52,7 +52,7 @@ def test_another_kind_of_action_or_observation_is_rejected(tmp_path, capsys):
 
 @pytest.mark.usefixtures("torch")
 def test_the_error_of_a_dead_worker_names_resume(tmp_path, monkeypatch, capsys):
-    from twc_env.sb3 import TeamVecEnv
+    from twc_env.vector.sb3 import TeamVecEnv
 
     step = TeamVecEnv.step_wait
 
@@ -70,7 +70,7 @@ def test_the_error_of_a_dead_worker_names_resume(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.usefixtures("torch")
 def test_an_interrupted_training_reports_it_on_a_new_line(tmp_path, monkeypatch, capsys):
-    from twc_env.sb3 import TeamVecEnv
+    from twc_env.vector.sb3 import TeamVecEnv
 
     def interrupt(_):
         raise KeyboardInterrupt

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from twc_env.command_line import alone_in
 from twc_env.errors import DataError, MapError
+from twc_env.running.command_line import alone_in
 
 pytestmark = pytest.mark.usefixtures("torch")
 

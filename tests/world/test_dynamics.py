@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from twc_env.config import DynamicsConfig
+from twc_env.world.building.wall_index import index_walls
 from twc_env.world.dynamics import Dynamics
-from twc_env.world.wall_index import index_walls
 
 ROOM = np.array([[[0, 0], [6, 0]], [[6, 0], [6, 6]], [[6, 6], [0, 6]], [[0, 6], [0, 0]]], float)
 

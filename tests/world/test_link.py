@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from twc_env.config import LinkConfig
+from twc_env.world.building.wall_index import index_walls
 from twc_env.world.link import Link
-from twc_env.world.wall_index import index_walls
 
 IN_A_ROW = np.array([[0.0, 0.0], [4.0, 0.0], [9.0, 0.0]])
 

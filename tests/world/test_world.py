@@ -7,14 +7,14 @@ import pytest
 import twc_env
 from twc_env.config import EnvConfig, from_dict
 from twc_env.errors import ActionError, ConfigError, MapError, TwcError
-from twc_env.geometry import between, compose
 from twc_env.maps import load_map
-from twc_env.world.floorplan import AccessPoint, Floorplan
-from twc_env.world.lidar import Lidar
-from twc_env.world.odometry import Odometry
-from twc_env.world.radio import RadioModel
-from twc_env.world.reception import WifiReceiver
-from twc_env.world.signs import SignCamera
+from twc_env.records.geometry import between, compose
+from twc_env.world.building.floorplan import AccessPoint, Floorplan
+from twc_env.world.sensors.lidar import Lidar
+from twc_env.world.sensors.odometry import Odometry
+from twc_env.world.sensors.radio import RadioModel
+from twc_env.world.sensors.reception import WifiReceiver
+from twc_env.world.sensors.signs import SignCamera
 from twc_env.world.starts import START_CLEARANCE_M, START_SPACING_M
 from twc_env.world.world import World
 

@@ -13,8 +13,8 @@ from dataclasses import field
 
 import numpy as np
 
-from twc_env.class_file import is_in_file
 from twc_env.errors import ArgumentError, ConfigError, did_you_mean
+from twc_env.records.class_file import is_in_file
 
 
 def number(default, minimum: float = -math.inf, maximum: float = math.inf):

@@ -142,7 +142,7 @@ class PoseGraphConfig(Checked):
 
     robust: str = choice("ours", "plain", "dcs", "cauchy", "gnc", "pcm", or_class=True)
     """How loop closures are accepted: `ours` evaluates the evidence of groups of closures and keeps revising the
-    decision, `plain` accepts all (TWC-SLAM); see `twc_env.slam.robust_backend`. FILE.py:CLASS: your own
+    decision, `plain` accepts all (TWC-SLAM); see `twc_env.slam.pose_graph.robust_back_end`. FILE.py:CLASS: your own
     (docs/library.md)."""
     robust_scale: float = number(5.0, 0.01, 1000.0)
     period_steps: int = number(10, 1, 10000)
@@ -178,7 +178,7 @@ class MergingConfig(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RadioSlamConfig(Checked):
-    """SLAM from radio fingerprints (`twc_env.slam.radio_slam`)."""
+    """SLAM from radio fingerprints (`twc_env.slam.radio.radio_slam`)."""
 
     online: bool = False
     """Add radio constraints to the pose graph (`slam.radio_constraints`); always on without the laser cue."""

@@ -17,7 +17,7 @@ from twc_env.config.environment import EnvConfig
 from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.world import RadioConfig
 from twc_env.errors import ConfigError, did_you_mean
-from twc_env.json_values import table_of
+from twc_env.records.json_values import table_of
 
 
 def radio_preset(name: str) -> RadioConfig:

@@ -1,7 +1,7 @@
 """Compilation at the first start on a machine: a log message, and a helper process that shares the work.
 
 Compiled kernels are cached on disk for all processes, and no two processes compile the same kernel at once
-(`twc_env.kernel_compiler`). While this process compiles the kernels of the world and the observations, the helper
+(`twc_env.kernels.kernel_compiler`). While this process compiles the kernels of the world and the observations, the helper
 (`twc_env.exploration.warm_up`) starts with those of the engine; each loads what the other has already compiled. The
 helper then compiles kernels that only later steps need. It ends with the process that started it.
 """
@@ -23,10 +23,10 @@ from typing import Any
 
 from numba.core import event
 
-from twc_env.cell_rows import look_up
-from twc_env.file_lock import FileLock
-from twc_env.kernels import NUMBA_MAX, NUMBA_MIN, is_numba_known
-from twc_env.threads import THREADS
+from twc_env.kernels.cell_rows import look_up
+from twc_env.kernels.compiled import NUMBA_MAX, NUMBA_MIN, is_numba_known
+from twc_env.running.file_lock import FileLock
+from twc_env.running.threads import THREADS
 
 _LOG = logging.getLogger("twc_env")
 

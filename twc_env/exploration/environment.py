@@ -17,20 +17,20 @@ from pettingzoo import ParallelEnv
 from twc_env.config import EnvConfig, override
 from twc_env.config.checks import refuse_arguments, whole_number
 from twc_env.errors import ConfigError, TwcError
-from twc_env.exploration import evaluation, rewards
 from twc_env.exploration.actions import velocity_space
+from twc_env.exploration.assessment import evaluation, rewards
 from twc_env.exploration.compilation import FIRST_START, announce_compilation
 from twc_env.exploration.episode import Episode
-from twc_env.exploration.observation_blocks import observation_space
-from twc_env.exploration.pilot import Pilot, frontier_space, waypoint_space
+from twc_env.exploration.macro_actions import MacroActions, frontier_space, waypoint_space
+from twc_env.exploration.observation.observation_blocks import observation_space
 from twc_env.exploration.reset_options import read_options
 from twc_env.exploration.settings import resolve
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
 from twc_env.maps import load_map
-from twc_env.messages import Belief, Contacts, SensorFrame
+from twc_env.records.messages import Belief, Contacts, SensorFrame
 from twc_env.slam.modes import Engine
-from twc_env.world.floorplan import Floorplan
-from twc_env.world.thinning import thinned
+from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.building.thinning import thinned
 from twc_env.world.world import World
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     With `observation.kind = "flat"` the blocks are concatenated to one float32 vector, images scaled to [0, 1].
 
-    Reward: a weighted sum of named terms. `twc_env.exploration.rewards` lists the terms, `reward` has the weights, and
+    Reward: a weighted sum of named terms. `twc_env.exploration.assessment.rewards` lists the terms, `reward` has the weights, and
     `info["reward_terms"]` the values. By default each agent receives the increase in correctly mapped floor of the
     best correctly merged group, so the return of an episode is that share at its end: `coverage_correct`, unless
     another group has more robots. The map is evaluated every `reward.period_steps` time steps and at the last one. The
@@ -120,7 +120,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     Versions: v0, first release.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012
+    metadata: dict[str, Any] = {
         "name": "twc_env_explore_v0",
         "render_modes": ["human", "rgb_array"],
         "is_parallelizable": True,
@@ -351,7 +351,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             named[agent] = values[robot]
         return named
 
-    def _tell_choices(self, infos: dict[str, dict[str, Any]], pilot: Pilot, time_steps: int) -> None:
+    def _tell_choices(self, infos: dict[str, dict[str, Any]], pilot: MacroActions, time_steps: int) -> None:
         """Add `is_deciding`, `time_steps` and, with choices among frontiers, `action_mask` to the infos."""
         for robot, info in enumerate(infos.values()):
             info["is_deciding"], info["time_steps"] = bool(pilot.is_deciding[robot]), time_steps

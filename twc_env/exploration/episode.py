@@ -11,21 +11,22 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.exploration import actions as action_blocks
-from twc_env.exploration import evaluation, rewards, verdicts
+from twc_env.exploration.assessment import evaluation, rewards
+from twc_env.exploration.assessment import map_scores as verdicts
+from twc_env.exploration.assessment.episode_record import EpisodeRecord
 from twc_env.exploration.compilation import FIRST_START
-from twc_env.exploration.episode_record import EpisodeRecord
-from twc_env.exploration.observations import ObservationBuilder, first_observations
-from twc_env.exploration.pilot import Pilot, Scout
-from twc_env.messages import Belief, Contacts, SensorFrame
-from twc_env.random_streams import random_stream
+from twc_env.exploration.macro_actions import MacroActions, Scout
+from twc_env.exploration.observation.observations import ObservationBuilder, first_observations
+from twc_env.records.messages import Belief, Contacts, SensorFrame
+from twc_env.records.random_streams import random_stream
+from twc_env.records.team_messages import TeamFrames
 from twc_env.slam.modes import Engine, make_engine
-from twc_env.team_messages import TeamFrames
+from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.failures import Failures, silenced
-from twc_env.world.floorplan import Floorplan
 from twc_env.world.link import Link
 from twc_env.world.world import World
 
-_NOT_JUDGED: tuple[object, list[verdicts.GroupVerdict]] = None, []
+_NOT_JUDGED: tuple[object, list[verdicts.GroupScore]] = None, []
 
 
 class Episode:
@@ -56,7 +57,7 @@ class Episode:
         self._link = Link(config.link, count, world.plan.home.wall_index, random_stream(seed, "link"))
         self._builder = ObservationBuilder(config)
         self._velocities = action_blocks.Velocities(config.dynamics, count)
-        self.pilot = None if config.action.kind == "velocity" else Pilot(config, self._failures.is_alive(0))
+        self.pilot = None if config.action.kind == "velocity" else MacroActions(config, self._failures.is_alive(0))
         """Executes waypoint and frontier actions; None with velocity actions."""
         self._looker = self.pilot or (Scout(config) if config.observation.frontiers else None)
         """Updates the goal candidates: the pilot, or a `Scout` for the `frontiers` block with velocity actions."""
@@ -140,7 +141,7 @@ class Episode:
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_judged": _NOT_JUDGED}
 
-    def verdicts(self) -> list[verdicts.GroupVerdict]:
+    def verdicts(self) -> list[verdicts.GroupScore]:
         """All maps of the team evaluated now, see `verdicts_of`; cached until the engine's next update."""
         believed = self.engine.beliefs()  # a new object after each update of the engine
         if self._judged[0] is not believed:

@@ -8,8 +8,8 @@ from types import NoneType
 from typing import Any
 
 from twc_env.errors import ConfigError
-from twc_env.random_streams import random_stream
-from twc_env.world.splits import split_names
+from twc_env.records.random_streams import random_stream
+from twc_env.world.building.splits import split_names
 
 NAMES = ("starts", "map", "split")
 

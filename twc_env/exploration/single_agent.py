@@ -15,13 +15,13 @@ from twc_env.config import EnvConfig
 from twc_env.config.checks import refuse_arguments, whole_number
 from twc_env.errors import ConfigError
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.messages import Belief
+from twc_env.records.messages import Belief
 
 
 class SingleRobotEnv(gymnasium.Env):
     """`ExplorationEnv` with one robot: same observation, action and reward, without the dictionaries per agent."""
 
-    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
 
     def __init__(
         self,

@@ -11,8 +11,8 @@ from twc_env._version import __version__
 from twc_env.config import EnvConfig, digest
 from twc_env.errors import ConfigError, DataError
 from twc_env.exploration.episode import Episode
-from twc_env.whole_copy import SharingPickler
-from twc_env.world.floorplan import Floorplan
+from twc_env.records.whole_copy import SharingPickler
+from twc_env.world.building.floorplan import Floorplan
 
 _PLAN = "floorplan"
 

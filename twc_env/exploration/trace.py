@@ -17,12 +17,12 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import to_dict
 from twc_env.errors import DataError
-from twc_env.exploration import evaluation
+from twc_env.exploration.assessment import evaluation
+from twc_env.exploration.assessment.map_scores import GroupScore
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.exploration.verdicts import GroupVerdict
-from twc_env.geometry import compose, inverse
 from twc_env.planning.driver import map_id
-from twc_env.world.signal_map import signal_map_dbm
+from twc_env.records.geometry import compose, inverse
+from twc_env.world.sensors.signal_map import signal_map_dbm
 
 FORMAT = "twc_env/trace-1"
 TRACE_KEYS = (
@@ -92,7 +92,7 @@ class EpisodeTrace:
         except OSError as error:
             raise DataError(f"cannot write {path}: {error.strerror}; choose another place") from error
 
-    def _lay_maps(self, verdicts: Sequence[GroupVerdict]) -> None:
+    def _lay_maps(self, verdicts: Sequence[GroupScore]) -> None:
         for verdict in verdicts:
             self._alignment[list(verdict.view.viewers)] = verdict.pose_building_map
         self._maps = list(map(map_id, self._env.engine.beliefs()))
@@ -117,7 +117,7 @@ class EpisodeTrace:
             self._moments, self._period = self._moments[::2], 2 * self._period
 
 
-def _layer(verdict: GroupVerdict) -> tuple[dict[str, Any], bytes]:
+def _layer(verdict: GroupScore) -> tuple[dict[str, Any], bytes]:
     """One group's map, and its compressed cells (rows, columns) uint8: 0 unknown, 1 free, 2 wall; row 0: lowest y."""
     grid = verdict.grid
     kind = np.full(grid.log_odds.shape, UNKNOWN, np.uint8)

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig
+from twc_env.exploration.assessment.map_scores import GroupScore
+from twc_env.exploration.drawing.layers import HELP, Layers, layered
+from twc_env.exploration.drawing.rendering import ClosureLine, SignalLayer, render, scene_of
+from twc_env.exploration.drawing.window import Window
 from twc_env.exploration.episode import Episode
-from twc_env.exploration.layers import HELP, Layers, layered
-from twc_env.exploration.rendering import ClosureLine, SignalLayer, render, scene_of
-from twc_env.exploration.verdicts import GroupVerdict
-from twc_env.exploration.window import Window
-from twc_env.geometry import transform_points
-from twc_env.world.floorplan import Floorplan
-from twc_env.world.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
+from twc_env.records.geometry import transform_points
+from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.sensors.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
 
 
 class Viewer:
@@ -87,7 +87,7 @@ class SeenClosures:
     def __init__(self) -> None:
         self._since: dict[tuple, tuple[str, int]] = {}
 
-    def lines(self, verdicts: Sequence[GroupVerdict], step: int, time_step_s: float) -> tuple[ClosureLine, ...]:
+    def lines(self, verdicts: Sequence[GroupScore], step: int, time_step_s: float) -> tuple[ClosureLine, ...]:
         """The accepted and rejected closures, at their estimated positions in the building frame."""
         best, shown = verdicts[0], {robot: v for v in reversed(verdicts) for robot in v.view.viewers}
         shown |= dict.fromkeys(best.robots, best)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twc_env.errors import DataError
-from twc_env.geometry import between
+from twc_env.records.geometry import between
 
 DISTANCE_MAX_M = 0.5
 ANGLE_MAX_RAD = math.radians(10.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.geometry import between
+from twc_env.records.geometry import between
 
 
 def errors_since_closure(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.kernels import kernel
+from twc_env.kernels.compiled import kernel
 from twc_env.metrics.mapping import score_map
 
 FREE, UNKNOWN, WALL = 255, 127, 0

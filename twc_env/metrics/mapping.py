@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from numpy.typing import NDArray as Array
 
-from twc_env.cell_rows import FIXED_BITS, FIXED_POINT, look_up_row, span_inside
 from twc_env.errors import DataError
-from twc_env.kernels import borrowing_kernel, kernel
-from twc_env.messages import BLOCK_SHAPE
+from twc_env.kernels.cell_rows import FIXED_BITS, FIXED_POINT, look_up_row, span_inside
+from twc_env.kernels.compiled import borrowing_kernel, kernel
+from twc_env.records.messages import BLOCK_SHAPE
 
 REACH_CELLS = 1e9
 """Largest distance of map and building in cells; beyond it, steps in fixed point would overflow."""
@@ -44,7 +44,7 @@ def correct_area_m2(
 
     box: first row and column, end row and column of the cells to evaluate; None: all.
     """
-    log_odds, truth_free = given_grid(log_odds, "log_odds"), given_grid(truth_free, "truth_free")
+    log_odds, truth_free = validated_grid(log_odds, "log_odds"), validated_grid(truth_free, "truth_free")
     row, column, step = _sampling(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
     box = box or (0, 0, *log_odds.shape)
     return (
@@ -57,7 +57,7 @@ def floor_mask(
     truth_origin_m: Array, truth_resolution_m: float,
 ) -> Array:  # fmt: skip
     """(h, w) bool: cells of a map of that shape whose centres lie on explorable floor; arguments as in `score_map`."""
-    truth_free = given_grid(truth_free, "truth_free")
+    truth_free = validated_grid(truth_free, "truth_free")
     row, column, step = _sampling_back(pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m)
     mask = np.zeros(shape, bool)
     _look_up_floor(np.ascontiguousarray(truth_free), row, column, step, mask)
@@ -80,8 +80,8 @@ def score_map(
 
     Raises DataError for invalid grids and poses.
     """
-    log_odds = given_grid(log_odds, "log_odds")
-    truth_free, truth_wall = given_grid(truth_free, "truth_free"), given_grid(truth_wall, "truth_wall")
+    log_odds = validated_grid(log_odds, "log_odds")
+    truth_free, truth_wall = validated_grid(truth_free, "truth_free"), validated_grid(truth_wall, "truth_wall")
     if truth_free.shape != truth_wall.shape:
         raise DataError(f"truth_free {truth_free.shape} and truth_wall {truth_wall.shape} must have one shape")
     if not log_odds.size:
@@ -109,7 +109,7 @@ def _share(part: float, whole: float) -> float:
     return float(part / whole) if whole > 0 else 0.0
 
 
-def given_grid(values: ArrayLike, name: str) -> Array:
+def validated_grid(values: ArrayLike, name: str) -> Array:
     """The values as an array (h, w). Raises DataError for another number of axes."""
     grid = np.asarray(values)
     if grid.ndim != 2:

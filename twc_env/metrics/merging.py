@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
-from twc_env.kernels import borrowing_kernel
+from twc_env.kernels.compiled import borrowing_kernel
 from twc_env.metrics.trajectory import turns_between
 
 WRONG_M, WRONG_RAD = 1.0, math.radians(10.0)

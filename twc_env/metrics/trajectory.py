@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
-from twc_env.geometry import between, transform_points
-from twc_env.kernels import borrowing_kernel, kernel
+from twc_env.kernels.compiled import borrowing_kernel, kernel
+from twc_env.records.geometry import between, transform_points
 
 HEADING_LEVER_M = 1.0
 """In `lay_map` a heading error counts like the position error of a point this far ahead."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.geometry import between
-from twc_env.messages import Belief
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
+from twc_env.records.geometry import between
+from twc_env.records.messages import Belief
 
 CELLS_MIN = 3
 """Minimum frontier size [cells]; smaller ones are noise."""

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.kernels import kernel
+from twc_env.kernels.compiled import kernel
 from twc_env.planning.terrain import Terrain
 
 TURNS_MAX = 60

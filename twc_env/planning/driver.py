@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig
-from twc_env.geometry import compose, inverse, transform_points
-from twc_env.messages import Belief
 from twc_env.planning.follow import Follower, drive_to, room_around_m
 from twc_env.planning.path_finder import Disc, PathFinder
 from twc_env.planning.terrain import Terrain, is_frontier, path_is_blocked
+from twc_env.records.geometry import compose, inverse, transform_points
+from twc_env.records.messages import Belief
 
 CHECK_S = 0.5
 """Period of checking the path, or a frontier goal, against the newest map."""

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig
-from twc_env.geometry import points_along, travelled_m
-from twc_env.kernels import kernel
+from twc_env.kernels.compiled import kernel
+from twc_env.records.geometry import points_along, travelled_m
 
 OBSTACLE_RANGE_M = 1.6
 """Scan points further away than this are ignored."""

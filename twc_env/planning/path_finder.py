@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.kernels import kernel
+from twc_env.kernels.compiled import kernel
 from twc_env.planning.terrain import OPEN_COST, Terrain
 
 UNITS_PER_CELL = 10

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.kernels import kernel
-from twc_env.messages import Belief, GridMap
+from twc_env.kernels.compiled import kernel
+from twc_env.records.messages import Belief, GridMap
 
 UNKNOWN, FREE, WALL = 0, 1, 2
 OPEN_COST = 2

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twc_env.errors import DataError
-from twc_env.slam.occupancy_grid import OccupancyGrid
+from twc_env.slam.scans.occupancy_grid import OccupancyGrid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,15 +15,15 @@ from numpy.typing import NDArray as Array
 from scipy.ndimage import distance_transform_edt
 
 from twc_env.config import RadioConfig
-from twc_env.datasets.ble_flat import Flat
-from twc_env.datasets.fingerprints import RadioSurvey
-from twc_env.geometry import points_along
-from twc_env.random_streams import random_stream
+from twc_env.datasets.surveys.ble_flat import Flat
+from twc_env.datasets.surveys.fingerprints import RadioSurvey
+from twc_env.records.geometry import points_along
+from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.routes import RoutePlanner
-from twc_env.world.floor_cells import Cells
-from twc_env.world.floorplan import AccessPoint, Floorplan
-from twc_env.world.radio import RadioModel
-from twc_env.world.reception import WifiReceiver
+from twc_env.world.building.floor_cells import Cells
+from twc_env.world.building.floorplan import AccessPoint, Floorplan
+from twc_env.world.sensors.radio import RadioModel
+from twc_env.world.sensors.reception import WifiReceiver
 
 _VENDOR = 0x02_00_5E << 24
 MODULE_M, WALL_DB, OUTER_WALL_DB = 7.0, 4.0, 10.0

@@ -19,11 +19,11 @@ from scipy.sparse.csgraph import dijkstra
 
 from twc_env.config import EnvConfig
 from twc_env.errors import MapError
-from twc_env.geometry import wrap_angle
-from twc_env.messages import Keyframe
 from twc_env.metrics import path_length_m
+from twc_env.records.geometry import wrap_angle
+from twc_env.records.messages import Keyframe
 from twc_env.slam.robot import FrontEnds
-from twc_env.world.floorplan import Floorplan, Room
+from twc_env.world.building.floorplan import Floorplan, Room
 from twc_env.world.world import World
 
 CLEARANCE_M = 0.32

@@ -13,11 +13,11 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-from twc_env.command_line import add_folder, add_json, aligned, count, end_line, parse_seeds, show_line
 from twc_env.errors import ConfigError, DataError
-from twc_env.finished_parts import FinishedParts
-from twc_env.json_values import TERMINAL, check_folder, plain, write_json
-from twc_env.worker_processes import in_processes
+from twc_env.records.json_values import TERMINAL, check_folder, plain, write_json
+from twc_env.running.command_line import add_folder, add_json, aligned, count, end_line, parse_seeds, show_line
+from twc_env.running.finished_parts import FinishedParts
+from twc_env.running.worker_processes import in_processes
 
 TABLES = (
     "matching", "ble-lidar", "intel", "merging", "odometry", "ocr", "radio-model", "twc-table1", "twc-table2",
@@ -122,8 +122,9 @@ def chosen(text: str, known: Iterable[str]) -> list[str]:
 
 
 def table_module(name: str) -> ModuleType:
-    """The module of one of TABLES."""
-    return import_module(f"twc_env.reproduce.{name.replace('-', '_')}")
+    """The module of one of TABLES, in whichever room it stands."""
+    (path,) = Path(__file__).parent.glob(f"*/{name.replace('-', '_')}.py")
+    return import_module(f"twc_env.reproduce.{path.parent.name}.{path.stem}")
 
 
 def add_parser(commands) -> None:

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import dataclasses
 
-from twc_env.class_file import is_in_file
 from twc_env.config import CuesConfig, EnvConfig, PlaceRecognitionConfig
-from twc_env.messages import SensorFrame, WifiScan
-from twc_env.slam.radio_similarity import CELL_ID_MIN
+from twc_env.records.class_file import is_in_file
+from twc_env.records.messages import SensorFrame, WifiScan
+from twc_env.slam.radio.radio_similarity import CELL_ID_MIN
 
 
 def restricted_config(config: EnvConfig) -> EnvConfig:

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
-from twc_env.kernels import BindsAnew, borrowing_kernel, bound
-from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
+from twc_env.kernels.compiled import BindsAnew, borrowing_kernel, bound
+from twc_env.records.messages import Belief, Contacts, Keyframe, SensorFrame
+from twc_env.records.team_messages import TeamBeliefs, TeamFrames, nobody, read_only
 from twc_env.slam.engine import View
 from twc_env.slam.team import TeamMapper
-from twc_env.team_messages import TeamBeliefs, TeamFrames, nobody, read_only
 
 
 class DeadReckoning(BindsAnew):

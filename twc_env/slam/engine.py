@@ -13,20 +13,20 @@ from numpy.typing import NDArray as Array
 from twc_env.config import CuesConfig, EnvConfig
 from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, TwcError
-from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of
-from twc_env.messages import Belief, Contacts, Keyframe, SensorFrame
+from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of
+from twc_env.records.messages import Belief, Contacts, Keyframe, SensorFrame
+from twc_env.records.team_messages import NOBODY, TeamBeliefs, TeamFrames, nobody
+from twc_env.records.whole_copy import CopiedWhole
 from twc_env.slam import cues
+from twc_env.slam.diagnostics import Listening, shortcomings
 from twc_env.slam.exchange import Exchange
-from twc_env.slam.frame_check import check_frames
-from twc_env.slam.map_beliefs import HeldMaps, MapBeliefs
-from twc_env.slam.radio_structure import RadioStructure
+from twc_env.slam.front_end.frame_check import check_frames
+from twc_env.slam.front_end.robot_clocks import RobotClocks
+from twc_env.slam.mapping.map_beliefs import HeldMaps, MapBeliefs
+from twc_env.slam.pose_graph.systematic_errors import std_with_shared
 from twc_env.slam.robot import FrontEnds, RobotFrontEnd
-from twc_env.slam.robot_clocks import RobotClocks
-from twc_env.slam.shared_errors import std_with_shared
-from twc_env.slam.shortcomings import Listening, shortcomings
 from twc_env.slam.team import TeamMapper
-from twc_env.team_messages import NOBODY, TeamBeliefs, TeamFrames, nobody
-from twc_env.whole_copy import CopiedWhole
+from twc_env.slam.walls.radio_structure import RadioStructure
 
 MATCHED_STD_SHARE = 0.25
 """Actual drift of scan-matched paths as a share of their accumulated standard deviation. The latter is deliberately
@@ -248,12 +248,12 @@ class CooperativeSlam(CopiedWhole):
         if self._odometry_scale_std is not None:
             self._std[robots] = std_with_shared(self._std[robots], since_m[robots], self._odometry_scale_std)
         if counts[1] != before[1] or not self._is_central:
-            self._update_mates(robots.tolist(), mapper)
+            self._update_teammates(robots.tolist(), mapper)
         if counts[2:] != before[2:]:
             self._maps = None
         self._since_closure_m = since_m
 
-    def _update_mates(self, robots: Sequence[int], mapper: TeamMapper) -> None:
+    def _update_teammates(self, robots: Sequence[int], mapper: TeamMapper) -> None:
         """Update the mates of these robots."""
         mates = self._mates.copy()
         for robot in robots:

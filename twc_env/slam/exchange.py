@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from twc_env.config import EnvConfig
-from twc_env.messages import Contacts, Keyframe
+from twc_env.records.messages import Contacts, Keyframe
 
 BYTES_PER_BEAM = 2
 BYTES_PER_FINGERPRINT_MAC = 7

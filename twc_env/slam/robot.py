@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
-from twc_env.messages import Keyframe, SensorFrame, SignObservation, SignReading
-from twc_env.slam.keyframe_taking import KeyframeTaker
-from twc_env.slam.scan_matching import LineField
-from twc_env.slam.tracking import Tracker
-from twc_env.team_messages import TeamFrames
+from twc_env.records.messages import Keyframe, SensorFrame, SignObservation, SignReading
+from twc_env.records.team_messages import TeamFrames
+from twc_env.slam.front_end.keyframe_taking import KeyframeTaker
+from twc_env.slam.front_end.tracking import Tracker
+from twc_env.slam.matching.scan_matching import LineField
 
 REDRAW_SPACING_M = 0.9
 """When the local map is re-centred, older keyframes are redrawn at this path spacing."""

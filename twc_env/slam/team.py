@@ -7,19 +7,19 @@ from collections.abc import Collection, Sequence
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
-from twc_env.geometry import between
-from twc_env.messages import GridMap, Keyframe, LoopCandidate, LoopClosure
-from twc_env.slam.closure_search import ClosureSearch
-from twc_env.slam.forgetting import Forgetting
-from twc_env.slam.group_maps import Group, GroupMaps
-from twc_env.slam.map_optimiser import MapOptimiser
-from twc_env.slam.merge_judge import MergeJudge
-from twc_env.slam.merge_review import MergeReview
-from twc_env.slam.merge_trial import MergeTrials
-from twc_env.slam.radio_constraints import RadioConstraints
-from twc_env.slam.robot_sightings import RobotSightings
-from twc_env.slam.team_graph import TeamGraph
-from twc_env.team_messages import KnownSigns
+from twc_env.records.geometry import between
+from twc_env.records.messages import GridMap, Keyframe, LoopCandidate, LoopClosure
+from twc_env.records.team_messages import KnownSigns
+from twc_env.slam.mapping.closure_search import ClosureSearch
+from twc_env.slam.mapping.group_maps import Group, GroupMaps
+from twc_env.slam.mapping.keyframe_sparsification import KeyframeSparsification
+from twc_env.slam.mapping.team_graph import TeamGraph
+from twc_env.slam.merging.map_optimiser import MapOptimiser
+from twc_env.slam.merging.merge_review import MergeReview
+from twc_env.slam.merging.merge_tests import MergeTests
+from twc_env.slam.merging.merge_trial import MergeTrials
+from twc_env.slam.merging.mutual_observations import MutualObservations
+from twc_env.slam.radio.radio_constraints import RadioConstraints
 
 URGENT_SQUARED_ERROR = 1.0
 """A closure whose squared error in the present estimate is below this is not urgent."""
@@ -59,8 +59,8 @@ class TeamMapper:
         """(robot, keyframe index) of scans to request."""
         self._search = ClosureSearch(config, self._graph, self._maps, robot_count)
         places = config.slam.place_recognition
-        sightings = RobotSightings(config, self._graph, self._maps)
-        self._judge = MergeJudge(
+        sightings = MutualObservations(config, self._graph, self._maps)
+        self._judge = MergeTests(
             config.slam.merging, self._graph, places.spares_missing_cues, places.meets_by_wifi, sightings
         )
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
@@ -68,7 +68,7 @@ class TeamMapper:
         self._radio = RadioConstraints(radio, robot_count, config.slam.cues.lidar) if radio.online else None
         forgetting = None
         if self._radio is None and not self._on_request:  # both need all keyframes later
-            forgetting = Forgetting(self._graph, (self._search, self._judge, self._maps))
+            forgetting = KeyframeSparsification(self._graph, (self._search, self._judge, self._maps))
         self._trials = None if config.slam.cues.lidar else MergeTrials(config.slam.pose_graph, self._graph)
         self.optimiser = MapOptimiser(
             config.slam.pose_graph, self._graph, self._maps, self._judge, self._radio, forgetting
@@ -122,7 +122,7 @@ class TeamMapper:
             if self._trials is not None and self._given_starts is None:
                 self._split_uncertain(self._trials)
             self._retry_merges()
-        if is_turn and self.optimiser.may_forget:
+        if is_turn and self.optimiser.may_remove:
             self.optimiser.forget()
         elif is_turn and step >= self.optimiser.due_step:
             self.optimiser.optimise_dirty(step)
@@ -132,7 +132,7 @@ class TeamMapper:
 
     def _next_due_step(self) -> float:
         """The first step with anything to do if no message arrives."""
-        if self._search.waiting_count or self._given_starts is not None or self.optimiser.may_forget:
+        if self._search.waiting_count or self._given_starts is not None or self.optimiser.may_remove:
             return self._step + 1
         return min(self._review.due_step, self._last_retried_step + RETRY_STEPS, self.optimiser.due_step)
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 
 from twc_env.config import EnvConfig
-from twc_env.geometry import between
-from twc_env.messages import SignReading, WifiScan
+from twc_env.records.geometry import between
+from twc_env.records.messages import SignReading, WifiScan
+from twc_env.records.team_messages import TeamFrames
 from twc_env.slam.engine import CooperativeSlam
-from twc_env.slam.pose_graph import Graph
-from twc_env.slam.robust_backend import BackendResult, revise
-from twc_env.team_messages import TeamFrames
+from twc_env.slam.pose_graph.robust_back_end import BackendResult, revise
+from twc_env.slam.pose_graph.solver import Graph
 
 ROBOTS, STEPS, BEAMS = 2, 3, 180
 DISC_AWAY_M, DISC_RADIUS_M = 1.0, 0.2

@@ -11,8 +11,8 @@ from numpy.typing import NDArray as Array
 from pymunk import batch
 
 from twc_env.config import DynamicsConfig
-from twc_env.kernels import borrowing_kernel
-from twc_env.world.wall_index import WallIndex, gap
+from twc_env.kernels.compiled import borrowing_kernel
+from twc_env.world.building.wall_index import WallIndex, gap
 
 _MASS_KG = 10.0
 _ANCHORED_KG = 1e6

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import FailureConfig
-from twc_env.messages import UNSEEN_M, Contacts, WifiScan
-from twc_env.team_messages import TeamFrames
+from twc_env.records.messages import UNSEEN_M, Contacts, WifiScan
+from twc_env.records.team_messages import TeamFrames
 
 _DEAF = WifiScan(np.zeros(0, np.int64), np.zeros(0))
 """A scan in which nothing was heard."""

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import LinkConfig
-from twc_env.messages import Contacts
-from twc_env.world.wall_index import WallIndex
+from twc_env.records.messages import Contacts
+from twc_env.world.building.wall_index import WallIndex
 
 
 class Link:

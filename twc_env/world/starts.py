@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.errors import ConfigError, MapError
-from twc_env.geometry import compose, inverse
-from twc_env.random_streams import random_stream
-from twc_env.world.floorplan import Floorplan
+from twc_env.records.geometry import compose, inverse
+from twc_env.records.random_streams import random_stream
+from twc_env.world.building.floorplan import Floorplan
 
 START_CLEARANCE_M = 0.4
 """Least distance of a random start to walls ..."""

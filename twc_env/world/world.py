@@ -14,21 +14,21 @@ from numpy.typing import NDArray as Array
 from twc_env.config import EnvConfig
 from twc_env.config.checks import whole_number
 from twc_env.errors import ActionError, TwcError
-from twc_env.geometry import compose
-from twc_env.kernels import Lent, borrowing_kernel, bound, parts_of, rebound
-from twc_env.messages import WifiScan
-from twc_env.team_messages import TeamFrames, WifiScans
-from twc_env.world.crossing_table import MISSING, square_at
+from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of, rebound
+from twc_env.records.geometry import compose
+from twc_env.records.messages import WifiScan
+from twc_env.records.team_messages import TeamFrames, WifiScans
+from twc_env.world.building.crossing_table import MISSING, square_at
+from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.building.floorplan_check import validate
 from twc_env.world.dynamics import Dynamics, advance
-from twc_env.world.floorplan import Floorplan
-from twc_env.world.floorplan_check import validate
-from twc_env.world.lidar import Lidar, glass_walls, sweep
-from twc_env.world.noise import STEPS
-from twc_env.world.odometry import Odometry, measure
-from twc_env.world.radio import RadioModel
-from twc_env.world.reception import WifiReceiver, WifiReceivers, hear
-from twc_env.world.sign_cameras import SignCameras
-from twc_env.world.signs import look
+from twc_env.world.sensors.lidar import Lidar, glass_walls, sweep
+from twc_env.world.sensors.noise import STEPS
+from twc_env.world.sensors.odometry import Odometry, measure
+from twc_env.world.sensors.radio import RadioModel
+from twc_env.world.sensors.reception import WifiReceiver, WifiReceivers, hear
+from twc_env.world.sensors.sign_cameras import SignCameras
+from twc_env.world.sensors.signs import look
 from twc_env.world.starts import start_poses
 
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)

@@ -1,0 +1,121 @@
+"""Help texts of all commands: the meaning of each option, its default, and examples that can be parsed."""
+
+import argparse
+import shlex
+from pathlib import Path
+
+import pytest
+
+import agents.__main__
+import training.__main__
+import twc_env.__main__
+from agents.policy import policy_names
+from twc_env.running.command_line import Paragraphs
+
+PROGRAMS = {"twc_env": twc_env.__main__, "agents": agents.__main__, "training": training.__main__}
+
+
+def parsers(parser):
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for below in action.choices.values():
+                yield from parsers(below)
+
+
+ALL = [below for program in PROGRAMS.values() for below in parsers(program._parser())]
+
+
+def options(parser):
+    return [a for a in parser._actions if not isinstance(a, argparse._SubParsersAction) and a.dest != "help"]
+
+
+@pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
+def test_the_help_of_every_option_explains_it_and_states_its_default(parser):
+    for option in options(parser):
+        name = (option.option_strings or [option.dest])[0]
+        assert option.help, f"{name} is not explained"
+        has_default = option.default is not None and option.default not in ([], "", argparse.SUPPRESS)
+        is_switch = not option.option_strings or option.default is False
+        said = parser.formatter_class(parser.prog)._get_help_string(option)
+        assert is_switch or ("default" in said) >= has_default, f"{name} does not say its default"
+        assert said.count("(default:") <= 1, f"{name} says its default twice"
+
+
+@pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
+def test_defaults_and_paths_have_one_form_in_all_help_texts(parser):
+    for option in options(parser):
+        name = (option.option_strings or [option.dest])[0]
+        assert "(default " not in option.help, f"{name} writes (default X), others (default: X)"
+        assert option.type is not Path or option.metavar, f"{name} does not say whether it is a file or a folder"
+
+
+def test_a_missing_command_is_an_error_that_refers_to_the_help(capsys):
+    with pytest.raises(SystemExit):
+        twc_env.__main__.main([])
+    assert "python -m twc_env --help says more" in capsys.readouterr().err
+
+
+def test_an_unknown_option_is_an_error_with_the_usage_of_the_command(capsys):
+    with pytest.raises(SystemExit):
+        twc_env.__main__.main(["reproduce", "solver", "--walks", "1"])
+    told = capsys.readouterr().err
+    assert "usage: python -m twc_env reproduce solver" in told and "unrecognized arguments: --walks 1" in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "near"),
+    [
+        ("explor", "'explore'"),
+        ("compare --bulidings 5", "'--buildings'"),
+        ("compare --bulidings=5", "'--buildings'"),
+    ],
+)
+def test_the_error_of_a_misspelt_command_or_option_suggests_the_nearest(arguments, near, capsys):
+    with pytest.raises(SystemExit):
+        agents.__main__.main(arguments.split())
+    assert f"; did you mean {near}?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
+def test_the_examples_of_every_command_can_be_parsed(parser):
+    examples = [line.split("   ")[0] for line in parser.format_help().splitlines() if line.startswith("  python -m ")]
+    assert examples
+    for example in examples:
+        name, *arguments = shlex.split(example.split(" > ")[0])[2:]
+        PROGRAMS[name]._parser().parse_args(arguments)
+
+
+def test_paragraphs_are_filled_and_examples_are_kept():
+    parser = argparse.ArgumentParser(
+        formatter_class=lambda prog: Paragraphs(prog, width=32),
+        description="One two three four five six seven eight.\n\nNine\nten:\n  an example that is longer than a line",
+    )
+    text = parser.format_help()
+    assert "One two three four five six\nseven eight.\n\nNine ten:\n  an example that is longer than a line\n" in text
+
+
+def test_the_points_of_a_list_are_filled_one_by_one():
+    parser = argparse.ArgumentParser(
+        formatter_class=lambda prog: Paragraphs(prog, width=32),
+        description="Two points:\n\n- one two three four five six seven\n  eight\n- nine\n  ten",
+    )
+    text = parser.format_help()
+    assert "Two points:\n\n- one two three four five six\n  seven eight\n- nine ten\n" in text
+
+
+def test_the_help_of_agents_lists_every_team():
+    text = agents.__main__._parser().format_help()
+    assert all(f"\n  {name}  " in text for name in [*policy_names(), "FILE.py:CLASS"])
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_every_program_prints_its_version(name, capsys):
+    with pytest.raises(SystemExit) as stop:
+        PROGRAMS[name].main(["--version"])
+    assert (stop.value.code, capsys.readouterr().out) == (0, f"twc_env {twc_env.__version__}\n")
+
+
+@pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
+def test_the_help_of_set_names_the_settings_command(parser):
+    assert all("twc_env settings" in a.help for a in options(parser) if a.option_strings == ["--set"])

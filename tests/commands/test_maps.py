@@ -1,0 +1,257 @@
+import dataclasses
+import itertools
+import json
+import math
+
+import pytest
+
+from agents.__main__ import main as explore
+from twc_env.__main__ import main
+from twc_env.maps import load_map, map_names
+from twc_env.pictures.map_picture import draw_plan, name_rooms, name_sign
+from twc_env.world.building.floorplan_file import write_floorplan
+
+
+def run(*arguments) -> int:
+    return main(["maps", *map(str, arguments)])
+
+
+def test_list_shows_every_bundled_map_and_how_to_name_others(capsys):
+    assert run("list") == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in map_names())
+    assert "gen:KIND:AREA:SEED" in out and "train/0000 (1000)" in out
+
+
+def test_without_a_command_the_maps_are_listed(capsys):
+    assert run() == 0
+    assert "twin-01" in capsys.readouterr().out
+
+
+def test_list_describes_the_given_maps(capsys):
+    assert run("list", "sfw-e4", "gen:mall:300:1") == 0
+    out = capsys.readouterr().out
+    assert "52 m2" in out and "gen:mall:300:1" in out and "twin-01" not in out
+
+
+def test_show_writes_a_picture_with_and_without_signal(tmp_path, capsys):
+    image = pytest.importorskip("PIL.Image", reason="Pillow is an optional dependency")
+    for options in ([], ["--no-signal"]):
+        path = tmp_path / f"picture{len(options)}.png"
+        assert run("show", "sfw-e5", "--out", path, *options) == 0
+        with image.open(path) as picture:
+            assert min(picture.size) > 300
+            assert len(picture.convert("RGB").getcolors(1 << 24)) > 50
+    assert (tmp_path / "picture0.png").read_bytes() != (tmp_path / "picture1.png").read_bytes()
+    assert "written: " in capsys.readouterr().out
+
+
+def test_a_picture_without_suffix_is_a_png_and_its_path_is_printed(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    assert run("show", "sfw-e5", "--no-signal", "--out", tmp_path / "plan") == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.png"]
+    assert f"written: {tmp_path / 'plan.png'}" in capsys.readouterr().out
+    assert run("show", "sfw-e5", "--out", tmp_path) == 2
+    assert "it is a folder; name a file in it" in capsys.readouterr().err
+
+
+def test_sign_texts_are_in_front_of_their_signs_and_do_not_overlap():
+    pytest.importorskip("matplotlib")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 6), dpi=100)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0, 0, 1, 1), xlim=(0, 6), ylim=(0, 6))
+    for x in (2.0, 2.4):
+        name_sign(axes, "A LONG TEXT", (x, 3.0), math.pi / 2, fontsize=4)
+    name_sign(axes, "EXIT", (4.0, 1.0), math.pi, fontsize=4)
+    canvas.draw()
+    first, second, exit_text = axes.texts
+    for text in (first, second):
+        assert text.get_window_extent().y0 >= 300
+        assert text.get_rotation() == 35.0
+    assert exit_text.get_window_extent().x1 <= 400 and exit_text.get_rotation() == 0.0
+
+
+def test_no_sign_text_is_cut_off_at_the_edge_of_the_picture(tmp_path):
+    pytest.importorskip("matplotlib")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 6), dpi=72)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0, 0, 1, 1), xlim=(0, 6), ylim=(0, 6))
+    for x, facing in ((0.1, -1), (5.9, 1)):
+        rooms = 72 * x, 72 * (6 - x)
+        name_sign(axes, "FIRE EXTINGUISHER", (x, 3.0), facing * math.pi / 2, room_points=rooms, fontsize=4.5)
+    canvas.draw()
+    for text, is_below in zip(axes.texts, (True, False), strict=True):
+        box = text.get_window_extent()
+        assert box.x0 > 0 and box.x1 < 432 and text.get_rotation() % 360 == 325.0
+        assert box.y1 < 216 if is_below else box.y0 > 216
+
+
+def test_a_plan_of_walls_alone_is_drawn_without_a_warning(tmp_path, recwarn):
+    pytest.importorskip("matplotlib")
+    plan = load_map("sfw-e1")
+    draw_plan(dataclasses.replace(plan, rooms=(), signs=(), access_points=()), tmp_path / "bare.png")
+    assert not [str(warning.message) for warning in recwarn if "legend" in str(warning.message)]
+
+
+def test_room_names_do_not_overlap():
+    pytest.importorskip("matplotlib")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    rooms, points_per_m = load_map("radio-ntu").rooms, 7.6
+    figure = Figure(figsize=(90 * points_per_m / 72, 64 * points_per_m / 72), dpi=72)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0, 0, 1, 1), xlim=(-2, 88), ylim=(-2, 62))
+    name_rooms(axes, rooms, points_per_m)
+    canvas.draw()
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert len(boxes) == len(rooms)
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+
+
+def test_dollar_signs_in_names_are_not_parsed_as_formulas(tmp_path):
+    pytest.importorskip("matplotlib")
+    plan = load_map("sfw-e1")
+    signs = [dataclasses.replace(sign, text="$A_$") for sign in plan.signs]
+    rooms = [dataclasses.replace(room, name="ALL FOR $5_$") for room in plan.rooms]
+    write_floorplan(dataclasses.replace(plan, name="$^$", signs=signs, rooms=rooms), tmp_path / "shop.json")
+    assert plan.signs and plan.rooms
+    assert run("show", tmp_path / "shop.json", "--out", tmp_path / "shop.png") == 0
+    assert (
+        explore(["explore", "--map", str(tmp_path / "shop.json"), "--steps", "3", "--out", str(tmp_path / "run")]) == 0
+    )
+    assert (tmp_path / "run" / "map.png").is_file()
+
+
+def test_generate_writes_the_building_of_the_generated_name(tmp_path):
+    path = tmp_path / "ward.json"
+    assert run("generate", "ward", 250, "--seed", 4, "--out", path) == 0
+    assert load_map(path).digest == load_map("gen:ward:250:4").digest
+
+
+def test_generate_uses_consecutive_seeds(tmp_path):
+    assert run("generate", "office", 150, "--seed", 2, "--count", 3, "--out", tmp_path / "o.json") == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["o-2.json", "o-3.json", "o-4.json"]
+
+
+def test_an_exported_ros_map_can_be_imported(tmp_path, capsys):
+    assert run("export", "twin-01", tmp_path / "twin.yaml") == 0
+    assert "left out: 5 rooms, 14 signs" in capsys.readouterr().out
+    assert (tmp_path / "twin.pgm").is_file()
+    assert run("import", tmp_path / "twin.yaml", "--seed", 3, "--out", tmp_path / "again.json") == 0
+    assert load_map(tmp_path / "again.json").floor_area_m2 == pytest.approx(load_map("twin-01").floor_area_m2, rel=0.06)
+
+
+def test_pictures_are_imported_at_their_resolution(tmp_path):
+    assert run("export", "twin-01", tmp_path / "twin.yaml", "--resolution", 0.1) == 0
+    picture = (tmp_path / "twin.pgm").read_bytes().replace(b"\xfe", b"\xff")
+    (tmp_path / "twin.pgm").write_bytes(picture)
+    assert run("import", tmp_path / "twin.pgm", "--resolution", 0.1, "--out", tmp_path / "again.json") == 0
+    assert load_map(tmp_path / "again.json").bounds_m[2:] - load_map(tmp_path / "again.json").bounds_m[
+        :2
+    ] == pytest.approx(load_map("twin-01").bounds_m[2:] - load_map("twin-01").bounds_m[:2], abs=0.2)
+
+
+def test_check_distinguishes_valid_from_invalid_maps(tmp_path, capsys):
+    assert run("check", "twin-01", "gen:ring:200:0", "--json", tmp_path / "a.json") == 0
+    findings = json.loads((tmp_path / "a.json").read_text())
+    assert findings["faults"] == [] and findings["floor_m2"]["twin-01"] == pytest.approx(236.9, abs=0.5)
+    (tmp_path / "broken.json").write_text("{")
+    capsys.readouterr()
+    assert run("check", "twin-01", tmp_path / "broken.json") == 2
+    head, sound, fault = capsys.readouterr().out.splitlines()
+    assert fault.startswith("FAULT") and sound.startswith("sound")
+    assert head.index("floor") < sound.index("m2") and head.split()[-2:] == ["access", "points"]
+    assert len(head) == len(sound)
+
+
+def test_check_fuzzes_map_files(tmp_path, capsys):
+    assert run("check", "--fuzz", 40, "--json", tmp_path / "a.json") == 0
+    assert json.loads((tmp_path / "a.json").read_text())["fuzz"]["count"] == 40
+    assert "40 mutated files" in capsys.readouterr().out
+
+
+def test_schema_prints_the_schema(capsys):
+    assert run("schema") == 0
+    assert json.loads(capsys.readouterr().out)["title"] == "twc_env/floorplan-1"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["show", "twin-1"], "did you mean 'twin-01'?"),
+        (["show", "twin-01", "--out", "taken/a.png"], "cannot write taken/a.png: taken is no place"),
+        (["generate", "castle", "300"], "kinds are office, ring"),
+        (["generate", "office", "30"], "must be 100 to 10000 m2"),
+        (["generate", "office", "300", "--out", "a.png"], "--out must end in .json"),
+        (["import", "none.yaml"], "no such file"),
+        (["import", "none.yaml", "--resolution", "0.1"], "--resolution is for .png and .pgm"),
+        (["import", "none.pgm", "--resolution", "0"], "--resolution must be 0.005 to 10"),
+        (["export", "twin-01", "a.dxf"], "use a name that ends in"),
+        (["export", "twin-01", "a.json", "--resolution", "0.1"], "--resolution is for .yaml and .png"),
+        (["generate", "office", "300", "--out", "taken/a.json"], "cannot write taken/a.json: "),
+        (["check", "none"], "one check failed"),
+    ],
+)
+def test_mistakes_end_with_one_line_and_status_2(arguments, message, refusal, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").touch()
+    assert message in refusal(main, ["maps", *arguments])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "least"),
+    [
+        ("generate office 300 --count 0", 1),
+        ("generate office 300 --seed -1", 0),
+        ("import plan.png --seed -1", 0),
+        ("check --fuzz 0", 1),
+        ("check --fuzz 2 --seed -3", 0),
+    ],
+)
+def test_numbers_out_of_range_are_rejected(arguments, least, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        run(*arguments.split())
+    assert stopped.value.code == 2
+    assert f"must be a whole number of at least {least}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [[], ["list"], ["show"], ["generate"], ["import"], ["export"], ["check"]])
+def test_help_explains_the_names_of_maps(command, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        run(*command, "--help")
+    assert stopped.value.code == 0
+    assert "gen:office:800:7" in capsys.readouterr().out
+
+
+def test_folders_of_maps_and_pictures_are_created(tmp_path):
+    assert run("generate", "office", "300", "--out", tmp_path / "new" / "a.json") == 0
+    assert run("import", tmp_path / "new" / "a.json", "--out", tmp_path / "brought" / "in" / "a.json") == 0
+    assert run("export", "sfw-e1", tmp_path / "given" / "a.yaml") == 0
+    assert load_map(str(tmp_path / "brought" / "in" / "a.json")).floor_area_m2 > 200
+    assert load_map(str(tmp_path / "given" / "a.yaml")).floor_area_m2 > 10
+    pytest.importorskip("matplotlib")
+    assert run("show", "sfw-e1", "--no-signal", "--out", tmp_path / "drawn" / "a.png") == 0
+    assert (tmp_path / "drawn" / "a.png").exists()
+
+
+def test_a_fault_of_a_map_is_printed_once(capsys):
+    assert run("check", "none", "sfw-e1", "gone") == 2
+    said = capsys.readouterr()
+    assert said.out.count("no map named 'none'") == said.out.count("no map named 'gone'") == 1
+    assert said.err == "error: 2 checks failed\n"
+
+
+def test_repeated_layouts_and_faults_of_mutated_files_are_printed(monkeypatch, capsys):
+    monkeypatch.setattr("twc_env.soak.map_fuzz.SECONDS_MAX", 0.0)
+    assert run("check", "--fuzz", "3") == 2
+    assert "more than 0 s" in capsys.readouterr().out
+    monkeypatch.setattr("twc_env.world.building.splits.split_layouts", lambda split: ["one layout"])
+    assert run("check", "--splits") == 2
+    assert "FAULT  validation/0000 repeats the layout of train/0000" in capsys.readouterr().out

@@ -1,0 +1,57 @@
+"""docs/papers.md and the code agree: items, modules, settings, tables and maps that they name exist."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from twc_env.config import EnvConfig, override
+from twc_env.maps import map_names
+from twc_env.reproduce.runner import TABLES
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "docs" / "papers.md").read_text()
+ITEMS = {
+    f"{kind}{number}"
+    for kind, first, last in re.findall(r"\b([TKRX])(\d+)(?:-[TKR](\d+))?", TEXT)
+    for number in range(int(first), int(last or first) + 1)
+}
+QUOTED = set(re.findall(r"`([^`]+)`", TEXT))
+
+
+def test_every_item_named_in_the_code_is_in_the_document():
+    named = {}
+    for path in [*(ROOT / "twc_env").rglob("*.py"), *(ROOT / "agents").glob("*.py")]:
+        for words in re.findall(r"papers\.md ((?:[TKRX]\d+[a-z]?(?:, |-| and )?)+)", path.read_text()):
+            named |= dict.fromkeys(re.findall(r"[TKRX]\d+", words), path.name)
+    assert len(named) > 20
+    assert {item: where for item, where in named.items() if item not in ITEMS} == {}
+
+
+@pytest.mark.parametrize("name", sorted(q for q in QUOTED if re.match(r"(slam|world|metrics|reproduce)\.\w+$", q)))
+def test_every_module_named_in_the_document_exists(name):
+    package, module = name.split(".")
+    own = (ROOT / "twc_env" / package / f"{module}.py").exists()
+    assert own or f'"{module}"' in (ROOT / "twc_env" / package / "__init__.py").read_text() or is_setting(name)
+
+
+@pytest.mark.parametrize("name", sorted(q for q in QUOTED if " = " in q and "." in q))
+def test_every_setting_in_the_document_is_valid(name):
+    key, value = name.split(" = ")
+    assert override(EnvConfig(), {key: value.strip('"')})
+
+
+def test_tables_and_maps_named_in_the_document_exist():
+    tables = {q.split()[0] for q in QUOTED if re.match(r"(twc|sfw|radio|real)-[a-z]", q)}
+    known = {*TABLES, *map_names(), "radio-survey"}
+    assert {name for name in tables if name not in known} == set()
+
+
+def is_setting(name: str) -> bool:
+    """Whether the name is a dotted key of the config."""
+    at: object = EnvConfig()
+    for part in name.split("."):
+        if not hasattr(at, part):
+            return False
+        at = getattr(at, part)
+    return True

@@ -1,0 +1,54 @@
+"""Repeated evaluation of maps with more keyframes than are used."""
+
+import numpy as np
+import pytest
+
+from twc_env.exploration.assessment.map_evaluation import JUDGED_MAX, MapEvaluators, lay
+from twc_env.maps import load_map
+from twc_env.records.geometry import compose
+from twc_env.records.messages import GridMap
+
+
+@pytest.fixture(scope="module")
+def cells():
+    return load_map("twin-01").cells()
+
+
+def judged(count, robots=3, seed=0, apart_m=0.0):
+    """Arguments of `MapEvaluators.judge` for a map of so many keyframes; apart_m: error of the last robot's frame."""
+    random = np.random.default_rng(seed)
+    robot_of, steps = random.integers(0, robots, count), np.sort(random.integers(0, 900, count))
+    truth = random.normal(0.0, 5.0, (900, robots, 3))
+    poses = compose([1.0, 2.0, 0.5], truth[steps, robot_of]) + random.normal(0.0, 0.01, (count, 3))
+    poses[robot_of == robots - 1, 0] += apart_m
+    is_own = robot_of == np.arange(robots)[:, None]
+    nodes = poses, steps, np.argsort(~is_own, axis=1, kind="stable"), is_own.sum(axis=1)
+    log_odds = random.integers(-20, 20, (160, 192)).astype(np.int16)
+    grid = GridMap(log_odds, np.array([-4.0, -4.0]), 0.1, touched=np.ones((10, 3), np.int64))
+    return tuple(range(robots)), nodes, truth, grid
+
+
+@pytest.mark.parametrize("count", [500, JUDGED_MAX, JUDGED_MAX + 1, 2 * JUDGED_MAX + 1, 3 * JUDGED_MAX])
+@pytest.mark.parametrize("apart_m", [0.0, 5.0])
+def test_a_copy_judges_a_map_as_the_original_does(cells, count, apart_m):
+    judges, arguments = MapEvaluators(), judged(count, apart_m=apart_m)
+    first, again = (judges.judge(0, *arguments, cells) for _ in range(2))
+    assert first == again
+    assert len(first[1]) == (2 if apart_m else 0)
+
+
+@pytest.mark.parametrize("apart_m", [0.0, 5.0])
+def test_the_memory_of_judging_is_bounded(cells, apart_m):
+    judges, rows = MapEvaluators(), []
+    for count in (JUDGED_MAX // 2, JUDGED_MAX, 3 * JUDGED_MAX, 20 * JUDGED_MAX):
+        arguments = judged(count, apart_m=apart_m)
+        for _ in range(2):
+            judges.judge(0, *arguments, cells)
+        rows.append(max(map(len, judges._room)))
+    assert max(rows) == JUDGED_MAX + 3
+
+
+def test_a_subset_of_many_keyframes_gives_nearly_the_alignment_of_all(cells):
+    robots, nodes, truth, grid = judged(5 * JUDGED_MAX)
+    pose, _, _ = MapEvaluators().judge(0, robots, nodes, truth, grid, cells)
+    assert pose == pytest.approx(lay(robots, nodes, truth)[0], abs=0.01)

@@ -1,0 +1,295 @@
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+import twc_env
+from tests.conftest import wander_by_scan
+from twc_env.__main__ import main
+from twc_env.bench.rates import wander
+from twc_env.errors import ConfigError, DataError
+from twc_env.exploration.trace import FREE, TRACE_KEYS, UNKNOWN, WALL
+from twc_env.pictures.replay_page import write_page
+from twc_env.pictures.rerun_export import rectangles, write_rerun
+
+STEPS = 120
+
+
+def play(watched: bool):
+    env = twc_env.parallel_env(map="twin-02", robots=2, max_cycles=STEPS, config={"lidar.beam_count": 90})
+    env.reset(seed=3)
+    trace = twc_env.EpisodeTrace(env, period_s=1.0) if watched else None
+    seen = []
+    for actions in wander(env, 3):
+        observations, rewards, *_ = env.step(actions)
+        seen.append((observations["robot_0"]["map"].tobytes(), rewards["robot_0"]))
+        if trace is not None:
+            trace.note(rewards)
+    return env, trace, seen
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    env, trace, _ = play(watched=True)
+    trace.write(folder / "trace.npz")
+    (folder / "report.json").write_text(json.dumps({**env.result().figures, "agent": "wanderer"}))
+    return folder
+
+
+def data_of(page) -> dict:
+    text = page.read_text(encoding="utf-8")
+    start = text.index('type="application/json">') + len('type="application/json">')
+    return json.loads(text[start : text.index("</script>", start)])
+
+
+def test_a_trace_does_not_affect_the_episode():
+    env, _, seen = play(watched=True)
+    other, _, unwatched = play(watched=False)
+    assert seen == unwatched
+    assert env.result().figures == other.result().figures
+
+
+def test_the_last_moment_of_the_page_equals_the_report(run):
+    data = data_of(write_page(run, run / "page.html"))
+    last, report = data["moments"][-1], data["report"]
+    assert last["step"] == STEPS == report["steps"]
+    for key in ("coverage_correct", "wall_iou", "team_ate_m", "merged_robots", "bytes_sent"):
+        assert last["figures"][key] == pytest.approx(report[key], rel=1e-12), key
+    assert last["figures"]["closures_accepted"] == report["closures"]["accepted"]
+    assert len(data["true_poses"]) == len(data["estimated_poses"]) == STEPS + 1
+
+
+@pytest.mark.parametrize("kind", ["velocity", "frontier"])
+def test_estimates_stay_beside_the_true_robots_at_the_start_after_merges_and_within_long_actions(tmp_path, kind):
+    env = twc_env.parallel_env(map="gen:office:100:1", robots=2, max_cycles=270, config={"action.kind": kind})
+    observations, infos = env.reset(seed=4)
+    trace, merged = twc_env.EpisodeTrace(env, period_s=20.0), 0
+    while env.agents:
+        if kind == "frontier":
+            actions = {agent: int(np.argmax(infos[agent]["action_mask"])) for agent in env.agents}
+        else:
+            ranges_m = [10 * observations[agent]["lidar"] for agent in env.agents]
+            actions = {a: wander_by_scan(ranges_m[k], env.episode.steps, 3 * k) for k, a in enumerate(env.agents)}
+        observations, rewards, _, _, infos = env.step(actions)
+        trace.note(rewards)
+        merged += bool(env.belief("robot_0").mates)
+    trace.write(tmp_path / "trace.npz")
+    drawn = np.load(tmp_path / "trace.npz")
+    away_m = np.linalg.norm((drawn["estimated_poses"] - drawn["true_poses"])[..., :2], axis=-1)
+    assert merged and away_m.max() < 0.1
+
+
+def test_long_episodes_keep_a_bounded_number_of_moments(monkeypatch):
+    monkeypatch.setattr("twc_env.exploration.trace.MOMENTS_MAX", 4)
+    _, trace, _ = play(watched=True)
+    assert len(trace._moments) <= 5
+
+
+def test_the_command_writes_the_page_into_the_run_folder(run, capsys):
+    assert main(["replay", str(run), "--html"]) == 0
+    assert (run / "replay.html").stat().st_size > 10_000
+    assert "replay.html" in capsys.readouterr().out
+
+
+def test_the_error_of_an_incomplete_trace_or_report_names_it(run, tmp_path):
+    with np.load(run / "trace.npz") as data:
+        trace = {key: data[key] for key in data.files}
+    for missing in TRACE_KEYS:
+        np.savez(tmp_path / "trace.npz", **{key: value for key, value in trace.items() if key != missing})
+        with pytest.raises(DataError, match=f"lacks {missing}"):
+            write_page(tmp_path, tmp_path / "page.html")
+    shutil.copy(run / "trace.npz", tmp_path)
+    for report in ("[]", "{}", '{"map": "twin-01"}'):
+        (tmp_path / "report.json").write_text(report)
+        with pytest.raises(DataError, match="not a report with config_digest, map, seed, version"):
+            write_page(tmp_path, tmp_path / "page.html")
+
+
+@pytest.mark.parametrize("name", ["trace.npz", "report.json"])
+def test_the_error_of_a_missing_or_corrupt_file_names_it(run, tmp_path, name):
+    for other in ("trace.npz", "report.json"):
+        shutil.copy(run / other, tmp_path / other)
+    (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:40])
+    with pytest.raises(DataError, match=name):
+        write_page(tmp_path, tmp_path / "page.html")
+    (tmp_path / name).unlink()
+    with pytest.raises(DataError, match=name):
+        write_page(tmp_path, tmp_path / "page.html")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"moments": np.array("[")},
+        {"moments": np.array("[]")},
+        {"moments": np.array("3")},
+        {"map_ends": np.zeros(1, np.int64)},
+        {"walls_m": np.zeros(3)},
+        {"sign_texts": np.array("{")},
+        {"config": np.array("{")},
+        {"true_poses": np.full((3, 2, 3), np.nan)},
+        {"signal_dbm": np.array("loud")},
+    ],
+    ids=lambda change: "-".join(change),
+)
+def test_the_error_of_an_inconsistent_trace_names_it_in_one_line(run, tmp_path, change):
+    with np.load(run / "trace.npz") as data:
+        np.savez(tmp_path / "trace.npz", **{**data, **change})
+    shutil.copy(run / "report.json", tmp_path)
+    with pytest.raises(DataError, match=r"trace\.npz") as error:
+        write_page(tmp_path, tmp_path / "page.html")
+    assert "\n" not in str(error.value) and not (tmp_path / "page.html").exists()
+
+
+def with_odd_names(run, folder):
+    """A copy of a run with markup in its names, which would change the page if it were not escaped."""
+    names = ["<!-- <script>", "</script><script>alert(1)</script>", "__TITLE__", "&lt;", "\u2028\\n"]
+    with np.load(run / "trace.npz") as data:
+        np.savez(folder / "trace.npz", **{**data, "sign_texts": np.array(json.dumps(names))})
+    report = json.loads((run / "report.json").read_text())
+    (folder / "report.json").write_text(json.dumps({**report, "map": "__DATA__ <b>.json", "agent": "<i>"}))
+    return names
+
+
+def test_names_are_escaped_in_the_page(run, tmp_path):
+    names = with_odd_names(run, tmp_path)
+    plain, odd = write_page(run, tmp_path / "plain.html"), write_page(tmp_path, tmp_path / "odd.html")
+    assert data_of(odd)["sign_texts"] == names
+    tags = [re.findall(r"<[!/]?[a-z-]*", page.read_text(encoding="utf-8")) for page in (plain, odd)]
+    assert tags[0] == tags[1]
+    assert "<title>&lt;i&gt; on __DATA__ &lt;b&gt;.json" in odd.read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium (extra 'dev')")
+    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if not (chromium and driver):
+        pytest.skip("needs Debian's packages chromium and chromium-driver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for argument in ("headless", "no-sandbox", "disable-gpu", "no-first-run", "disable-background-networking"):
+        options.add_argument(f"--{argument}")
+    options.add_argument("--window-size=1300,900")
+    with webdriver.Chrome(options=options, service=webdriver.ChromeService(driver)) as page:
+        yield page
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_a_browser_loads_and_plays_the_page_and_shows_the_figures_of_the_report(run, browser):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    wait = WebDriverWait(browser, 30)
+    browser.get(write_page(run, run / "page.html").as_uri())
+    wait.until(lambda b: b.find_element("tag name", "body").get_attribute("data-ready") == "yes")
+    picture = "return Array.from(document.getElementById('stage').getContext('2d').getImageData(0, 0, 900, 400).data)"
+    before = np.array(browser.execute_script(picture))
+    assert before.std() > 5.0  # something is drawn
+
+    browser.execute_script(
+        "const s = document.getElementById('slider'); s.value = 100; s.dispatchEvent(new Event('input'))"
+    )
+    assert "step 100" in browser.find_element("id", "time").text
+    assert not np.array_equal(before, browser.execute_script(picture))
+
+    browser.find_element("id", "play").click()
+    wait.until(lambda b: f"step {STEPS} of {STEPS}" in b.find_element("id", "time").text)
+    for layer in browser.find_elements("css selector", "[data-layer]"):
+        layer.click()
+
+    report = json.loads((run / "report.json").read_text())
+    for key in ("team_ate_m", "coverage_correct", "merged_robots", "bytes_sent", "path_length_m"):
+        row = browser.find_element("css selector", f"#figures [data-key='{key}']")
+        assert json.loads(row.get_attribute("data-value")) == report[key]
+        assert float(row.find_element("tag name", "b").text) == pytest.approx(report[key], abs=5e-5)
+    errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    assert errors == []
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_a_browser_shows_names_that_contain_markup(run, tmp_path, browser):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    with_odd_names(run, tmp_path)
+    browser.get(write_page(tmp_path, tmp_path / "page.html").as_uri())
+    WebDriverWait(browser, 30).until(lambda b: b.find_element("tag name", "body").get_attribute("data-ready") == "yes")
+    assert browser.find_element("tag name", "h1").text.startswith("<i> on __DATA__ <b>.json")
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_texts_of_signs_at_the_edges_stay_inside_the_picture(run, browser):
+    browser.get(write_page(run, run / "page.html").as_uri())
+    width, height = browser.execute_script("return [stage.width, stage.height]")
+    for u, v in ((0, 0), (width, 0), (0, height), (width, height), (width / 2, height / 2)):
+        left, top, right, bottom = browser.execute_script(f"return textBox({u}, {v}, 90)")
+        assert 0 <= left < right <= width and 0 <= top < bottom <= height
+        assert not (left <= u <= right and top <= v <= bottom)
+
+
+def test_the_recording_contains_every_step_and_the_figures_of_the_report(run, capsys):
+    chunk = pytest.importorskip("rerun.chunk", reason="needs rerun-sdk (extra 'rerun')")
+    assert main(["replay", str(run), "--rerun"]) == 0
+    assert "replay.rrd" in capsys.readouterr().out
+    reader = chunk.RrdReader(str(run / "replay.rrd"))
+    assert [entry.application_id for entry in reader.recordings()] == ["twc_env"]
+    store = reader.store()
+    paths = set(store.schema().entity_paths())
+    assert {"/building/walls", "/building/signs", "/team/maps/0", "/team/closures/accepted", "/report"} <= paths
+    assert {f"/{who}/robot_{k}/place" for who in ("building", "team") for k in range(2)} <= paths
+    summary = store.summary()
+    assert f"/building/robot_1/place rows={STEPS + 1} " in summary
+    assert "/figures/shares/coverage_correct" in summary
+
+
+def test_rectangles_cover_each_known_cell_once():
+    random = np.random.default_rng(0)
+    kinds = random.choice(np.array([UNKNOWN, FREE, WALL], np.uint8), (30, 40), p=[0.2, 0.6, 0.2])
+    kinds[10:20, 5:25] = FREE
+    boxes, kind = rectangles(kinds)
+    painted, times = np.zeros_like(kinds), np.zeros(kinds.shape, int)
+    for (first, end, low, high), what in zip(boxes, kind, strict=True):
+        painted[low:high, first:end] = what
+        times[low:high, first:end] += 1
+    assert np.array_equal(painted, kinds)
+    assert times.max() == 1
+    assert len(rectangles(np.full((50, 50), FREE, np.uint8))[0]) == 1
+    assert len(rectangles(np.zeros((5, 5), np.uint8))[0]) == 0
+
+
+def test_without_rerun_the_error_names_the_extra(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"twc_env\[rerun\]"):
+        write_rerun(run, tmp_path / "x.rrd")
+
+
+def test_the_error_of_rerun_names_a_corrupt_run_or_an_unwritable_path(run, tmp_path):
+    pytest.importorskip("rerun", reason="needs rerun-sdk (extra 'rerun')")
+    shutil.copy(run / "report.json", tmp_path)
+    with pytest.raises(DataError, match=r"trace\.npz"):
+        write_rerun(tmp_path, tmp_path / "x.rrd")
+    with np.load(run / "trace.npz") as data:
+        np.savez(tmp_path / "trace.npz", **{**data, "map_ends": np.zeros(1, np.int64)})
+    with pytest.raises(DataError, match="contradicts itself"):
+        write_rerun(tmp_path, tmp_path / "x.rrd")
+    with pytest.raises(DataError, match="--rerun"):
+        write_rerun(run, tmp_path / "report.json" / "x.rrd")
+
+
+@pytest.mark.parametrize("what", ["--html", "--rerun"])
+def test_missing_folders_are_created(what, run, tmp_path):
+    if what == "--rerun":
+        pytest.importorskip("rerun")
+    path = tmp_path / "new" / "deep" / "replay"
+    assert main(["replay", str(run), what, str(path)]) == 0
+    assert path.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("what", ["--html", "--rerun"])
+def test_the_error_of_a_missing_run_folder_names_it(what, tmp_path, capsys):
+    assert main(["replay", str(tmp_path / "gone"), what]) == 2
+    assert f"there is no run folder {tmp_path / 'gone'}: " in capsys.readouterr().err
+    assert main(["replay", str(tmp_path / "gone")]) == 2
+    assert f"there is no run folder or log {tmp_path / 'gone'}: " in capsys.readouterr().err

@@ -1,0 +1,45 @@
+import os
+import subprocess
+import sys
+
+import pytest
+
+SITE = """\
+import os, signal, sys
+
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == os.environ["INTERRUPT_AT"]:
+            os.kill(os.getpid(), signal.SIGINT)
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what it runs in the background
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Interrupt())
+"""
+
+
+def interrupted(tmp_path, module: str, *command: str) -> subprocess.CompletedProcess:
+    """Run a command that is interrupted when it imports a certain module."""
+    (tmp_path / "sitecustomize.py").write_text(SITE)
+    path = os.pathsep.join([str(tmp_path), os.getcwd(), os.environ.get("PYTHONPATH", "")])
+    env = os.environ | {"PYTHONPATH": path, "INTERRUPT_AT": module}
+    return subprocess.run([sys.executable, *command], capture_output=True, text=True, env=env)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent by a signal of POSIX")
+@pytest.mark.parametrize("module", ["numpy", "gymnasium", "pettingzoo", "twc_env.running.command_line"])
+@pytest.mark.parametrize("package", ["twc_env", "agents", "training"])
+def test_ctrl_c_during_import_prints_one_line(tmp_path, package, module):
+    done = interrupted(tmp_path, module, "-m", package, "--help")
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent by a signal of POSIX")
+def test_other_programs_get_a_keyboard_interrupt(tmp_path):
+    (tmp_path / "stranger").mkdir()
+    (tmp_path / "stranger" / "__init__.py").write_text("import twc_env\n")
+    program = "import twc_env\ntry:\n    import colorsys\nexcept KeyboardInterrupt:\n    print('tidied up')\n"
+    (tmp_path / "stranger" / "__main__.py").write_text(program)
+    for command in (("-m", "stranger"), ("-c", program)):
+        done = interrupted(tmp_path, "colorsys", *command)
+        assert (done.returncode, done.stdout, done.stderr) == (0, "tidied up\n", "")

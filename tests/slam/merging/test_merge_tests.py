@@ -1,0 +1,112 @@
+"""Relative pose of two groups from closures of which some are false."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from twc_env.config import MergingConfig
+from twc_env.records.geometry import between, compose
+from twc_env.records.messages import LoopCandidate, LoopClosure, SignObservation
+from twc_env.slam.merging.merge_tests import MergeTests
+
+PLACES = 12
+PATH = np.stack([2.0 * np.arange(PLACES), np.zeros(PLACES), np.zeros(PLACES)], axis=1)
+"""Path of both robots, each in its own map: a keyframe every 2 m."""
+TRUE, A_SHELF_ASIDE, ELSEWHERE = (5.0, 1.0, 0.0), (5.0, 3.2, 0.0), (9.0, -4.0, 0.0)
+GRAPH = SimpleNamespace(poses=np.concatenate([PATH, PATH]), node=lambda key: PLACES * key[0] + key[1])
+
+
+def say(count: int, pose_a_b: tuple, recogniser: str) -> list[LoopClosure]:
+    """Closures that put robot 1 at a pose in the map of robot 0."""
+    made = []
+    for k in range(count):
+        pose = between(PATH[k], compose(np.array(pose_a_b), PATH[k]))
+        sign = {"sign_m": np.zeros(2), "text_similarity": 1.0} if recogniser == "twc" else {}
+        candidate = LoopCandidate((0, k), (1, k), pose, recogniser, **sign)
+        made.append(LoopClosure(candidate, pose, np.diag([0.01, 0.01, 0.002]), 0.9, "pending"))
+    return made
+
+
+def judge(doubts_radio: bool = True) -> MergeTests:
+    return MergeTests(MergingConfig(), GRAPH, doubts_radio=doubts_radio)
+
+
+def place_said(closures: list[LoopClosure], others: int = 0):
+    found = judge().proposal(closures, (0,), others)
+    return None if found is None else pytest.approx(tuple(found.pose_a_b), abs=1e-6)
+
+
+@pytest.mark.parametrize("recogniser", ["wifi", "meeting"])
+@pytest.mark.parametrize(("agree", "others"), [(4, 0), (8, 2)])
+def test_consistent_wifi_closures_are_enough_for_a_merge(agree, others, recogniser):
+    elsewhere = say(others, ELSEWHERE, recogniser)
+    assert place_said(say(agree, TRUE, recogniser) + elsewhere) == TRUE
+    assert place_said(say(agree - 1, TRUE, recogniser) + elsewhere) is None
+
+
+def test_inconsistent_wifi_closures_give_no_proposal():
+    closures = say(6, A_SHELF_ASIDE, "wifi") + say(2, TRUE, "wifi") + say(1, ELSEWHERE, "wifi")
+    assert place_said(closures) is None
+
+
+def test_sign_closures_decide_if_wifi_closures_are_inconsistent():
+    false = say(6, A_SHELF_ASIDE, "wifi") + say(5, ELSEWHERE, "wifi")
+    assert place_said(false + say(3, TRUE, "twc")) == TRUE
+    assert place_said(false + say(2, TRUE, "twc")) is None
+
+
+def test_sign_closures_may_be_inconsistent():
+    assert place_said(say(4, TRUE, "twc") + say(3, ELSEWHERE, "twc")) == TRUE
+
+
+def test_closures_of_the_present_merge_count_against_wifi_but_not_against_sign_closures():
+    a_room_aside = say(7, A_SHELF_ASIDE, "meeting")
+    assert place_said(a_room_aside, others=1) == A_SHELF_ASIDE
+    assert place_said(a_room_aside, others=2) is None
+    assert place_said(say(3, TRUE, "twc"), others=17) == TRUE
+
+
+@pytest.mark.parametrize("recogniser", ["wifi", "meeting"])
+def test_sign_closures_outweigh_any_number_of_wifi_closures(recogniser):
+    sounds, signs = say(9, TRUE, recogniser), say(2, ELSEWHERE, "twc")
+    assert judge().weight(sounds, (0,)) < judge().weight(signs, (0,))
+    assert judge(doubts_radio=False).weight(sounds, (0,)) > judge(doubts_radio=False).weight(signs, (0,))
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_loose_closures_have_no_weight(axis):
+    loose = say(8, TRUE, "wifi")
+    for closure in loose:
+        closure.covariance[axis, axis] = 4.0
+    assert all(closure.is_loose for closure in loose)
+    assert place_said(loose) is None
+    assert judge(doubts_radio=False).proposal(loose, (0,)) is None
+    assert place_said(say(3, ELSEWHERE, "twc") + loose) == ELSEWHERE
+    assert judge(doubts_radio=False).weight(loose, (0,)) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(("before_m", "after_m", "may"), [(0.0, 2.0, False), (2.0, 0.0, True), (2.0, 4.0, True)])
+def test_a_solution_that_overlays_paths_with_different_signs_is_rejected(before_m, after_m, may):
+    doors = [[SignObservation(f"A10{k}", np.array([0.0, 1.0]), np.pi / 2)] * 2 for k in range(PLACES)]
+    ways = [[SimpleNamespace(signs=signs) for signs in doors]] * 2
+    nodes = np.arange(2 * PLACES)
+    graph = SimpleNamespace(**vars(GRAPH), keyframes=ways, path_of=lambda robot: PLACES * robot + np.arange(PLACES))
+    few, more = say(3, TRUE, "twc"), say(6, ELSEWHERE, "twc")
+    for number, closure in enumerate(few + more):
+        closure.number = number
+
+    def answer(believed, ahead_m):
+        return believed, np.concatenate([PATH, PATH + (ahead_m, 0.0, 0.0)])
+
+    asked = MergeTests(MergingConfig(), graph)
+    assert asked.may_replace((0, 1), nodes, answer(few, before_m), answer(more, after_m)) is may
+    assert not asked.may_replace((0, 1), nodes, answer(more, before_m), answer(few, after_m)), "fewer signs"
+
+
+def test_closures_by_lidar_alone_must_agree_at_many_places():
+    deaf = MergeTests(MergingConfig(wifi_check=False), GRAPH)
+    few, enough = (deaf.proposal(say(count, TRUE, "lidar"), (0,)) for count in (7, 8))
+    assert not deaf.cues_confirm((0,), (1,), few) and deaf.cues_confirm((0,), (1,), enough)
+    one_will_do = MergeTests(MergingConfig(wifi_check=False, spread_min_m=0.0), GRAPH)
+    assert one_will_do.cues_confirm((0,), (1,), few)

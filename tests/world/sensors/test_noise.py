@@ -1,0 +1,38 @@
+import numpy as np
+import pytest
+
+from twc_env.world.sensors.noise import StepNoise, normal_quantiles
+
+
+def streams(*seeds):
+    return [np.random.default_rng(seed) for seed in seeds]
+
+
+def test_numbers_in_blocks_equal_those_drawn_step_by_step():
+    noise = StepNoise(streams(1, 2), 3).beside(streams(3, 4), 2, "random")
+    normal, uniform = streams(1, 2), streams(3, 4)
+    for _ in range(150):
+        found = noise.next()
+        for robot in range(2):
+            assert found[robot, :3] == pytest.approx(normal[robot].standard_normal(3), abs=0)
+            assert found[robot, 3:] == pytest.approx(uniform[robot].random(2), abs=0)
+
+
+def test_words_differ_between_steps_and_robots_and_repeat_with_the_seed():
+    first, second = StepNoise(streams(1, 2), 4, "bits"), StepNoise(streams(1, 2), 4, "bits")
+    seen = set()
+    for _ in range(100):
+        words = first.next().copy()
+        assert np.array_equal(words, second.next())
+        seen.update(words.ravel().tolist())
+    assert len(seen) == 100 * 2 * 4
+
+
+def test_the_quantiles_have_the_moments_of_the_normal_distribution():
+    quantiles = normal_quantiles(4096)
+    assert len(quantiles) == 4096 and (np.diff(quantiles) > 0).all()
+    assert quantiles.mean() == pytest.approx(0.0, abs=1e-12)
+    assert quantiles.std() == pytest.approx(1.0, abs=1e-12)
+    assert (quantiles**4).mean() == pytest.approx(3.0, abs=0.03)
+    assert np.mean(np.abs(quantiles) < 1.0) == pytest.approx(0.6827, abs=0.001)
+    assert 3.6 < quantiles[-1] < 3.8

@@ -1,0 +1,1 @@
+"""Speed, and that of other simulators in the same run."""

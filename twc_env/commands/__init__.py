@@ -1,0 +1,1 @@
+"""The sub-commands of `twc-env`, one per file."""

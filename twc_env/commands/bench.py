@@ -1,0 +1,115 @@
+"""`python -m twc_env bench`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Any
+
+from twc_env.records.json_values import write_json
+from twc_env.running.command_line import add_json, add_set, aligned, assignments, count
+
+if TYPE_CHECKING:
+    from twc_env.config import EnvConfig
+
+
+def add_bench_parser(commands: argparse._SubParsersAction) -> None:
+    """Arguments of the command."""
+    speed = commands.add_parser(
+        "bench",
+        help="measure steps per second, with and without SLAM",
+        description="Measure steps per second over whole episodes of robots driven by a reactive policy (median over "
+        "episodes). Compare only values from the same machine and run.",
+        epilog="examples:\n  python -m twc_env bench --json runs/bench.json\n"
+        "  python -m twc_env bench --map gen:office:800:7 --robots 5 --set link.range_max_m=10\n"
+        "  python -m twc_env bench --parts\n"
+        "  python -m twc_env bench --vector --map twin-02 --steps 1000\n"
+        "  python -m twc_env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer",
+    )
+    speed.add_argument("--map", default="twin-01", help="bundled name, generated name or file")
+    speed.add_argument("--robots", type=count, default=3, help="number of robots")
+    speed.add_argument("--beams", type=count, default=180, help="beams per scan")
+    speed.add_argument("--steps", type=count, default=1500, help="steps per episode")
+    speed.add_argument("--episodes", type=count, default=3, help="number of episodes, with seeds 0, 1, ...")
+    add_set(speed)
+    instead = speed.add_mutually_exclusive_group()
+    instead.add_argument("--parts", action="store_true", help="print the time of each part of a step instead")
+    instead.add_argument(
+        "--peers",
+        action="store_true",
+        help="compare with IR-SIM and MPE2 on one core (pip install 'twc_env[peers]'); also start-up time, memory, "
+        "two workers and --scaling; settings are fixed",
+    )
+    instead.add_argument(
+        "--scaling",
+        action="store_true",
+        help="cost of the simulated world by number of walls, beams, robots and area; resets of large buildings; "
+        "settings are fixed",
+    )
+    instead.add_argument(
+        "--vector",
+        action="store_true",
+        help="VectorTeams with 8, 16 and 32 environments: two workers against none, in lockstep and asynchronously",
+    )
+    instead.add_argument("--long", action="store_true", help="step times along one long episode, in tenths")
+    add_json(speed)
+    speed.set_defaults(run=_bench)
+
+
+def _bench(options: argparse.Namespace) -> None:
+    from twc_env.bench.rates import bench
+    from twc_env.config import EnvConfig, override
+
+    settings = {"map": options.map, "robots": options.robots, "lidar.beam_count": options.beams}
+    config = override(EnvConfig(), {**settings, "max_cycles": options.steps, **assignments(options.set)})
+    if options.parts:
+        _bench_parts(config, options)
+        return
+    if options.long:
+        _bench_long(config, options)
+        return
+    figures: dict[str, Any]
+    if options.vector:
+        from twc_env.bench.vector_teams import bench_vector
+
+        figures = dict(bench_vector(config, report=_report))
+    elif options.peers or options.scaling:
+        figures = _bench_peers(options)
+    else:
+        figures = bench(config, options.episodes, report=_report)
+    for key, value in figures.items():
+        if key == "scaling":
+            print(aligned(value))
+        else:
+            print(f"{key:<28} {value:,.3f}" if isinstance(value, float) else f"{key:<28} {value}")
+    write_json(options.json, figures)
+
+
+def _bench_peers(options: argparse.Namespace) -> dict:
+    from twc_env.bench.peers import bench_peers
+    from twc_env.bench.scaling import bench_large_reset, bench_scaling
+
+    figures = bench_peers(report=_report) if options.peers else {}
+    return figures | bench_large_reset() | {"scaling": bench_scaling(report=_report)}
+
+
+def _report(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _bench_parts(config: EnvConfig, options: argparse.Namespace) -> None:
+    from twc_env.bench.parts import bench_parts, table_of
+
+    rows = bench_parts(config, options.episodes, report=_report)
+    print(table_of(rows))
+    write_json(options.json, {row.part: round(row.robot_step_us, 3) for row in rows})
+
+
+def _bench_long(config: EnvConfig, options: argparse.Namespace) -> None:
+    from dataclasses import asdict
+
+    from twc_env.bench.long_episode import bench_long
+
+    stretches = [asdict(stretch) for stretch in bench_long(config, report=_report)]
+    print(aligned(stretches))
+    write_json(options.json, {"stretches": stretches})

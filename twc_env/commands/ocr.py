@@ -1,0 +1,58 @@
+"""`python -m twc_env ocr`: measure the table of OCR errors, and show it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from twc_env.running.command_line import add_folder, count, natural
+
+
+def add_ocr_parser(commands) -> None:
+    """The `ocr` command."""
+    parser = commands.add_parser(
+        "ocr",
+        help="measure how a real OCR misreads signs, or show the measured table",
+        description="Measure how a real OCR misreads signs, or show the measured table (docs/ocr.md).",
+        epilog="example:\n  python -m twc_env ocr show --out runs/ocr.png",
+    )
+    actions = parser.add_subparsers(required=True, metavar="ACTION")
+
+    make = actions.add_parser(
+        "measure",
+        help="render signs, read them with a real OCR, write the error table (about 10 minutes; extra `ocr`)",
+        description="Render signs, read them with a real OCR and write the error table. Resumes if interrupted. The "
+        "table in the package was measured with the defaults.",
+        epilog="example:\n  python -m twc_env ocr measure --signs 4 --out runs/ocr/table.json",
+    )
+    make.add_argument("--out", type=Path, required=True, metavar="FILE", help="error table to write, JSON")
+    make.add_argument("--seed", type=natural, default=0, help="of signs and views")
+    make.add_argument("--signs", type=count, default=40, help="signs per grid point")
+    make.add_argument("--jobs", type=count, default=2, help="parallel processes")
+    add_folder(make, "--cache", "runs/ocr", "folder of finished parts")
+    make.set_defaults(run=_measure)
+
+    show = actions.add_parser(
+        "show",
+        help="draw sample signs and the error rates of the table (extra `ocr`)",
+        description="Draw sample signs with their readings and the error rates of the table.",
+        epilog="example:\n  python -m twc_env ocr show --out runs/ocr.png",
+    )
+    show.add_argument("--out", type=Path, required=True, metavar="FILE", help="picture to write, PNG")
+    show.set_defaults(run=_show)
+
+
+def _measure(options: argparse.Namespace) -> None:
+    from twc_env.reproduce.ocr.ocr_measure import measure
+
+    table = measure(options.out, options.seed, options.signs, options.cache, options.jobs)
+    print(
+        f"{table['made']['signs_read']} signs read; written: {options.out}, {options.out.stat().st_size / 1000:.0f} kB"
+    )
+
+
+def _show(options: argparse.Namespace) -> None:
+    from twc_env.reproduce.ocr.ocr_picture import draw_table
+
+    draw_table(options.out)
+    print(f"written: {options.out}")

@@ -1,0 +1,30 @@
+"""`python -m twc_env settings`."""
+
+from __future__ import annotations
+
+import argparse
+
+from twc_env.running.command_line import add_config, add_set, assignments, config_of
+
+
+def add_settings_parser(commands: argparse._SubParsersAction) -> None:
+    """Arguments of the command."""
+    parser = commands.add_parser(
+        "settings",
+        help="print every setting with its meaning, range and value, as a TOML file to start from",
+        description="Print settings as commented TOML; values that differ from the default are marked. The output is "
+        "a config file: save it, edit it, and pass it to --config or twc_env.config.load.",
+        epilog="examples:\n  python -m twc_env settings lidar slam.keyframe\n"
+        "  python -m twc_env settings --config twc/ExploreHard-v0 > hard.toml",
+    )
+    parser.add_argument("sections", nargs="*", metavar="SECTION", help="print only these, e.g. radio or slam.merging")
+    add_config(parser)
+    add_set(parser)
+    parser.set_defaults(run=_print)
+
+
+def _print(options: argparse.Namespace) -> None:
+    from twc_env.config import override
+    from twc_env.config.manual import as_toml
+
+    print(as_toml(override(config_of(options.config), assignments(options.set)), options.sections), end="")

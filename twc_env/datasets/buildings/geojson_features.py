@@ -1,0 +1,169 @@
+"""Features of a GeoJSON file: names, tags, and rings of longitudes and latitudes as areas in metres."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.datasets.buildings.outline import sides_of, simplified_ring, without_repeats
+from twc_env.errors import MapError
+
+SIMPLIFY_M = 0.05
+EXTENT_MAX_M = 2000.0
+"""Maximum extent of one floor."""
+_DOOR_WIDTH_M = 1.0
+_DOOR_WIDTHS_M = (0.9, 3.0)
+_DEGREES = ("CRS84", ":4326")
+"""Last parts of the names of WGS 84 in degrees."""
+_NUMBER_MAX = 1e15
+"""Greater numbers are no level, width or name."""
+_NO_FLOOR = ("shell", "wall", "door", "yes", "no")
+"""Tags of outlines and openings, which are not floor."""
+_REMEDY = "export it in longitude and latitude (WGS 84, EPSG:4326)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Area:
+    """One polygon of the file in metres."""
+
+    name: str
+    ring_m: Array
+    """(k, 2), not closed, counter-clockwise."""
+    holes_m: tuple[Array, ...] = ()
+    """Holes, clockwise."""
+
+
+def walls_of(ring: Array) -> Array:
+    """(j, 2, 2) ends of the walls along a ring (k, 2), straightened to `SIMPLIFY_M`."""
+    sides = sides_of(simplified_ring(ring, SIMPLIFY_M))
+    return sides[np.linalg.norm(sides[:, 1] - sides[:, 0], axis=1) > 1e-3]
+
+
+def signed_area_m2(ring: Array) -> float:
+    """Area of a ring (k, 2), positive if it is counter-clockwise."""
+    x, y = ring.T
+    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
+
+
+def distinct(areas: Iterable[Area]) -> list[Area]:
+    """Areas without duplicates; of coincident ones a named one is kept."""
+    found: dict[tuple, Area] = {}
+    for area in areas:
+        key = tuple(
+            np.round([*area.ring_m.min(axis=0), *area.ring_m.max(axis=0), abs(signed_area_m2(area.ring_m))], 1).tolist()
+        )
+        if key not in found or not found[key].name:
+            found[key] = area
+    return list(found.values())
+
+
+def properties_of(feature: dict) -> dict:
+    """The properties of a feature, or an empty dictionary."""
+    properties = feature.get("properties")
+    return properties if isinstance(properties, dict) else {}
+
+
+def name_of(feature: dict) -> str:
+    """The name in the properties, or ""."""
+    name = properties_of(feature).get("name")
+    return name.strip() if isinstance(name, str) else ""
+
+
+def tag_of(feature: dict, key: str) -> str:
+    """An OpenStreetMap tag, from `tags` or from the properties themselves, or ""."""
+    own = properties_of(feature)
+    tags = own.get("tags")
+    value = (tags if isinstance(tags, dict) else own).get(key, "")
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return f"{value:g}" if abs(value) < _NUMBER_MAX else ""
+    return value.strip() if isinstance(value, str) else ""
+
+
+def part_of(feature: dict) -> str:
+    """The kind of building part of an OpenStreetMap feature, in either tagging scheme, or ""."""
+    kind = tag_of(feature, "buildingpart") or tag_of(feature, "indoor")
+    return kind if kind not in _NO_FLOOR else ""
+
+
+def levels_of(feature: dict) -> list[str]:
+    """The levels of an OpenStreetMap feature: those of its relations, or its own, as in "0;1"."""
+    relations = properties_of(feature).get("relations")
+    tables = [r.get("reltags") for r in relations if isinstance(r, dict)] if isinstance(relations, list) else []
+    related = [t["level"] for t in tables if isinstance(t, dict) and isinstance(t.get("level"), str)]
+    return related or [level.strip() for level in tag_of(feature, "level").split(";") if level.strip()]
+
+
+def width_m_of(feature: dict) -> float:
+    """Width of a door, as tagged or by default, within plausible limits."""
+    try:
+        width_m = float(tag_of(feature, "width").removesuffix("m"))
+    except ValueError:
+        width_m = _DOOR_WIDTH_M
+    return float(np.clip(width_m, *_DOOR_WIDTHS_M)) if np.isfinite(width_m) else _DOOR_WIDTH_M
+
+
+def polygons_of(feature: dict, where: str) -> list[list[Array]]:
+    """Polygons of a feature, each as its rings (k, 2) [degrees]; [] for other shapes.
+
+    The outer ring comes first, counter-clockwise; the others are holes, clockwise. Rings of fewer than three corners
+    are left out, with their holes.
+    """
+    geometry = feature.get("geometry")
+    kind = geometry.get("type") if isinstance(geometry, dict) else None
+    if not isinstance(geometry, dict) or kind not in ("Polygon", "MultiPolygon"):
+        return []
+    try:
+        polygons = [geometry["coordinates"]] if kind == "Polygon" else list(geometry["coordinates"])
+        rings = [[np.array(ring, dtype=float) for ring in polygon] for polygon in polygons]
+        if not all(_is_ring(ring) for polygon in rings for ring in polygon):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise MapError(f"{where}: a {kind} must hold closed rings of [longitude, latitude]; export it again") from None
+    opened = [[_opened(ring, k == 0, where) for k, ring in enumerate(polygon)] for polygon in rings]
+    return [[ring for ring in polygon if len(ring) > 2] for polygon in opened if polygon and len(polygon[0]) > 2]
+
+
+def _is_ring(values: Array) -> bool:
+    return values.ndim == 2 and values.shape[1] >= 2 and len(values) >= 4 and bool(np.isfinite(values).all())
+
+
+def _opened(ring: Array, is_outer: bool, where: str) -> Array:
+    """Corners (k, 2) of a ring without the repeated first one, in the required direction."""
+    is_closed = np.array_equal(ring[0, :2], ring[-1, :2])
+    ring = without_repeats(ring[: -1 if is_closed else len(ring), :2])
+    _check_degrees(ring, where)
+    return ring if (signed_area_m2(ring) > 0) == is_outer else ring[::-1]
+
+
+def point_of(feature: dict, where: str) -> Array:
+    """(2,) [degrees] of a door."""
+    try:
+        point = np.array(feature["geometry"]["coordinates"][:2], dtype=float)
+        if point.shape != (2,):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise MapError(f"{where}: a door must be a Point [longitude, latitude]; export it again") from None
+    _check_degrees(point[None], where)
+    return point
+
+
+def check_reference(values: dict, where: str) -> None:
+    """Raise MapError if the `crs` of a file (first version of the format only) is not WGS 84 in degrees."""
+    crs = values.get("crs")
+    if crs is None:
+        return
+    table = crs.get("properties") if isinstance(crs, dict) else None
+    name = str(table.get("name") if isinstance(table, dict) else crs)
+    if not name.upper().endswith(_DEGREES):
+        raise MapError(f"{where} is drawn in {name[:60]}; {_REMEDY}")
+
+
+def _check_degrees(places: Array, where: str) -> None:
+    """Raise MapError if points (k, 2) cannot be longitudes and latitudes."""
+    is_odd = ~(np.abs(places) <= (180.0, 90.0)).all(axis=1)
+    if is_odd.any():
+        x, y = places[is_odd][0]
+        raise MapError(f"{where}: [{x:.9g}, {y:.9g}] is not a longitude and latitude in degrees; {_REMEDY}")

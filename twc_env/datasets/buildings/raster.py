@@ -1,0 +1,181 @@
+"""Floor plans from pictures of free space: every edge between a free and another cell becomes part of a wall."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray as Array
+from scipy import ndimage
+
+from twc_env.errors import MapError
+from twc_env.kernels.compiled import kernel
+from twc_env.world.building.floor_cells import CELLS_MAX
+from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.building.floorplan_file import load_bytes
+
+WALL_LOSS_DB = 5.0
+"""Loss of a whole wall; each of its two faces has half."""
+SPECK_M2 = 0.02
+"""Smaller obstacles are removed as noise."""
+STRIP_M = 0.2
+"""Free strips up to this width, too narrow for a robot, are removed as stray beams and gaps of the scan."""
+_GAP = rb"(?:\s|#[^\n]*\n)*"
+_PGM_HEADER = re.compile(_GAP + rb"(P[25])" + 3 * (rb"\s" + _GAP + rb"(\d{1,9})") + rb"(?!\S)")
+"""Kind, columns, rows and the value of white, with optional comments in between."""
+
+
+def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Sequence[float] = (0.0, 0.0)) -> Floorplan:
+    """Free cells (rows, columns), row 0 the lowest y -> a plan without signs whose walls are the cells' edges.
+
+    Only the largest connected part is kept; specks and narrow strips are dropped. Raises MapError when nothing is free.
+    """
+    free = _without_specks(largest_part(free), resolution_m)
+    free = largest_part(_without_strips(free, resolution_m))
+    if not free.any():
+        raise MapError(
+            f"map {name!r} shows no free space wider than {STRIP_M} m; free cells must be white, "
+            "or check the thresholds and the resolution"
+        )
+    origin = np.asarray(origin_m, float)
+    walls = free_edges(free) * resolution_m + origin
+    row, column = deepest_cell(free)
+    return Floorplan(
+        name=name,
+        walls_m=walls,
+        wall_loss_db=np.full(len(walls), WALL_LOSS_DB / 2),
+        interior_m=origin + (np.array([[column, row]]) + 0.5) * resolution_m,
+    )
+
+
+def free_edges(free: Array) -> Array:
+    """Free cells (rows, columns) -> (walls, 2, 2) their outline as straight runs, in cells."""
+    padded = np.pad(free, 1)
+    horizontal = _runs(padded[1:] != padded[:-1])
+    vertical = _runs((padded[:, 1:] != padded[:, :-1]).T)
+    lying = np.stack([horizontal[:, [1, 0]], horizontal[:, [2, 0]]], axis=1)
+    standing = np.stack([vertical[:, [0, 1]], vertical[:, [0, 2]]], axis=1)
+    # Line k of the padded differences is the lower edge of cell k; columns of the padding count from -1.
+    return np.concatenate([lying - np.array([1, 0]), standing - np.array([0, 1])]).astype(float)
+
+
+def largest_part(free: Array) -> Array:
+    """Only the largest 4-connected part of the free cells."""
+    labels, sizes = parts(free)
+    return labels == np.argmax(sizes) + 1 if len(sizes) else np.zeros_like(free)
+
+
+def parts(free: Array, neighbours: Array | None = None) -> tuple[Array, Array]:
+    """The parts of the free cells: labels (rows, columns) from 1, and the parts' sizes in cells.
+
+    Cells are 4-connected unless `neighbours` (3, 3) says otherwise.
+    """
+    labels, _ = ndimage.label(free, neighbours)
+    return labels, np.bincount(labels.ravel())[1:]
+
+
+def deepest_cell(free: Array) -> tuple[int, int]:
+    """(row, column) of a free cell with the largest distance to non-free cells."""
+    depth = _depth(np.ascontiguousarray(np.pad(free, 1)))[1:-1, 1:-1]
+    row, column = np.unravel_index(np.argmax(depth), depth.shape)
+    return int(row), int(column)
+
+
+def read_grey(path: Path, behind: int = 0) -> Array:
+    """(rows, columns) uint8, row 0 at the top. Pillow reads formats other than PGM; alpha is blended with grey
+    `behind`.
+
+    Raises MapError if the file cannot be read or is too large.
+    """
+    raw = load_bytes(path, "picture")
+    if ".pgm" in [suffix.lower() for suffix in path.suffixes][-2:]:
+        return _decode_pgm(raw, path.name)
+    return _decode_with_pillow(raw, path, behind)
+
+
+def _decode_with_pillow(raw: bytes, path: Path, behind: int) -> Array:
+    try:
+        from PIL import Image, UnidentifiedImageError
+    except ImportError as error:
+        raise MapError(f"reading {path.name} needs Pillow; run `pip install 'twc_env[viz]'`, or use .pgm") from error
+    try:
+        with warnings.catch_warnings(), Image.open(io.BytesIO(raw), formats=("PNG", "PPM")) as picture:
+            warnings.simplefilter("error")
+            if picture.width * picture.height > CELLS_MAX:
+                raise ValueError(f"{picture.width} x {picture.height} pixels are too many")
+            if picture.mode.startswith("I"):  # greys of 16 bits
+                return np.round(np.asarray(picture, float) * (255 / 65535)).astype(np.uint8)
+            if picture.mode in ("L", "RGB", "1") and "transparency" not in picture.info:
+                return np.asarray(picture.convert("L"))
+            pixels = np.asarray(picture.convert("RGBA"), dtype=float)
+    except Exception as error:  # a broken picture surfaces as almost any exception
+        reason = "it holds no picture" if isinstance(error, UnidentifiedImageError) else error
+        raise MapError(f"cannot read the picture {path}: {reason}; save it again as png or pgm") from error
+    cover = pixels[..., 3] / 255
+    return (pixels[..., :3].mean(axis=-1) * cover + behind * (1.0 - cover)).astype(np.uint8)
+
+
+def _decode_pgm(raw: bytes, where: str) -> Array:
+    """P5 (binary) and P2 (text), 8 or 16 bit, comments allowed; values are scaled to 0..255."""
+    incomplete = f"{where} is not a complete PGM image (P5 or P2); export it again"
+    header = _PGM_HEADER.match(raw)
+    if header is None:
+        raise MapError(incomplete)
+    at, (columns, rows, white) = header.end(), map(int, header.group(2, 3, 4))
+    if min(columns, rows) < 1 or not 0 < white < 65536:
+        raise MapError(incomplete)
+    if rows * columns > CELLS_MAX:
+        raise MapError(f"{where} has {columns} x {rows} pixels, more than {CELLS_MAX}; cut it or make it coarser")
+    try:
+        if header[1] == b"P2":
+            pixels = np.array(raw[at:].split()[: rows * columns], dtype=float)
+        else:
+            pixels = np.frombuffer(raw, "u1" if white < 256 else ">u2", rows * columns, at + 1).astype(float)
+        pixels = pixels.reshape(rows, columns)
+    except ValueError:
+        raise MapError(incomplete) from None
+    if not np.isfinite(pixels).all():
+        raise MapError(incomplete)
+    return np.round(np.clip(pixels / white, 0, 1) * 255).astype(np.uint8)
+
+
+def _runs(edges: Array) -> Array:
+    """(lines, n) bool -> (runs, 3) int: line, begin and end of each run of True."""
+    flips = np.diff(np.pad(edges, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    lines, begins = np.nonzero(flips == 1)
+    _, ends = np.nonzero(flips == -1)
+    return np.column_stack([lines, begins, ends])
+
+
+def _without_specks(free: Array, resolution_m: float) -> Array:
+    """Fill areas enclosed by free space that are too small to be obstacles."""
+    labels, sizes = parts(~np.pad(free, 1), np.ones((3, 3)))
+    small = np.append(False, sizes * resolution_m**2 < SPECK_M2)
+    filled: Array = small[labels]
+    return free | filled[1:-1, 1:-1]
+
+
+def _without_strips(free: Array, resolution_m: float) -> Array:
+    """The area that a square slightly wider than STRIP_M covers (a morphological opening)."""
+    side = int(STRIP_M / resolution_m + 1e-6) + 1
+    return np.asarray(ndimage.binary_opening(free, np.ones((side, side))))
+
+
+@kernel
+def _depth(free):
+    """Chamfer distance of each free cell to the nearest other, in thirds of a cell; the border must not be free."""
+    rows, columns = free.shape
+    depth = np.where(free, np.int32(1 << 30), np.int32(0))
+    for r in range(1, rows - 1):
+        for c in range(1, columns - 1):
+            near = min(depth[r - 1, c] + 3, depth[r, c - 1] + 3, depth[r - 1, c - 1] + 4, depth[r - 1, c + 1] + 4)
+            depth[r, c] = min(depth[r, c], near)
+    for r in range(rows - 2, 0, -1):
+        for c in range(columns - 2, 0, -1):
+            near = min(depth[r + 1, c] + 3, depth[r, c + 1] + 3, depth[r + 1, c + 1] + 4, depth[r + 1, c - 1] + 4)
+            depth[r, c] = min(depth[r, c], near)
+    return depth

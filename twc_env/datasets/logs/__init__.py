@@ -1,0 +1,1 @@
+"""Logs, trajectories and pose graphs."""

@@ -1,0 +1,259 @@
+"""Logs of one robot's laser scans with poses, and hand-verified relations between them (Freiburg SLAM benchmark).
+
+A log is JSON {"map": {"<unix seconds>": {"range": [metres], "x": m, "y": m, "theta": rad}}} or a text of CARMEN, of
+which the lines `FLASER n r1 .. rn x y theta ...` or, in newer ones, `ROBOTLASER1` are read, with the pose of the laser;
+relations are text lines `t1 t2 dx dy dz roll pitch yaw`: the pose at t2 in the frame of the pose at t1. All may be
+gzipped. `sensor_frames` converts a log to frames for the engine.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.datasets.logs.text_file import read_text
+from twc_env.errors import DataError
+from twc_env.records.geometry import between, wrap_angle
+from twc_env.records.messages import UNSEEN_M, SensorFrame
+
+NO_RETURN_M = 30.0
+"""Scanners of these logs report more than this (81.83 m, 50 m, 32.7 m) for a beam without return."""
+TIME_BETWEEN_MIN_S = 1e-3
+"""Minimum time between scans: some logs round times, so that scans seem simultaneous."""
+
+TIME_TOLERANCE_S = 0.02
+"""Largest difference between the time of a relation and that of its scan."""
+
+BEAMS, RANGE_MAX_M = 360, 20.0
+SETTINGS: dict = {
+    "lidar": {"beam_count": BEAMS, "range_max_m": RANGE_MAX_M},
+    "slam": {
+        # One scan every half metre: odometry errors of a step are large, and its turn replaces the gyro.
+        "odometry_filter": {
+            "position_std_per_m": 0.1,
+            "position_std_m": 0.02,
+            "turn_std_rad": 0.1,
+            "odometry_turn_std_rad": 0.02,
+            "gyro_bias_std_rad_s": 1e-4,
+            "gyro_bias_walk_rad_s": 0.0,
+        },
+        "local_map": {"size_m": 60.0, "memory_m": 40.0, "match_iterations_max": 30},
+        # Every scan is a keyframe; there are no mates in the scans.
+        "keyframe": {"distance_m": 0.05, "turn_rad": 0.05, "mask_mates": False},
+        "place_recognition": {"recogniser": "lidar", "proximity_m": 4.0, "scan_similarity_min": 0.6},
+        # Drift over long loops: a wider search. Steps are far apart in time, so the backlog is verified at once.
+        "verification": {"window_m": 1.5, "window_rad": 0.3, "backlog_per_step": 20},
+        "pose_graph": {"period_steps": 5},
+        # Without signs and radio more closures must agree, at any distance.
+        "merging": {"wifi_check": False, "spread_min_m": 0.0, "closures_min": 5},
+    },
+}
+"""Settings of the engine for logs of laser and odometry only, with a scan every half metre."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanLog:
+    """Scans in the order they were taken."""
+
+    times_s: Array
+    """(scans,) unix time, ascending."""
+    poses: Array
+    """(scans, 3) x, y [m] and heading [rad] that the log holds: raw odometry or corrected."""
+    ranges_m: Array
+    """(scans, beams)."""
+    beam_angles_rad: Array
+    """(beams,) direction of each beam in the robot frame, counter-clockwise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Relations:
+    """Measured poses between pairs of scans."""
+
+    first: Array
+    """(relations,) scan numbers."""
+    second: Array
+    """(relations,) scan numbers, of other scans."""
+    pose_first_second: Array
+    """(relations, 3)."""
+    away_s: Array
+    """(relations,) difference between the time stamps of relation and scan, maximum of both ends."""
+
+    def errors(self, poses: Array) -> tuple[Array, Array]:
+        """Translation [m] and rotation [deg] error (relations,) of poses (scans, 3)."""
+        error = between(poses[self.first], poses[self.second]) - self.pose_first_second
+        return np.hypot(error[:, 0], error[:, 1]), np.degrees(np.abs(wrap_angle(error[:, 2])))
+
+
+def read_scan_log(path: str | Path) -> ScanLog:
+    """Read a JSON log. Raises DataError for files that are missing, truncated or of another format."""
+    text = read_text(path)
+    try:
+        scans = json.loads(text)["map"]
+        times = sorted(scans, key=float)
+        ranges_m = np.array([scans[t]["range"] for t in times], float)
+        poses = [[scans[t][key] for key in ("x", "y", "theta")] for t in times]
+        return _log(np.array(times, float), np.array(poses, float), ranges_m)
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise DataError(
+            f"{path} is not a scan log: {_short(error)}; expected map -> time -> range, x, y, theta"
+        ) from error
+
+
+def read_any_log(path: str | Path) -> ScanLog:
+    """Read a log of either format, JSON if its name says so. Raises the same errors."""
+    return read_scan_log(path) if ".json" in Path(path).suffixes else read_carmen_log(path)
+
+
+def read_carmen_log(path: str | Path) -> ScanLog:
+    """Read the scans of a CARMEN log in the order of its lines, all of the kind of the first.
+
+    Raises DataError for anything without such scans.
+    """
+    kind, scans = "", []
+    for k, line in enumerate(read_text(path, errors="replace").splitlines(), 1):
+        words = line.split()
+        if not words or words[0] not in ((kind,) if kind else _READERS):
+            continue
+        kind = words[0]
+        try:
+            scans.append(_READERS[kind](words[1:]))
+            beams, before = (len(scan.ranges_m) for scan in (scans[-1], scans[0]))
+            if beams != before:
+                raise ValueError(f"{beams} beams, where those before have {before}")
+            if not all(map(math.isfinite, (*scans[-1].pose, scans[-1].time_s))):
+                raise ValueError("its pose or its time is not finite")
+            if scans[-1].directions != scans[0].directions:
+                raise ValueError("its beams point elsewhere than those before")
+        except (ValueError, IndexError) as error:
+            reason = "it is cut off" if isinstance(error, IndexError) else _short(error)
+            raise DataError(f"{path}, line {k} is not a scan: {reason}; fix or delete it") from error
+    if not scans:
+        raise DataError(
+            f"{path} is not a CARMEN log: expected lines {' or '.join(_READERS)}; what else you can read, "
+            "twc_env.datasets.logs.frame_log.write_frame_log makes a log of (docs/frames.md)"
+        )
+    ranges_m, poses, times_s, (directions, *_) = zip(*scans, strict=True)
+    try:
+        return _log(np.array(times_s), np.array(poses), np.array(ranges_m, float), directions)
+    except ValueError as error:
+        raise DataError(f"{path} is not a CARMEN log: {_short(error)}") from error
+
+
+class _Scan(NamedTuple):
+    ranges_m: list[float]
+    pose: list[float]
+    time_s: float
+    directions: tuple[float, float] | None = None
+    """Direction of the first beam and angle between beams [rad]; None: the half circle ahead."""
+
+
+def _flaser(words: Sequence[str]) -> _Scan:
+    """n r1 .. rn, pose of the laser, pose of odometry, time; IndexError if it is incomplete."""
+    count, values = int(words[0]), words[1:]
+    _check_count(count)
+    numbers = [float(v) for v in values[: count + 3]]
+    return _Scan(numbers[:count], numbers[count:], float(values[count + 6]))
+
+
+def _robot_laser(words: Sequence[str]) -> _Scan:
+    """type, first direction, field of view, resolution, range, accuracy, mode, n r1 .. rn, m remissions (old logs have
+    no m), pose of the laser, that of the robot, two speeds, two distances, turn axis (old logs have none), time, host,
+    time. IndexError if it is incomplete."""
+    first_rad, resolution_rad, range_max_m, count = float(words[1]), float(words[3]), float(words[4]), int(words[7])
+    _check_count(count)
+    rest = words[8 + count : -3]
+    if len(rest) != 10:
+        rest = rest[1 + int(rest[0]) :]
+        if len(rest) != 11:
+            raise IndexError
+    ranges_m = [float(word) for word in words[8 : 8 + count]]
+    told_m = [range_m if range_m < range_max_m else math.inf for range_m in ranges_m]
+    return _Scan(told_m, [float(word) for word in rest[:3]], float(words[-3]), (first_rad, resolution_rad))
+
+
+_READERS = {"FLASER": _flaser, "ROBOTLASER1": _robot_laser}
+
+
+def _check_count(count: int) -> None:
+    if count < 1:
+        raise ValueError(f"a scan of {count} beams")
+
+
+def _log(times_s: Array, poses: Array, ranges_m: Array, directions: tuple[float, float] | None = None) -> ScanLog:
+    if ranges_m.ndim != 2 or not np.isfinite(times_s).all() or not np.isfinite(poses).all():
+        raise ValueError("no scans of one length, each with a finite time and pose")
+    beams = ranges_m.shape[1]
+    angles_rad = _half_circle(beams) if directions is None else directions[0] + directions[1] * np.arange(beams)
+    return ScanLog(times_s, poses, ranges_m, angles_rad)
+
+
+def _half_circle(beams: int) -> Array:
+    """(beams,) directions counter-clockwise from the right to the left; the last one may be exactly left."""
+    return np.deg2rad(np.arange(beams) * (180.0 / max(beams - beams % 2, 1)) - 90.0)
+
+
+def onto_circle(ranges_m: Array, beam_angles_rad: Array, beam_count: int, range_max_m: float) -> Array:
+    """(beam_count,) one scan (beams,) in the format of the world: the full circle, `UNSEEN_M` where there is no beam.
+
+    Of several beams in one direction the nearest range is used. Ranges are limited to range_max_m; a beam without
+    return has no information, since glass and black walls give no return either.
+    """
+    out = np.full(beam_count, np.inf)
+    told = (ranges_m > 0.0) & (ranges_m < NO_RETURN_M)
+    slot = np.rint(beam_angles_rad[told] * (beam_count / (2 * np.pi))).astype(int) % beam_count
+    np.minimum.at(out, slot, np.minimum(ranges_m[told], range_max_m))
+    out[np.isinf(out)] = UNSEEN_M
+    return out
+
+
+def sensor_frames(
+    log: ScanLog, beam_count: int, range_max_m: float, scans: Sequence[int] | Array | None = None, robot: int = 0
+) -> list[SensorFrame]:
+    """Sensor frames of a robot on the path of the log, one per scan of `scans` (default: all).
+
+    Odometry is the motion between the poses of the log; its turn replaces the gyro, which the log lacks.
+    """
+    frames: list[SensorFrame] = []
+    chosen = np.arange(len(log.times_s)) if scans is None else np.asarray(scans)
+    time_s = 0.0
+    for step, k in enumerate(chosen):
+        last = chosen[max(step - 1, 0)]
+        odometry = between(log.poses[last], log.poses[k])
+        elapsed_s = max(log.times_s[k] - log.times_s[last], TIME_BETWEEN_MIN_S)
+        time_s += elapsed_s if step else 0.0
+        scan = onto_circle(log.ranges_m[k], log.beam_angles_rad, beam_count, range_max_m)
+        frames.append(SensorFrame(robot, step, float(time_s), odometry, float(odometry[2] / elapsed_s), scan))
+    return frames
+
+
+def read_relations(path: str | Path, log: ScanLog) -> Relations:
+    """The relations between two different scans of the log. Raises DataError for lines other than of 8 numbers."""
+    try:
+        rows = np.array([line.split() for line in read_text(path).splitlines() if line.strip()], float)
+        times, values = rows[:, :2], rows[:, [2, 3, 7]]
+    except (ValueError, IndexError) as error:
+        raise DataError(f"{path} holds no relations: {_short(error)}; expected lines of 8 numbers") from error
+    scans = np.stack([_nearest(log.times_s, times[:, end]) for end in (0, 1)])
+    away_s = np.abs(log.times_s[scans] - times.T).max(axis=0)
+    found = (away_s <= TIME_TOLERANCE_S) & (scans[0] != scans[1])
+    if not found.any():
+        raise DataError(
+            f"none of the {len(rows)} relations of {path} belongs to a scan of the log; wrong pair of files"
+        )
+    return Relations(scans[0][found], scans[1][found], values[found], away_s[found])
+
+
+def _nearest(times_s: Array, wanted_s: Array) -> Array:
+    after = np.clip(np.searchsorted(times_s, wanted_s), 1, len(times_s) - 1)
+    return np.where(wanted_s - times_s[after - 1] < times_s[after] - wanted_s, after - 1, after)
+
+
+def _short(error: Exception) -> str:
+    return str(error)[:120]

@@ -1,0 +1,67 @@
+"""Trajectories in the TUM format: `time x y z qx qy qz qw` per line, as evo and most SLAM tools read it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.datasets.logs.text_file import read_text
+from twc_env.errors import DataError
+from twc_env.records.geometry import wrap_angle
+
+FAR_M = 1000.0
+"""Coordinates from here on (UTM) are written with fifteen digits instead of nine: to less than a micrometre."""
+
+
+def write_tum(path: str | Path, times_s: Array, poses: Array) -> None:
+    """Write poses (k, 3) at times_s (k,); height, roll and pitch are 0. A name that ends in .gz is compressed.
+
+    Raises DataError for inconsistent shapes and non-finite values.
+    """
+    times_s, poses = np.asarray(times_s, float), np.asarray(poses, float)
+    if times_s.ndim != 1 or poses.shape != (len(times_s), 3):
+        raise DataError(f"times must be (k,) and poses (k, 3); got {times_s.shape} and {poses.shape}")
+    is_whole = np.isfinite(times_s) & np.isfinite(poses).all(axis=1)
+    if not is_whole.all():
+        raise DataError(f"times and poses must be finite; row {int(np.argmin(is_whole))} is not: remove it")
+    half = poses[:, 2] / 2
+    zeros = np.zeros(len(poses))
+    columns = [times_s, poses[:, 0], poses[:, 1], zeros, zeros, zeros, np.sin(half), np.cos(half)]
+    place = "%.9g" if np.abs(poses[:, :2]).max(initial=0.0) < FAR_M else "%.15g"
+    # unix times have ten digits before the point
+    np.savetxt(path, np.column_stack(columns), fmt=["%.15g", place, place] + 5 * ["%.9g"])
+
+
+def read_tum(path: str | Path) -> tuple[Array, Array]:
+    """Times (k,) [s] and poses (k, 3) of a file; height, roll and pitch are dropped.
+
+    Raises DataError naming the first line that is not eight numbers or whose quaternion is zero.
+    """
+    rows = []
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        words = line.split("#", 1)[0].replace(",", " ").split()
+        if words:
+            rows.append(_row(words, path, number))
+    values = np.array(rows).reshape(-1, 8)
+    qx, qy, qz, qw = values[:, 4:].T
+    heading = np.arctan2(
+        2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz
+    )  # the quaternion need not be normalised
+    return values[:, 0], np.column_stack([values[:, 1:3], wrap_angle(heading)])
+
+
+def _row(words: list[str], path: str | Path, number: int) -> list[float]:
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        values = []
+    if len(values) != 8 or not all(map(math.isfinite, values)):
+        raise DataError(f"{path}, line {number}: expected 8 numbers 'time x y z qx qy qz qw'; got {' '.join(words)!r}")
+    if not any(values[4:]):
+        raise DataError(
+            f"{path}, line {number}: the quaternion qx qy qz qw is zero, which is no rotation; remove the line"
+        )
+    return values

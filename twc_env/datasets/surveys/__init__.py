@@ -1,0 +1,1 @@
+"""Public radio surveys."""

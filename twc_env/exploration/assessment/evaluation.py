@@ -1,0 +1,257 @@
+"""Evaluation of an episode: estimates against ground truth. Engine and observations must not use it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env import metrics
+from twc_env._version import __version__
+from twc_env.config import EnvConfig
+from twc_env.config import digest as config_digest
+from twc_env.exploration.assessment.episode_record import EpisodeRecord
+from twc_env.exploration.assessment.map_scores import GroupScore, floor_m2
+from twc_env.exploration.assessment.seen_floor import seen_share
+from twc_env.exploration.assessment.team_alignment import TeamPaths, position_error_m
+from twc_env.records.geometry import between, transform_points
+from twc_env.records.messages import GridMap
+from twc_env.slam.modes import Engine
+from twc_env.slam.scans.occupancy_grid import OccupancyGrid
+from twc_env.world.building.floor_cells import Cells
+from twc_env.world.building.floorplan import Floorplan
+
+STUCK_WINDOW_S = 10.0
+STUCK_RADIUS_M = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EpisodeResult:
+    """All data of an episode, ground truth included; for reports, pictures and exports."""
+
+    config: EnvConfig
+    seed: int
+    floorplan: Floorplan
+    figures: dict
+    """The figures of the report, by name (docs/figures.md defines each)."""
+    true_poses: Array
+    """(steps + 1, robots, 3) in the building frame."""
+    estimated_poses: Array
+    """(steps + 1, robots, 3) final estimate, in the map frame of each robot's group."""
+    odometry_poses: Array
+    """(steps + 1, robots, 3) dead reckoning from the true start poses, in the building frame."""
+    groups: tuple[tuple[int, ...], ...]
+    """Robots that share a map, largest group first; with one mapper per robot, those in the map of each robot."""
+    viewers: tuple[tuple[int, ...], ...]
+    """Robots whose estimates are in the map of each group: all of it, or the one robot that has the mapper."""
+    grids: tuple[GridMap, ...]
+    """The merged map of each group."""
+    pose_building_map: Array
+    """(groups, 3) alignment of each group's map with the building."""
+    closures: list[dict]
+    """Verified closures of the largest group's mapper: kind, status, reason, correct, target, source, and the estimated
+    positions target_m, source_m (building frame)."""
+    graph: dict
+    """The pose graph: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
+
+
+def progress(
+    engine: Engine, record: EpisodeRecord, cells: Cells, verdicts: Sequence[GroupScore]
+) -> tuple[list[dict], dict[str, float]]:
+    """Data for pictures over time, defined as in the report; does not modify the record.
+
+    Returns closures as in `EpisodeResult`, and figures.
+    """
+    paths, best = TeamPaths(engine, record.odom_poses), verdicts[0]
+    estimated, alignment = paths.as_seen(), paths.alignment(record.true_poses)
+    closures = _closures(engine, best, record, alignment)
+    status = [row["status"] for row in closures]
+    score = _score(best.grid, best.pose_building_map, cells)
+    figures = {
+        "coverage_correct": score.coverage_correct,
+        "wall_iou": score.wall_iou,
+        "team_ate_m": position_error_m(alignment, estimated, record.true_poses),
+        "merged_robots": len(best.robots),
+        "wrong_pairs": sum(len(v.wrong_pairs) for v in verdicts),
+        "closures_accepted": status.count("accepted"),
+        "closures_rejected": status.count("rejected"),
+    }
+    return closures, figures
+
+
+class EpisodePaths(NamedTuple):
+    """True and estimated paths of all robots; poses (steps + 1, robots, 3)."""
+
+    true: Array
+    """In the building frame."""
+    estimated: Array
+    """Each in the map frame of its robot's group."""
+    alignment: Array
+    """(robots, 3) rigid alignment of that map with the building."""
+    reckoned: Array
+    """Dead reckoning from the true start poses, in the building frame."""
+
+    @classmethod
+    def of(cls, engine: Engine, record: EpisodeRecord) -> EpisodePaths:
+        """The paths as estimated now."""
+        paths, true = TeamPaths(engine, record.odom_poses), record.true_poses
+        return cls(true, paths.as_seen(), paths.alignment(true), record.odometry_poses())
+
+
+def numbers(
+    config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord,
+    verdicts: Sequence[GroupScore], paths: EpisodePaths,
+) -> dict[str, float]:  # fmt: skip
+    """The scalar figures of the report; verdicts, paths: of the present maps. Modifies nothing."""
+    cells, best = floorplan.cells(), verdicts[0]
+    wrong_pairs = record.wrong_pairs.union(*(verdict.wrong_pairs for verdict in verdicts))
+    true, estimated, alignment, reckoned = paths
+    score = _score(best.grid, best.pose_building_map, cells)
+    robots = range(true.shape[1])
+    taken, scans = _taken(engine, len(robots))
+    # The map drawn at the dead-reckoned poses, whose relative start poses are the true ones, after one alignment.
+    by_odometry = _score(_drawn_at(reckoned, taken, scans, config), metrics.lay_map(reckoned, true), cells)
+    return {
+        "robots": config.robots,
+        "seed": seed,
+        "steps": record.count - 1,
+        "sim_time_s": round((record.count - 1) * config.dynamics.time_step_s, 6),
+        "coverage_believed": score.believed_area_m2 / floor_m2(cells),
+        "coverage_true": seen_share(_poses_of(true, taken), scans, config, cells),
+        "coverage_correct": score.coverage_correct,
+        "map_iou": score.map_iou,
+        "wall_iou": score.wall_iou,
+        "merged_robots": len(best.robots),
+        "wrong_merges": len(wrong_pairs),
+        "team_ate_m": position_error_m(alignment, estimated, true),
+        "epe_m": float(np.mean([metrics.end_point_error_m(estimated[:, r], true[:, r]) for r in robots])),
+        "odometry_ate_m": metrics.absolute_trajectory_error_m(reckoned, true),
+        "odometry_coverage_correct": by_odometry.coverage_correct,
+        "odometry_map_iou": by_odometry.map_iou,
+        "odometry_wall_iou": by_odometry.wall_iou,
+        "bytes_sent": int(sum(engine.bytes_sent.values())),
+        "path_length_m": float(sum(metrics.path_length_m(true[:, r]) for r in robots)),
+        "collisions": record.contact_count,
+        "stuck_share": metrics.stuck_share(
+            true, max(int(STUCK_WINDOW_S / config.dynamics.time_step_s), 1), STUCK_RADIUS_M
+        ),
+    }
+
+
+def evaluate(
+    config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord,
+    verdicts: Sequence[GroupScore],
+) -> EpisodeResult:  # fmt: skip
+    """All figures of the report and the data for pictures and exports; verdicts: of the present maps."""
+    paths, best = EpisodePaths.of(engine, record), verdicts[0]
+    true, estimated = paths.true, paths.estimated
+    closures = _closures(engine, best, record, paths.alignment)
+    counted = metrics.score_closures([c["correct"] for c in closures], [c["status"] == "accepted" for c in closures])
+    figures = {
+        "map": config.map,
+        **numbers(config, seed, floorplan, engine, record, verdicts, paths),
+        "per_robot_ate_m": [
+            metrics.absolute_trajectory_error_m(estimated[:, r], true[:, r]) for r in range(true.shape[1])
+        ],
+        "closures": {
+            "proposed": counted.proposed,
+            "accepted": counted.accepted,
+            "correct": counted.correct,
+            "precision": _or_none(counted.precision),
+            "recall": _or_none(counted.recall),
+        },
+        "lacked": engine.lacked(),
+        "bytes_by_kind": {kind: int(count) for kind, count in sorted(engine.bytes_sent.items())},
+        "config_digest": config_digest(config),
+        "version": __version__,
+    }
+    return EpisodeResult(
+        config=config,
+        seed=seed,
+        floorplan=floorplan,
+        figures=figures,
+        true_poses=true.copy(),
+        estimated_poses=estimated,
+        odometry_poses=paths.reckoned,
+        groups=tuple(v.robots for v in verdicts),
+        viewers=tuple(v.view.viewers for v in verdicts),
+        grids=tuple(GridMap(v.grid.log_odds.copy(), v.grid.origin_m.copy(), v.grid.resolution_m) for v in verdicts),
+        pose_building_map=np.array([v.pose_building_map for v in verdicts]),
+        closures=closures,
+        graph=best.view.mapper.graph(),
+    )
+
+
+def _or_none(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _score(grid: GridMap, pose_building_map: Array, cells: Cells) -> metrics.MapScore:
+    return metrics.score_map(
+        grid.log_odds, grid.origin_m, grid.resolution_m, pose_building_map, cells.free, cells.wall, cells.origin_m,
+        cells.resolution_m,
+    )  # fmt: skip
+
+
+def map_at(engine: Engine, poses: Array, config: EnvConfig) -> GridMap:
+    """The map of the keyframes' scans, drawn at other poses (steps + 1, robots, 3)."""
+    return _drawn_at(poses, *_taken(engine, poses.shape[1]), config)
+
+
+def _taken(engine: Engine, robots: int) -> tuple[list[Array], Array]:
+    """Steps (k,) of each robot's keyframes, and all their scans (keyframes, beams) [m], ordered by robot."""
+    steps, scans = zip(*(engine.mapper_of(robot).scans_of(robot) for robot in range(robots)), strict=True)
+    return list(steps), np.array([scan for own in scans for scan in own])
+
+
+def _drawn_at(poses: Array, steps: list[Array], scans: Array, config: EnvConfig) -> GridMap:
+    """The map of scans (keyframes, beams) drawn at poses (steps + 1, robots, 3); steps: of each robot's keyframes."""
+    grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
+    grid.integrate(_poses_of(poses, steps), scans)
+    return grid.snapshot()
+
+
+def _poses_of(poses: Array, steps: list[Array]) -> Array:
+    """(keyframes, 3) rows of poses (steps + 1, robots, 3) at these steps of each robot, ordered by robot."""
+    return np.concatenate([poses[taken, robot] for robot, taken in enumerate(steps)])
+
+
+def _closures(engine: Engine, best: GroupScore, record: EpisodeRecord, alignment: Array) -> list[dict]:
+    """`EpisodeResult.closures`: those of the mapper of the best map; alignment (robots, 3) as `EpisodePaths`."""
+    mapper = best.view.mapper
+    viewer = best.view.viewers[0]
+    if not mapper.closures:
+        return []
+    true_poses: list[Array] = []
+    believed: list[Array] = []
+    """Per robot: true poses (k, 3) of its keyframes, and their estimated positions (k, 2) in the building frame."""
+    for robot in range(record.true_poses.shape[1]):
+        shown = (mapper, alignment[viewer]) if robot in best.robots else (engine.mapper_of(robot), alignment[robot])
+        believed.append(transform_points(shown[1], shown[0].poses_of(robot)[:, :2]))
+        true_poses.append(record.true_poses[mapper.keyframe_steps(robot), robot])
+
+    ends = [(closure.candidate.target, closure.candidate.source) for closure in mapper.closures]
+    first_row = np.cumsum([0, *map(len, true_poses)])
+    pairs = np.array(ends)  # (closures, 2, 2)
+    true = np.concatenate(true_poses)[first_row[pairs[..., 0]] + pairs[..., 1]]  # (closures, 2, 3)
+    measured = np.array([closure.pose_target_source for closure in mapper.closures])
+    is_correct = metrics.closures_are_correct(measured, between(true[:, 0], true[:, 1])).tolist()
+    rows = []
+    for closure, (target, source), correct in zip(mapper.closures, ends, is_correct, strict=True):
+        rows.append(
+            {
+                "kind": closure.candidate.recogniser,
+                "status": closure.status,
+                "reason": closure.reason,
+                "correct": correct,
+                "target": target,
+                "source": source,
+                "target_m": believed[target[0]][target[1]],
+                "source_m": believed[source[0]][source[1]],
+            }
+        )
+    return rows

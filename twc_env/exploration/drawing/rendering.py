@@ -1,0 +1,296 @@
+"""Draw the state of an episode as an RGB image: ground truth, estimated maps, robots and loop closures.
+
+Ground truth is grey. Estimated maps lie over it: floor white (tinted per group while the team has several maps), walls
+dark. A disc is a robot's true pose, a ring its estimated pose. Green lines are accepted closures, red dashed lines
+rejected ones; new ones are bold, and rejected ones fade out. The signal overlay shows the RSSI of the strongest access
+point, from dark violet (weak) to yellow (strong).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.exploration.assessment.episode_record import EpisodeRecord
+from twc_env.exploration.assessment.map_scores import GroupScore
+from twc_env.kernels.compiled import kernel
+from twc_env.records.geometry import compose, inverse
+from twc_env.records.messages import GridMap
+from twc_env.slam.modes import Engine
+from twc_env.world.building.floorplan import Floorplan
+
+WIDTH_MAX_PX, HEIGHT_MAX_PX = 900, 900
+PIXELS_PER_METRE_MAX = 36.0
+MARGIN_M = 0.8
+COLOURS = np.array(
+    [
+        (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233), (120, 94, 60),
+        (110, 110, 220),
+    ],
+    np.uint8,
+)  # fmt: skip
+"""(colours, 3) of robots 0, 1, ... and of groups, by their first robot; distinct also with colour blindness."""
+_UNKNOWN = np.array([219, 222, 227], np.float64)
+_TRUE_WALL = np.array([158, 164, 173], np.float64)
+_FLOOR = np.array([255, 255, 255], np.float64)
+_WALL = np.array([38, 44, 56], np.float64)
+_TINT = 0.16
+TRAIL_STEPS = 150
+ACCEPTED, REJECTED = np.array([0, 158, 115], np.float64), np.array([204, 51, 17], np.float64)
+FRESH_S = 5.0
+"""Time for which a closure is drawn as new."""
+_OLD_ACCEPTED = 0.3
+_DASH_PX = 5.0
+_SIGNAL = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
+_SIGNAL_OPACITY = 0.45
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosureLine:
+    """A loop closure to draw."""
+
+    ends_m: Array
+    """(2, 2) estimated positions of its two keyframes, in the building frame."""
+    is_accepted: bool
+    age_s: float
+    """Time since it was accepted or rejected."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SignalLayer:
+    """RSSI of the strongest access point."""
+
+    share: Array
+    """(rows, columns) RSSI scaled to [0, 1], NaN off the floor; row 0 is the lowest y."""
+    origin_m: Array
+    """(2,) lower left corner of share[0, 0]."""
+    cell_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """Contents of a picture; all poses and points are in the building frame."""
+
+    walls: Array
+    """(rows, columns) bool, the true walls; row 0 is the lowest y."""
+    origin_m: Array
+    """(2,) lower left corner of walls[0, 0]."""
+    resolution_m: float
+    grids: tuple[GridMap, ...] = ()
+    """One estimated map per group, the largest group first."""
+    pose_building_map: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(groups, 3) alignment of each group's map with the building."""
+    true_poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(robots, 3)."""
+    estimated_poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(robots, 3); NaN for a robot that uses none of these maps."""
+    groups: tuple[tuple[int, ...], ...] = ()
+    """Robots of each group; a group's floor is tinted like its first robot. Empty: one map, no tint."""
+    trails_m: tuple[Array, ...] = ()
+    """Per robot (k, 2) its latest true positions, oldest first."""
+    robot_radius_m: float = 0.2
+    closures: tuple[ClosureLine, ...] = ()
+    signal: SignalLayer | None = None
+
+
+@kernel
+def _paint_floor(image, left, top, metres, walls, wall_x, wall_y, wall_cell):
+    """Fill the image with ground truth; its upper left corner is at (left, top) [m], a pixel is `metres` wide."""
+    height, width, _ = image.shape
+    rows, columns = walls.shape
+    for v in range(height):
+        row = int(math.floor((top - (v + 0.5) * metres - wall_y) / wall_cell))
+        for u in range(width):
+            column = int(math.floor((left + (u + 0.5) * metres - wall_x) / wall_cell))
+            is_wall = 0 <= row < rows and 0 <= column < columns and walls[row, column]
+            for k in range(3):
+                image[v, u, k] = _TRUE_WALL[k] if is_wall else _UNKNOWN[k]
+
+
+@kernel
+def _paint_grid(image, left, top, metres, log_odds, grid_x, grid_y, cell, pose_map_building, floor):
+    """Paint the known cells of an estimated map over the image."""
+    height, width, _ = image.shape
+    rows, columns = log_odds.shape
+    c, s = math.cos(pose_map_building[2]), math.sin(pose_map_building[2])
+    for v in range(height):
+        y = top - (v + 0.5) * metres
+        for u in range(width):
+            x = left + (u + 0.5) * metres
+            column = int(math.floor((pose_map_building[0] + c * x - s * y - grid_x) / cell))
+            row = int(math.floor((pose_map_building[1] + s * x + c * y - grid_y) / cell))
+            if row < 0 or column < 0 or row >= rows or column >= columns or log_odds[row, column] == 0:
+                continue
+            for k in range(3):
+                image[v, u, k] = _WALL[k] if log_odds[row, column] > 0 else floor[k]
+
+
+@kernel
+def _paint_signal(image, left, top, metres, share, layer_x, layer_y, cell):
+    """Tint the floor by signal strength; dark pixels (estimated walls) are left as they are."""
+    height, width, _ = image.shape
+    rows, columns = share.shape
+    steps = _SIGNAL.shape[0] - 1
+    for v in range(height):
+        row = int(math.floor((top - (v + 0.5) * metres - layer_y) / cell))
+        for u in range(width):
+            column = int(math.floor((left + (u + 0.5) * metres - layer_x) / cell))
+            if row < 0 or column < 0 or row >= rows or column >= columns or math.isnan(share[row, column]):
+                continue
+            if image[v, u, 0] < 100.0:
+                continue
+            at = share[row, column] * steps
+            k0 = min(int(at), steps - 1)
+            for k in range(3):
+                colour = _SIGNAL[k0, k] + (at - k0) * (_SIGNAL[k0 + 1, k] - _SIGNAL[k0, k])
+                image[v, u, k] += _SIGNAL_OPACITY * (colour - image[v, u, k])
+
+
+@kernel
+def _draw_line(image, u0, v0, u1, v1, half_width, colour, opacity):
+    """Draw an anti-aliased line between two pixels; a disc if both are equal."""
+    height, width, _ = image.shape
+    reach = half_width + 1.0
+    du, dv = u1 - u0, v1 - v0
+    length2 = du * du + dv * dv
+    for v in range(max(0, int(min(v0, v1) - reach)), min(height, int(max(v0, v1) + reach) + 2)):
+        for u in range(max(0, int(min(u0, u1) - reach)), min(width, int(max(u0, u1) + reach) + 2)):
+            t = 0.0 if length2 == 0.0 else min(1.0, max(0.0, ((u - u0) * du + (v - v0) * dv) / length2))
+            away = math.hypot(u - u0 - t * du, v - v0 - t * dv)
+            cover = opacity * min(1.0, max(0.0, half_width + 0.5 - away))
+            if cover > 0.0:
+                for k in range(3):
+                    image[v, u, k] += cover * (colour[k] - image[v, u, k])
+
+
+@kernel
+def _draw_path(image, pixels, half_width, colour, fade):
+    """Draw lines through pixels (k, 2), with opacity from about `fade` (oldest) to 0.9."""
+    count = pixels.shape[0]
+    for k in range(count - 1):
+        opacity = fade + (0.9 - fade) * (k + 1) / count
+        _draw_line(image, pixels[k, 0], pixels[k, 1], pixels[k + 1, 0], pixels[k + 1, 1], half_width, colour, opacity)
+
+
+@kernel
+def _draw_ring(image, u0, v0, radius, half_width, colour):
+    """Draw an anti-aliased circle."""
+    height, width, _ = image.shape
+    reach = radius + half_width + 1.0
+    for v in range(max(0, int(v0 - reach)), min(height, int(v0 + reach) + 2)):
+        for u in range(max(0, int(u0 - reach)), min(width, int(u0 + reach) + 2)):
+            away = abs(math.hypot(u - u0, v - v0) - radius)
+            cover = min(1.0, max(0.0, half_width + 0.5 - away))
+            for k in range(3):
+                image[v, u, k] += cover * (colour[k] - image[v, u, k])
+
+
+def scene_of(
+    floorplan: Floorplan,
+    engine: Engine,
+    record: EpisodeRecord,
+    verdicts: Sequence[GroupScore],
+    closures: tuple[ClosureLine, ...] = (),
+    signal: SignalLayer | None = None,
+) -> Scene:
+    """The present state of an episode; each group's map is aligned with the building by one rigid motion."""
+    cells = floorplan.cells()
+    true = record.true_poses
+    estimated = np.full((true.shape[1], 3), np.nan)
+    for verdict in verdicts:
+        for robot in verdict.view.viewers:
+            estimated[robot] = compose(verdict.pose_building_map, engine.pose_map_robot(robot))
+    return Scene(
+        walls=cells.wall,
+        origin_m=cells.origin_m,
+        resolution_m=cells.resolution_m,
+        grids=tuple(v.grid for v in verdicts),
+        pose_building_map=np.array([v.pose_building_map for v in verdicts]),
+        true_poses=true[-1],
+        estimated_poses=estimated,
+        groups=tuple(v.robots for v in verdicts),
+        trails_m=tuple(true[-TRAIL_STEPS:, robot, :2] for robot in range(true.shape[1])),
+        closures=closures,
+        signal=signal,
+    )
+
+
+def render(scene: Scene) -> Array:
+    """The picture (height, width, 3) uint8 with +y up, at most 900 pixels wide and high."""
+    rows, columns = scene.walls.shape
+    size_m = np.array([columns, rows]) * scene.resolution_m + 2 * MARGIN_M
+    scale = float(min(WIDTH_MAX_PX / size_m[0], HEIGHT_MAX_PX / size_m[1], PIXELS_PER_METRE_MAX))
+    width, height = (max(1, round(v * scale)) for v in size_m)
+    left, top = scene.origin_m[0] - MARGIN_M, scene.origin_m[1] + size_m[1] - MARGIN_M
+    image = np.empty((height, width, 3))
+    walls = np.ascontiguousarray(scene.walls, dtype=bool)
+    view = (float(left), float(top), 1.0 / scale)
+    _paint_floor(image, *view, walls, float(scene.origin_m[0]), float(scene.origin_m[1]), float(scene.resolution_m))
+    for k in range(len(scene.grids) - 1, -1, -1):  # the largest group is painted last, on top
+        _paint_estimate(image, view, scene, k)
+    if scene.signal is not None:
+        x, y = float(scene.signal.origin_m[0]), float(scene.signal.origin_m[1])
+        _paint_signal(image, *view, scene.signal.share, x, y, float(scene.signal.cell_m))
+    _paint_closures(image, view, scene)
+    _paint_robots(image, view, scene)
+    return image.astype(np.uint8)
+
+
+def _paint_estimate(image: Array, view: tuple, scene: Scene, group: int) -> None:
+    grid = scene.grids[group]
+    floor = _FLOOR
+    if len(scene.groups) > 1:
+        floor = (1 - _TINT) * _FLOOR + _TINT * _colour(scene.groups[group][0])
+    pose_map_building = inverse(np.asarray(scene.pose_building_map, float)[group])
+    x, y = float(grid.origin_m[0]), float(grid.origin_m[1])
+    _paint_grid(image, *view, grid.log_odds, x, y, float(grid.resolution_m), pose_map_building, floor)
+
+
+def _paint_closures(image: Array, view: tuple, scene: Scene) -> None:
+    """Draw closures, oldest first, so that new ones are on top."""
+    for line in sorted(scene.closures, key=lambda line: -line.age_s):
+        freshness = max(0.0, 1.0 - line.age_s / FRESH_S)
+        first, last = _to_pixels(line.ends_m, view)
+        half_width = 0.8 + 1.0 * freshness
+        if line.is_accepted:
+            opacity = _OLD_ACCEPTED + (1.0 - _OLD_ACCEPTED) * freshness
+            _draw_line(image, *first, *last, half_width, ACCEPTED, opacity)
+            continue
+        dashes = 1 + 2 * int(math.hypot(*(last - first)) / (2 * _DASH_PX))
+        for k in range(0, dashes, 2):
+            begin, end = first + (last - first) * k / dashes, first + (last - first) * (k + 1) / dashes
+            _draw_line(image, *begin, *end, half_width, REJECTED, freshness)
+
+
+def _to_pixels(points_m: Array, view: tuple) -> Array:
+    """(k, 2) points in the building frame -> (k, 2) pixels, u to the right, v down."""
+    left, top, metres = view
+    points_m = np.asarray(points_m, float)
+    return np.column_stack([(points_m[:, 0] - left) / metres - 0.5, (top - points_m[:, 1]) / metres - 0.5])
+
+
+def _paint_robots(image: Array, view: tuple, scene: Scene) -> None:
+    radius = max(scene.robot_radius_m / view[2], 3.5)
+    for robot, trail in enumerate(scene.trails_m):
+        if len(trail) > 1:
+            _draw_path(image, _to_pixels(trail, view), max(0.9, 0.28 * radius), _colour(robot), 0.15)
+    for robot, pose in enumerate(np.asarray(scene.estimated_poses, float).reshape(-1, 3)):
+        if np.isnan(pose[0]):
+            continue
+        (u, v), ahead = _to_pixels(pose[None, :2], view)[0], 1.9 * radius
+        tip_u, tip_v = u + ahead * math.cos(pose[2]), v - ahead * math.sin(pose[2])
+        _draw_ring(image, u, v, 1.25 * radius, 0.8, _colour(robot))
+        _draw_line(image, u, v, tip_u, tip_v, 0.8, _colour(robot), 1.0)
+    for robot, pose in enumerate(np.asarray(scene.true_poses, float).reshape(-1, 3)):
+        u, v = _to_pixels(pose[None, :2], view)[0]
+        _draw_line(image, u, v, u, v, radius, _colour(robot), 1.0)
+        tip_u, tip_v = u + 0.75 * radius * math.cos(pose[2]), v - 0.75 * radius * math.sin(pose[2])
+        _draw_line(image, u, v, tip_u, tip_v, max(0.6, 0.16 * radius), _FLOOR, 1.0)
+
+
+def _colour(robot: int) -> Array:
+    return COLOURS[robot % len(COLOURS)].astype(np.float64)

@@ -1,0 +1,203 @@
+"""Actions that last many time steps: waypoints and frontiers, planned and followed on each robot's estimated map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray as Array
+
+from twc_env.config import ActionConfig, EnvConfig
+from twc_env.errors import ActionError
+from twc_env.exploration.actions import action_array, check_agents
+from twc_env.exploration.observation.observation_blocks import EXTRA_CHOICES
+from twc_env.planning.candidates import NOTHING, Candidates, find_candidates
+from twc_env.planning.driver import Driver, map_id
+from twc_env.planning.path_finder import PathFinder
+from twc_env.planning.terrain import Terrain
+from twc_env.records.geometry import transform_points
+from twc_env.records.messages import Belief, GridMap
+
+SIGN, MATE, STAY = (EXTRA_CHOICES.index(name) for name in ("sign", "mate", "stay"))
+
+
+def waypoint_space() -> spaces.Box:
+    """(2,) goal ahead and to the left in the robot frame, in units of `action.waypoint_reach_m`."""
+    return spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+
+def frontier_space(config: ActionConfig) -> spaces.Discrete:
+    """Index of a choice: frontiers in the order of the `frontiers` block, then sign, mate, stay."""
+    return spaces.Discrete(config.frontier_slots + len(EXTRA_CHOICES))
+
+
+class Scout:
+    """Keeps the goal candidates of each robot: updated every `observation.frontier_period_s` and when its map jumps."""
+
+    def __init__(self, config: EnvConfig, finder: PathFinder | None = None):
+        self._config = config
+        self._period = max(1, round(config.observation.frontier_period_s / config.dynamics.time_step_s))
+        self._finder = finder or PathFinder()
+        self._looked = [(-self._period, (-1, -1))] * config.robots
+        """Step, and the robot's map then (`map_id`)."""
+        self.candidates: list[Candidates] = [NOTHING] * config.robots
+
+    def look(
+        self,
+        beliefs: Sequence[Belief],
+        is_due: Sequence[bool] | Array = (),
+        terrains: dict[tuple[float, GridMap], Terrain] | None = None,
+    ) -> None:
+        """Update the candidates of robots for which `is_due` (robots,), and those that are old or of another map.
+
+        terrains: as in `terrain_of`.
+        """
+        step, known = beliefs[0].step, {} if terrains is None else terrains
+        for robot, belief in enumerate(beliefs):
+            looked_step, looked_map = self._looked[robot]
+            is_old = step - looked_step >= self._period or map_id(belief) != looked_map
+            if is_old or (len(is_due) and is_due[robot]):
+                self._looked[robot] = step, map_id(belief)
+                terrain = terrain_of(known, belief, self._config.dynamics.robot_radius_m)
+                slots = self._config.action.frontier_slots
+                self.candidates[robot] = find_candidates(belief, terrain, self._finder, slots)
+
+
+class MacroActions:
+    """Executes the waypoint or frontier actions of all robots in one episode."""
+
+    def __init__(self, config: EnvConfig, is_alive: Array | None = None):
+        """is_alive: (robots,) bool, by default all."""
+        self._config, self._action = config, config.action
+        self._finder = PathFinder()
+        count = config.robots
+        self._drivers = [Driver(config.dynamics, self._finder) for _ in range(count)]
+        self._scout = Scout(config, self._finder)
+        self._are_candidates_used = config.action.kind == "frontier" or config.observation.frontiers
+        self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()
+        """(robots,) whether the robot's action counts in the next step; if not, it still executes its last one."""
+        self._stay_until = np.zeros(count, np.int64)
+        self._terrains: dict[tuple[float, GridMap], Terrain] = {}
+        self._ticks = 0
+        self._deadline = 0
+        self._seconds = 1.0 / config.dynamics.time_step_s
+
+    @property
+    def candidates(self) -> list[Candidates]:
+        """Goals that each robot can choose; of a busy robot, for its observation only."""
+        return self._scout.candidates
+
+    def mask(self, robot: int) -> Array:
+        """(choices,) int8, 1 for valid choices. The only one of a busy robot is `stay`, which means continue."""
+        slots = self._action.frontier_slots
+        mask = np.zeros(slots + len(EXTRA_CHOICES), np.int8)
+        mask[slots + STAY] = 1
+        if self.is_deciding[robot]:
+            candidates = self.candidates[robot]
+            mask[: len(candidates.frontiers_m)] = 1
+            mask[slots + SIGN] = candidates.sign_m is not None
+            mask[slots + MATE] = candidates.mate_m is not None
+        return mask
+
+    def look(self, beliefs: Sequence[Belief]) -> None:
+        """Update the candidates of the robots that decide now, unless nothing shows or chooses them."""
+        self._terrains.clear()
+        if self._are_candidates_used:
+            self._scout.look(beliefs, self.is_deciding, self._terrains)
+
+    def assign(self, actions: Mapping[str, object], agents: Sequence[str], beliefs: Sequence[Belief]) -> None:
+        """Set the goals of the robots that decide; actions of the others are only checked.
+
+        Raises ActionError for a malformed action; nothing is changed then. A masked choice counts as `stay`.
+        """
+        check_agents(actions, agents)
+        is_waypoint = self._action.kind == "waypoint"
+        parse = _waypoint if is_waypoint else _choice
+        size = 2 if is_waypoint else self._action.frontier_slots + len(EXTRA_CHOICES)
+        parsed = []
+        for agent in agents:
+            parsed.append(parse(actions[agent], agent, size))
+        self._deadline = self._ticks + max(1, math.ceil(self._action.decision_max_s * self._seconds - 1e-9))
+        for robot, (value, belief) in enumerate(zip(parsed, beliefs, strict=True)):
+            if self.is_deciding[robot]:
+                self._begin(robot, belief, self._goal_of(robot, value, belief))
+        self.is_deciding[:] = False
+
+    def commands(self, beliefs: Sequence[Belief]) -> Array:
+        """(robots, 2) speed [m/s] and turn rate [rad/s] for the next tick."""
+        self._terrains.clear()
+        self._ticks += 1
+        return np.array(
+            [driver.command(belief, self._terrain) for driver, belief in zip(self._drivers, beliefs, strict=True)]
+        )
+
+    def is_decision_due(self, is_alive: Array) -> bool:
+        """Whether the step ends now; if so, updates `is_deciding`. Failed robots are not waited for and never decide.
+
+        is_alive: (robots,) bool.
+        """
+        is_free = np.array([driver.status != "driving" for driver in self._drivers])
+        is_free &= self._stay_until <= self._ticks
+        late, awaited = self._ticks >= self._deadline, is_free[is_alive]
+        has_come = awaited.all() if self._action.timing == "synchronous" else awaited.any()
+        due = late or (len(awaited) > 0 and has_come)
+        if due:
+            self.is_deciding = is_alive.copy() if late else is_free & is_alive
+        return bool(due)
+
+    def _goal_of(self, robot: int, value, belief: Belief) -> tuple[str, Array] | None:
+        """Kind and position (2,) in the map frame of the goal of an action; None: stay."""
+        if self._action.kind == "waypoint":
+            offset = np.asarray(value, float) * self._action.waypoint_reach_m
+            wanted = transform_points(belief.pose_map_robot, offset[None])[0]
+            terrain = self._terrain(belief, 1.0)
+            if not self._finder.spread(terrain, belief.pose_map_robot[:2]):
+                return "place", wanted
+            place = self._finder.nearest_to(terrain, wanted)
+            return "place", wanted if place is None else place
+        candidates, slots = self.candidates[robot], self._action.frontier_slots
+        if value < len(candidates.frontiers_m):
+            return "frontier", candidates.frontiers_m[value]
+        place = {slots + SIGN: candidates.sign_m, slots + MATE: candidates.mate_m}.get(value)
+        return None if place is None else ("mate" if value == slots + MATE else "place", place)
+
+    def _begin(self, robot: int, belief: Belief, goal: tuple[str, Array] | None) -> None:
+        self._stay_until[robot] = 0
+        if goal is None:
+            self._drivers[robot].stop()
+            self._stay_until[robot] = self._ticks + max(1, round(self._action.stay_s * self._seconds))
+        else:
+            self._drivers[robot].start(goal[1], belief, goal[0])
+
+    def _terrain(self, belief: Belief, squeeze: float) -> Terrain:
+        return terrain_of(self._terrains, belief, squeeze * self._config.dynamics.robot_radius_m)
+
+
+def terrain_of(known: dict[tuple[float, GridMap], Terrain], belief: Belief, radius_m: float) -> Terrain:
+    """The terrain of the robot's grid for robots of this radius; `known` caches the terrains of the present step.
+
+    The key is the grid, not the group: robots of one group may hold different maps (`link.topology = "peer"`).
+    """
+    key = radius_m, belief.grid
+    if key not in known:
+        known[key] = Terrain.of(belief, radius_m)
+    return known[key]
+
+
+def _waypoint(action, agent: str, size: int) -> Array:
+    goal = action_array(action)
+    # The comparison is False for NaN.
+    if goal.shape != (size,) or goal.dtype.kind not in "fiu" or not np.all(np.abs(goal) <= 1.0 + 1e-6):
+        raise ActionError(
+            f"action of {agent!r} must be 2 finite numbers (goal ahead, to the left) in [-1, 1]; got {action!r}"
+        )
+    return goal.astype(float)
+
+
+def _choice(action, agent: str, size: int) -> int:
+    array = action_array(action)
+    if array.size != 1 or array.dtype.kind not in "iu" or not 0 <= int(array.reshape(-1)[0]) < size:
+        raise ActionError(f"action of {agent!r} must be a whole number from 0 to {size - 1}; got {action!r}")
+    return int(array.reshape(-1)[0])

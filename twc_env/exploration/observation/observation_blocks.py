@@ -1,0 +1,59 @@
+"""The blocks of an observation: which a config enables, their shapes and ranges."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray as Array
+
+from twc_env.config import EnvConfig
+from twc_env.exploration.observation import map_view
+
+POSE_LIMITS = np.array([1000.0, 1000.0, 1.0, 1.0, 100.0, 100.0, math.pi, 10_000.0], np.float32)
+POSE_LOWEST = POSE_LIMITS * np.array([-1, -1, -1, -1, 0, 0, 0, 0], np.float32)
+EXTRA_CHOICES = ("sign", "mate", "stay")
+"""Choices that follow the frontiers in the action space, in this order."""
+
+
+def block_spaces(config: EnvConfig) -> dict[str, spaces.Space]:
+    """Spaces of the blocks that the config enables, in the order of the observation."""
+    shape, mates = config.observation, max(config.robots - 1, 1)
+    chooses = config.action.kind == "frontier"
+    slots = config.action.frontier_slots
+    blocks: dict[str, spaces.Space] = {
+        "lidar": spaces.Box(0.0, 1.0, (config.lidar.beam_count,), np.float32),
+        "map": spaces.Box(0, 255, (map_view.CHANNELS, shape.map_cells, shape.map_cells), np.uint8),
+        "overview": spaces.Box(
+            0, 255, (map_view.OVERVIEW_CHANNELS, shape.overview_cells, shape.overview_cells), np.uint8
+        ),
+        "pose": spaces.Box(POSE_LOWEST, POSE_LIMITS, dtype=np.float32),
+        "wifi": spaces.Box(0.0, 1.0, (shape.wifi_slots,), np.float32),
+        "signs": spaces.Box(-1.0, 1.0, (shape.sign_slots, 5), np.float32),
+        "team": spaces.Box(-1.0, 1.0, (mates, 5), np.float32),
+        "frontiers": spaces.Box(-1.0, 1.0, (slots, 6), np.float32),
+    }
+    wanted = {
+        name: space for name, space in blocks.items() if getattr(shape, name) or (chooses and name == "frontiers")
+    }
+    if config.slam.k_visibility.enabled:
+        wanted["radio"] = spaces.Box(0, 255, (2, shape.map_cells, shape.map_cells), np.uint8)
+    if chooses:
+        wanted["action_mask"] = spaces.Box(0, 1, (slots + len(EXTRA_CHOICES),), np.int8)
+    return wanted
+
+
+def observation_space(config: EnvConfig) -> spaces.Dict | spaces.Box:
+    """The space of one agent's observation; see `ExplorationEnv` for the meaning of each block."""
+    blocks = block_spaces(config)
+    if config.observation.kind == "dict":
+        return spaces.Dict(blocks)
+    low, high = (joined({name: getattr(space, end) for name, space in blocks.items()}) for end in ("low", "high"))
+    return spaces.Box(low, high, dtype=np.float32)
+
+
+def joined(blocks: dict[str, Array]) -> Array:
+    """All blocks concatenated to one float32 vector, images scaled to [0, 1]."""
+    parts = [np.ravel(b) / np.float32(255.0) if b.dtype == np.uint8 else np.ravel(b) for b in blocks.values()]
+    return np.concatenate(parts).astype(np.float32) if parts else np.zeros(0, np.float32)

@@ -1,0 +1,132 @@
+"""One self-contained HTML page that plays a recorded episode: `python -m twc_env replay RUN --html`."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.config import EnvConfig, from_dict
+from twc_env.datasets.logs.arrays_file import read_arrays
+from twc_env.errors import DataError, TwcError
+from twc_env.exploration.drawing.rendering import COLOURS
+from twc_env.exploration.trace import FORMAT, TRACE_KEYS
+from twc_env.world.sensors.signal_map import SIGNAL_SPAN_DBM
+
+DIGITS = 3
+"""Positions are written to the millimetre."""
+
+
+def write_page(run: Path, path: Path) -> Path:
+    """Write the page of a run folder from its trace.npz and report.json.
+
+    Raises DataError if one of them is missing or invalid, or the page cannot be written.
+    """
+    trace, report = read_trace(run / "trace.npz"), read_report(run / "report.json")
+    with contradictions(run):
+        data = page_data(trace, report)
+        content = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    template = files("twc_env").joinpath("replay_page.html").read_text(encoding="utf-8")
+    title = escape(f"{report.get('agent', 'team')} on {report['map']}, seed {report['seed']}")
+    try:
+        filled = re.sub("__(TITLE|DATA)__", lambda gap: {"TITLE": title, "DATA": content}[gap[1]], template)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(filled, encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"cannot write {path}: {error.strerror}; choose another place with --html FILE") from error
+    return path
+
+
+def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]:
+    """The data for the script of the page, as plain Python values."""
+    config: EnvConfig = from_dict(json.loads(str(trace["config"])))
+    walls = trace["walls_m"].reshape(-1, 4)
+    corners = trace["walls_m"].reshape(-1, 2)
+    moments = json.loads(str(trace["moments"]))
+    starts = np.concatenate([[0], trace["map_ends"]])
+    packed = trace["maps"].tobytes()
+    layers = [layer for moment in moments for layer in moment["layers"]]
+    for layer, first, end in zip(layers, starts[:-1], starts[1:], strict=True):
+        layer["cells"] = _base64(packed[first:end])
+    return {
+        "robots": config.robots,
+        "robot_radius_m": config.dynamics.robot_radius_m,
+        "time_step_s": config.dynamics.time_step_s,
+        "subtitle": f"{config.robots} robots, {len(trace['true_poses']) - 1} steps of "
+        f"{config.dynamics.time_step_s:g} s, configuration {report['config_digest']}, version {report['version']}. "
+        "Grey lines: the true building. White and black: the merged map (free, wall). "
+        "Disc: true pose of a robot; ring: its estimate.",
+        "colours": ["#" + bytes(colour).hex() for colour in COLOURS],
+        "bounds_m": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()],
+        "walls_m": _rounded(walls),
+        "signs_m": _rounded(trace["signs_m"]),
+        "sign_texts": json.loads(str(trace["sign_texts"])),
+        "access_points_m": _rounded(trace["access_points_m"]),
+        "signal": _signal(trace),
+        "true_poses": _rounded(trace["true_poses"]),
+        "estimated_poses": _rounded(trace["estimated_poses"]),
+        "moments": moments,
+        "report": report,
+    }
+
+
+def _signal(trace: dict[str, Array]) -> dict[str, Any]:
+    """Levels 1 to 255 over the range of the overlay, 0 where there is no floor."""
+    low, high = SIGNAL_SPAN_DBM
+    strength = trace["signal_dbm"]
+    level = 1 + np.round(254 * np.clip((np.nan_to_num(strength, nan=low) - low) / (high - low), 0.0, 1.0))
+    level = np.where(np.isfinite(strength), level, 0).astype(np.uint8)
+    return {
+        "shape": list(level.shape),
+        "place": trace["signal_place"].tolist(),
+        "cells": _base64(zlib.compress(level.tobytes())),
+    }
+
+
+def _rounded(values: Array) -> list:
+    return np.round(values.astype(np.float64), DIGITS).tolist()
+
+
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode("ascii")
+
+
+@contextmanager
+def contradictions(run: Path) -> Iterator[None]:
+    """Turn exceptions from inconsistent arrays of a run folder into DataError."""
+    try:
+        yield
+    except TwcError:
+        raise
+    except (LookupError, TypeError, ValueError, zlib.error) as error:
+        what = f"{run / 'trace.npz'} contradicts itself or report.json"
+        raise DataError(f"{what}: {error}; run the episode again".replace("\n", " ")) from error
+
+
+def read_trace(path: Path) -> dict[str, Array]:
+    """The arrays of a trace.npz. Raises DataError if it is missing, invalid or of another format."""
+    return read_arrays(path, "trace", FORMAT, TRACE_KEYS, "`python -m agents explore --out RUN` writes one")
+
+
+def read_report(path: Path) -> dict[str, Any]:
+    """A report.json. Raises DataError if it is missing or invalid."""
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"cannot read {path}: {error.strerror}; name a run folder that holds a report") from error
+    except ValueError as error:
+        raise DataError(f"{path} is not valid JSON: {error}; run the episode again") from error
+    needed = {"map", "seed", "config_digest", "version"}
+    if not isinstance(report, dict) or not needed <= set(report):
+        raise DataError(f"{path} is not a report with {', '.join(sorted(needed))}; run the episode again")
+    return report

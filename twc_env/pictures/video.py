@@ -1,0 +1,128 @@
+"""Record a team as animated GIFs, one per episode; needs Pillow (extra `viz`).
+
+    env = RecordEpisodes(twc_env.parallel_env(render_mode="rgb_array"), "films")
+
+For one robot with velocity actions, gymnasium's `RecordVideo` writes MP4 instead (needs moviepy). It records one image
+per action, so use this class with robots=1 for actions that last many time steps, such as `frontier`.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray as Array
+from pettingzoo.utils import BaseParallelWrapper
+
+from twc_env.config.checks import whole_number
+from twc_env.errors import ConfigError, DataError
+from twc_env.exploration.environment import ExplorationEnv
+from twc_env.records.json_values import check_folder
+
+WIDTH_MAX_PX = 560
+COLOURS = 64
+TEXT_PX = 12
+INK, PAPER = (38, 44, 56), (255, 255, 255)
+
+
+class RecordEpisodes(BaseParallelWrapper):
+    """Writes `episode-0.gif`, `episode-1.gif`, ... to a folder, each when its episode ends.
+
+    The caption shows the time, how many robots share a map and the share of the floor that is mapped correctly. Every
+    `every`-th time step is recorded, also within long actions, and shown in real time. An episode abandoned before its
+    first step leaves no film; one abandoned later leaves a shorter one, to its last step. After `close`, nothing is
+    recorded until the next `reset`.
+    """
+
+    def __init__(self, env: ExplorationEnv, folder: str | Path, every: int = 2):
+        """Raises ConfigError if the environment does not render images or Pillow is missing, DataError if the folder
+        is not writable."""
+        super().__init__(env)
+        if env.render_mode != "rgb_array":
+            raise ConfigError(f"films need render_mode='rgb_array'; the environment has {env.render_mode!r}")
+        if importlib.util.find_spec("PIL") is None:
+            raise ConfigError("films need Pillow: run `pip install 'twc_env[viz]'`")
+        check_folder(Path(folder))
+        self._team, self._folder, self._every = env, Path(folder), whole_number("every", every, 1)
+        self._frames: list[Any] = []
+        self._is_late = False
+        """Whether time steps were made since the last recorded one."""
+        self._episodes = 0
+        env.watch(self._look)
+
+    def reset(self, seed: int | None = None, options: dict | None = None):
+        """Begin an episode, and its film."""
+        self._write()
+        result = super().reset(seed=seed, options=options)
+        self._team.watch(self._look)  # again, as closing the environment drops it
+        self._shoot()
+        return result
+
+    def step(self, actions: Mapping[str, Any]):
+        """One step; the last one of an episode writes the film."""
+        result = super().step(dict(actions))
+        if not self.agents:
+            self._write()
+        return result
+
+    def close(self) -> None:
+        """Write the film of an unfinished episode."""
+        self._write()
+        super().close()
+
+    def _look(self) -> None:
+        episode = self._team.episode
+        self._is_late = True
+        if episode.steps % self._every == 0 or episode.is_over:
+            self._shoot()
+
+    def _shoot(self) -> None:
+        picture = self._team.render()
+        assert picture is not None
+        self._frames.append(film_frame(picture, self._team.episode.caption(), WIDTH_MAX_PX))
+        self._is_late = False
+
+    def _write(self) -> None:
+        if self._frames and self._is_late:
+            self._shoot()
+        frames, self._frames, self._is_late = self._frames, [], False
+        if len(frames) < 2:
+            return
+        path = self._folder / f"episode-{self._episodes}.gif"
+        self._episodes += 1
+        duration_ms = round(1000 * self._every * self._team.config.dynamics.time_step_s)
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise DataError(f"cannot make the folder {self._folder}: {error.strerror}; choose another") from error
+        write_film(path, frames, duration_ms)
+
+
+def film_frame(picture: Array, caption: str, width_max_px: int) -> Any:
+    """A picture (height, width, 3) uint8 as a Pillow image of few colours, its caption on a strip below."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    image = Image.fromarray(np.ascontiguousarray(picture))
+    if image.width > width_max_px:
+        height = max(1, round(image.height * width_max_px / image.width))
+        image = image.resize((width_max_px, height), Image.Resampling.BOX)
+    size = TEXT_PX
+    while size > 6 and ImageFont.load_default(size).getlength(caption) > image.width - size:
+        size -= 1
+    frame = Image.new("RGB", (image.width, image.height + 2 * size), PAPER)
+    frame.paste(image)
+    ImageDraw.Draw(frame).text(
+        (size // 2, image.height + size), caption, fill=INK, font=ImageFont.load_default(size), anchor="lm"
+    )
+    return frame.quantize(COLOURS, dither=Image.Dither.NONE)
+
+
+def write_film(path: Path, frames: Sequence[Any], duration_ms: int | list[int]) -> None:
+    """Frames as an endless GIF. Raises DataError when the file cannot be written."""
+    try:
+        frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration_ms, loop=0)
+    except OSError as error:
+        raise DataError(f"cannot write {path}: {error.strerror}; choose another folder") from error

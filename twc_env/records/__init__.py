@@ -1,0 +1,1 @@
+"""What crosses the borders of packages: messages, geometry, random streams, strict JSON."""

@@ -1,0 +1,46 @@
+"""Validation of fingerprints from callers; comparisons rely on ascending addresses and equal lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twc_env.errors import DataError
+from twc_env.records.messages import Fingerprint
+
+
+def validated_fingerprints(fingerprints: Sequence[Fingerprint], name: str = "fingerprint") -> tuple[Fingerprint, ...]:
+    """The fingerprints, with arrays as fields. Raises DataError for invalid ones."""
+    return tuple(validated_fingerprint(each, f"{name} {k}") for k, each in enumerate(fingerprints))
+
+
+def validated_fingerprint(fingerprint: Fingerprint, name: str = "the fingerprint") -> Fingerprint:
+    """The fingerprint, with arrays as fields. Raises DataError if it is invalid."""
+    if not isinstance(fingerprint, Fingerprint):
+        raise DataError(f"{name} is {fingerprint!r}: give an empty Fingerprint where nothing was heard")
+    try:
+        macs, rssi_dbm = np.asarray(fingerprint.macs), np.asarray(fingerprint.rssi_dbm, float)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{name} must hold numbers: {error}") from None
+    if fault := fault_of_readings(macs, rssi_dbm):
+        raise DataError(f"{name} has {fault}")
+    if macs is fingerprint.macs and rssi_dbm is fingerprint.rssi_dbm:
+        return fingerprint
+    return Fingerprint(macs.astype(np.int64), rssi_dbm)
+
+
+def fault_of_readings(macs: ArrayLike, rssi_dbm: ArrayLike) -> str | None:
+    """What is invalid about addresses and RSSI of one scan; None if nothing is."""
+    macs = np.asarray(macs)
+    if macs.ndim != 1 or macs.shape != np.shape(rssi_dbm):
+        return f"addresses of shape {macs.shape} and strengths of {np.shape(rssi_dbm)}: one for each"
+    if len(macs) and macs.dtype.kind not in "iu":
+        example = f"such as {macs[0]!r}: int(mac.replace(':', ''), 16) makes one of text"
+        return f"addresses that are not whole numbers, {example}"
+    if not (np.diff(macs) > 0).all():
+        return "addresses that do not ascend: sort them, each but once"
+    if not np.isfinite(rssi_dbm).all():
+        return "a strength that is not finite: leave out what was not heard"
+    return None

@@ -1,0 +1,1 @@
+"""Real laser and radio logs."""

@@ -1,0 +1,62 @@
+"""Alignment of paths with a building's axes: corrected paths of public laser logs, and the walks of `radio-table1`.
+
+Places are sampled every 3 m along a path. Some of the segments between them follow two orthogonal directions, with a
+normally distributed deviation; the others have any direction. The share of the former and the deviation are fitted to
+each path. `slam.building_axes.STD_RAD` was chosen on the logs; the walks were only evaluated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.datasets.logs.scan_log import read_carmen_log
+from twc_env.reproduce.radio.radio_twins import PLACES, true_path
+from twc_env.reproduce.runner import Runner, add_seeds, data_folder
+from twc_env.slam.radio.building_axes import LENGTH_M, BuildingAxes
+
+SUMMARY = "how closely paths follow the directions of walls: five laser logs and the walks of radio-table1"
+CHOOSES = ("seeds",)
+
+LOGS = ("aces", "freiburg-079", "freiburg-101", "intel", "orebro")
+ROUNDS = 100
+LEAST_RAD = np.radians(1.0)
+"""Lower limit of the deviation: otherwise a few segments exactly on an axis would dominate the fit."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the table."""
+    add_seeds(parser, "2", "seeds of the walks in each place")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row per path: {path, role, ways, share, std_deg}."""
+    folder = data_folder() / "lidar" / "carmen"
+    found = runner.each(LOGS, lambda log: figures(read_carmen_log(folder / f"{log}-corrected.log.gz").poses), str)
+    table = [{"path": log, "role": "calibrated", **row} for log, row in zip(LOGS, found, strict=True)]
+    walks = runner.grid(PLACES, options.seeds, lambda name, seed: figures(true_path(PLACES[name], seed)))
+    return table + [
+        {"path": f"{name}, walk {seed}", "role": "reported", **row}
+        for name, rows_ in walks.items()
+        for seed, row in zip(options.seeds, rows_, strict=True)
+    ]
+
+
+def figures(path: Array) -> dict[str, float]:
+    """Number of segments of a path (n, 3), the share that follows the axes, and their deviation [deg], at least 1."""
+    places, axes = spaced(path[:, :2]), BuildingAxes()
+    for _ in range(ROUNDS):
+        axes = dataclasses.replace(axes.fitted(places), std_rad=max(axes.deviation_rad(places), LEAST_RAD))
+    return {"ways": len(places) - 1, "share": axes.share, "std_deg": float(np.degrees(axes.std_rad))}
+
+
+def spaced(path_m: Array) -> Array:
+    """Points of a path (n, 2): the first, then each next one at least `LENGTH_M` from the last chosen."""
+    chosen = [path_m[0]]
+    for place in path_m[1:]:
+        if np.hypot(*(place - chosen[-1])) >= LENGTH_M:
+            chosen.append(place)
+    return np.array(chosen)

@@ -1,0 +1,188 @@
+"""The Intel Research Lab log, from raw odometry and scans to a map, by the same engine as in the environment.
+
+The log has 910 scans of the front half over 500 m, one every 0.5 to 0.7 m or half a radian; every scan becomes a
+keyframe. Loop candidates come from proximity in the current estimate and scan similarity only. There are no signs and
+no WiFi, so merging requires more closures instead. With `robots` above 1 the log is split into as many consecutive
+pieces, played simultaneously, each robot in its own frame. They merge only where the geometry allows it; a relation
+between robots that share no map counts as missed (`relations` is the number evaluated).
+
+Errors are means (and medians) over the 119 hand-verified relations of the Freiburg SLAM benchmark whose two ends are
+within 20 ms of scans in the log. The log omits most scans, and laser stamps come in bursts (some scans are 5 ms apart).
+So 29 relations refer to an omitted neighbour of a logged scan, from which the robot may have turned by some degrees;
+relations that share such a stamp have the same angular error. The columns `exact` use the 90 relations whose two stamps
+match logged scans to the microsecond. The particle filter is our own GMapping-style baseline
+(`twc_env.slam.front_end.particle_filter`).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.config import from_dict
+from twc_env.datasets.logs.scan_log import (
+    BEAMS,
+    RANGE_MAX_M,
+    SETTINGS,
+    Relations,
+    ScanLog,
+    read_relations,
+    read_scan_log,
+    sensor_frames,
+)
+from twc_env.errors import ConfigError
+from twc_env.records.geometry import between, compose
+from twc_env.records.messages import SensorFrame
+from twc_env.reproduce.drawing import draw_grid, new_figure
+from twc_env.reproduce.runner import Runner, add_seeds, data_folder
+from twc_env.running.command_line import count
+from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.front_end.particle_filter import ParticleFilterSettings, map_frames
+from twc_env.slam.scans.occupancy_grid import OccupancyGrid
+
+SUMMARY = "the Intel Lab log from raw odometry to a map: one robot, and split into three that merge by geometry"
+CHOOSES = ("robots", "seeds")
+
+SAME_SCAN_S = 1e-6
+"""Time stamps have microseconds: a larger difference means another scan."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the table."""
+    parser.add_argument(
+        "--robots", type=count, nargs="+", default=[1, 3], help="numbers of robots to split the log into (default: 1 3)"
+    )
+    parser.add_argument("--particles", type=count, default=20, help="particles of the particle filter")
+    add_seeds(parser, "3", "seeds of the particle filter")
+    parser.add_argument("--scans", type=count, default=910, help="only the first scans of the log (default: all)")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row per method and number of robots.
+
+    {method, robots, relations, translation_error_m, rotation_error_deg, translation_median_m, rotation_median_deg,
+    relations_exact, translation_exact_m, rotation_exact_deg, robots_in_one_map}.
+    """
+    if max(options.robots) > options.scans:
+        most = max(options.robots)
+        raise ConfigError(f"{most} robots need {most} scans or more; got {options.scans}")
+    log, relations = read_log(options.scans)
+    corrected = read_scan_log(_folder() / "intel_corrected_log.json.gz").poses
+    alone = np.zeros(len(corrected), int)
+    table = [
+        row("odometry", log.poses, alone, relations, 1),
+        row("corrected log (GMapping)", corrected, alone, relations, 1),
+    ]
+    for robots, run in zip(options.robots, _runs(options, runner), strict=True):
+        table.append(row("engine", np.array(run["poses"]), np.array(run["group"]), relations, robots))
+    for seed, path in zip(options.seeds, _particle_paths(options, runner), strict=True):
+        table.append(row(f"particle filter, seed {seed}", np.array(path), alone, relations, 1))
+    return table
+
+
+def _particle_paths(options: argparse.Namespace, runner: Runner) -> list:
+    log, _ = read_log(options.scans)
+    frames = sensor_frames(log, BEAMS, RANGE_MAX_M)
+    settings = ParticleFilterSettings(particles=options.particles)
+    return runner.each(
+        options.seeds,
+        lambda seed: map_frames(frames, settings, RANGE_MAX_M, seed)[0],
+        lambda seed: f"particle filter {seed}",
+    )
+
+
+def _runs(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    log, _ = read_log(options.scans)
+    return runner.each(options.robots, lambda robots: run_engine(log, robots), lambda robots: f"{robots} robots")
+
+
+def _folder() -> Path:
+    return data_folder() / "lidar" / "raw_odometry"
+
+
+def read_log(count: int) -> tuple[ScanLog, Relations]:
+    """The first scans of the raw log, and the relations between them."""
+    whole = read_scan_log(_folder() / "intel_gfs.json.gz")
+    found = read_relations(_folder() / "intel.relations.gz", whole)
+    inside = (found.first < count) & (found.second < count)
+    log = ScanLog(whole.times_s[:count], whole.poses[:count], whole.ranges_m[:count], whole.beam_angles_rad)
+    return log, Relations(
+        found.first[inside], found.second[inside], found.pose_first_second[inside], found.away_s[inside]
+    )
+
+
+def run_engine(log: ScanLog, robots: int) -> dict:
+    """Poses (scans, 3) of the engine, each in the map of its group, and the group (scans,) of each."""
+    pieces = np.array_split(np.arange(len(log.times_s)), robots)
+    paths = [sensor_frames(log, BEAMS, RANGE_MAX_M, piece, robot) for robot, piece in enumerate(pieces)]
+    engine = CooperativeSlam(from_dict(SETTINGS | {"robots": robots}), robots)
+    placed = place_frames(engine, paths)
+    group = [np.full(len(path), engine.team.group_index(robot)) for robot, path in enumerate(placed)]
+    return {"poses": np.concatenate(placed), "group": np.concatenate(group)}
+
+
+def place_frames(engine: CooperativeSlam, paths: Sequence[Sequence[SensorFrame]]) -> list[Array]:
+    """Run the engine on the frames of all robots; (frames, 3) poses of each robot in the final map of its group."""
+    poses_odom: list[list[Array]] = [[] for _ in paths]
+    for step in range(max(map(len, paths))):
+        frames = [path[step] for path in paths if step < len(path)]
+        engine.update(frames)
+        for frame in frames:
+            poses_odom[frame.robot].append(engine.poses_odom[frame.robot].copy())
+    engine.finish()
+    return [_in_map(engine, robot, np.array(path)) for robot, path in enumerate(poses_odom)]
+
+
+def _in_map(engine: CooperativeSlam, robot: int, poses_odom: Array) -> Array:
+    """(scans, 3) the path of a robot, placed by its keyframes."""
+    steps = engine.team.keyframe_steps(robot)
+    last = np.searchsorted(steps, np.arange(len(poses_odom)), side="right") - 1
+    return compose(engine.team.poses_of(robot)[last], between(poses_odom[steps[last]], poses_odom))
+
+
+def row(method: str, poses: Array, group: Array, relations: Relations, robots: int) -> dict:
+    """Errors of poses (scans, 3), each in the frame of its group (scans,), at relations within a group."""
+    translation_m, rotation_deg = relations.errors(poses)
+    judged = group[relations.first] == group[relations.second]
+    exact = judged & (relations.away_s < SAME_SCAN_S)
+    starts = [piece[0] for piece in np.array_split(np.arange(len(poses)), robots)]
+    return {
+        "method": method,
+        "robots": robots,
+        "relations": int(judged.sum()),
+        "translation_error_m": float(translation_m[judged].mean()),
+        "rotation_error_deg": float(rotation_deg[judged].mean()),
+        "translation_median_m": float(np.median(translation_m[judged])),
+        "rotation_median_deg": float(np.median(rotation_deg[judged])),
+        "relations_exact": int(exact.sum()),
+        "translation_exact_m": float(translation_m[exact].mean()),
+        "rotation_exact_deg": float(rotation_deg[exact].mean()),
+        "robots_in_one_map": int(np.bincount(group[starts]).max()),
+    }
+
+
+def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
+    """Draw the map of the largest group of each run, from the scans at the engine's poses."""
+    log, _ = read_log(options.scans)
+    scans = np.array([frame.ranges_m for frame in sensor_frames(log, BEAMS, RANGE_MAX_M)])
+    written = []
+    for robots, run in zip(options.robots, _runs(options, runner), strict=True):
+        poses, group = np.array(run["poses"]), np.array(run["group"])
+        inside = group == np.argmax(np.bincount(group))
+        grid = OccupancyGrid(0.05, RANGE_MAX_M, BEAMS)
+        grid.integrate(poses[inside], scans[inside])
+        figure = new_figure(9, 9, dpi=110)
+        axes = figure.add_subplot()
+        draw_grid(axes, grid)
+        for k, piece in enumerate(np.array_split(np.arange(len(poses)), robots)):
+            axes.plot(*poses[piece[inside[piece]], :2].T, linewidth=0.6, color=f"C{k}")
+        near = poses[inside, :2]
+        axes.set(xlim=(near[:, 0].min() - 6, near[:, 0].max() + 6), ylim=(near[:, 1].min() - 6, near[:, 1].max() + 6))
+        axes.set(xlabel="x [m]", ylabel="y [m]", title=f"Intel Lab, {robots} robot(s)")
+        written.append(folder / f"intel-{robots}.png")
+        figure.savefig(written[-1])
+    return written

@@ -1,0 +1,1 @@
+"""The error table of sign reading."""

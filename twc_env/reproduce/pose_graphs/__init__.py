@@ -1,0 +1,1 @@
+"""Back ends and solver on public pose graphs."""

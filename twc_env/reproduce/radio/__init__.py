@@ -1,0 +1,1 @@
+"""Tables of radio SLAM, and the radio model against measurements."""

@@ -1,0 +1,1 @@
+"""Tables of TWC-SLAM, and map merging."""

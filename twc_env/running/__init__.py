@@ -1,0 +1,1 @@
+"""Running commands: arguments, progress, interruptions, worker processes, locks, finished parts."""

@@ -1,0 +1,323 @@
+"""Shared parts of all commands: exit status, argument types, help, progress and tables."""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import io
+import math
+import os
+import sys
+import textwrap
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from twc_env._version import __version__
+from twc_env.errors import ConfigError, DataError, TwcError, did_you_mean
+from twc_env.records.json_values import check_writable
+from twc_env.running.command_start import begin_work, end_when_interrupted, is_loading
+from twc_env.running.file_lock import FileLock
+
+if TYPE_CHECKING:
+    from twc_env.config import EnvConfig
+
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+"""Errors when writing to a path that was writable before: no room, or a broken device."""
+
+SEEDS_MAX = 100_000
+"""Largest range of seeds on a command line."""
+LOG_INTERVAL_S = 60.0
+LINE_WIDTH = 110
+_progress = {"logged_s": time.monotonic(), "is_open": False}
+"""Time of the last progress line in a log, and whether the line of the terminal shows progress."""
+
+
+def exit_status(command: Callable[[], int | None], remark: str = "interrupted") -> int:
+    """Run a command. Returns 0 or its own status when done, 130 when interrupted.
+
+    2 after bad input, or when output cannot be written (one line on stderr). A reader such as `head` may close the
+    output early, and characters that a terminal cannot show are escaped. `remark` is printed on interruption.
+    """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by the parent process
+            setattr(sys, name, open(os.devnull, "w"))
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace" if sys.stdout.errors == "strict" else sys.stdout.errors)
+    try:
+        begin_work()
+        try:
+            status = command()
+        finally:
+            end_line()
+        sys.stdout.flush()
+        return status or 0
+    except TwcError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 2
+    except BrokenPipeError:
+        _silence()
+        return 0
+    except OSError as error:
+        if error.errno not in _NO_ROOM:
+            raise
+        sys.stderr.write(f"error: cannot write: {error.strerror}; make room, or choose another place\n")
+        try:
+            sys.stdout.flush()
+        except OSError:
+            _silence()
+        return 2
+    except KeyboardInterrupt:
+        sys.stderr.write(f"{remark}\n")
+        return 130
+    finally:
+        if is_loading():
+            end_when_interrupted()
+
+
+def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
+    """Run the command that the arguments name, after checking the path of --json; returns as `exit_status`.
+
+    A command's `run` gets its options; `when_interrupted`, if set, is its remark.
+    """
+    options = parser.parse_args(arguments)
+
+    def command() -> int | None:
+        check_writable(getattr(options, "json", None))
+        return options.run(options)
+
+    return exit_status(command, getattr(options, "when_interrupted", "interrupted"))
+
+
+def _silence() -> None:
+    """Discard further output, because its reader has closed it."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+class Paragraphs(argparse.HelpFormatter):
+    """Help in which each paragraph and each point of a list is filled; lines that begin with two spaces, such as
+    examples, are kept.
+
+    The help of an option ends with its default value, unless its text states a default.
+    """
+
+    def _get_help_string(self, action: argparse.Action) -> str:
+        text = action.help or ""
+        is_number_or_text = isinstance(action.default, (int, float, str, Path)) and action.default is not False
+        if not action.option_strings or not is_number_or_text or action.default == "" or "default: " in text:
+            return text
+        return text if action.default == argparse.SUPPRESS else f"{text} (default: %(default)s)"
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return "\n\n".join(self._filled(part, width) for part in text.strip().split("\n\n"))
+
+    @staticmethod
+    def _filled(part: str, width: int) -> str:
+        if part.startswith("- "):
+            points = [" ".join(point.split()) for point in f"\n{part}".split("\n- ")[1:]]
+            return "\n".join(textwrap.fill(f"- {point}", width, subsequent_indent="  ") for point in points)
+        prose: list[str] = []
+        lines: list[str] = []
+        for line in [*part.splitlines(), None]:
+            if line is not None and not line.startswith("  "):
+                prose.append(line)
+                continue
+            lines += textwrap.wrap(" ".join(prose), width) + ([] if line is None else [line])
+            prose = []
+        return "\n".join(lines)
+
+
+class Parser(argparse.ArgumentParser):
+    """Parser of a program and of all its commands, with help as in `Paragraphs`."""
+
+    def __init__(self, **settings: Any):
+        super().__init__(**{"formatter_class": Paragraphs, **settings})
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """Unknown arguments are rejected by the command itself, which shows its own usage."""
+        namespace, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            options = [word.partition("=")[0] for word in unknown if word.startswith("-")]
+            hint = did_you_mean(options[0], self._option_string_actions) if options else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+        return namespace, unknown
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message += did_you_mean(value, map(str, action.choices or ()))
+            raise
+
+    def error(self, message: str) -> NoReturn:
+        """Reject arguments, and refer to the help."""
+        super().error(f"{message}; {self.prog} --help says more")
+
+
+def add_version(parser: argparse.ArgumentParser) -> None:
+    """The option `--version`."""
+    parser.add_argument(
+        "--version", action="version", version=f"twc_env {__version__}", help="print the version and exit"
+    )
+
+
+def add_set(parser: argparse.ArgumentParser) -> None:
+    """The option `--set`, which `assignments` reads."""
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override a setting, e.g. lidar.beam_count=90; repeatable (list: python -m twc_env settings)",
+    )
+
+
+def assignments(texts: Sequence[str]) -> dict[str, object]:
+    """`KEY=VALUE` texts of the command line as a dictionary."""
+    pairs = [text.partition("=") for text in texts]
+    for text, (key, separator, _) in zip(texts, pairs, strict=True):
+        if not separator or not key:
+            raise ConfigError(f"--set takes KEY=VALUE, for example lidar.beam_count=360; got {text!r}")
+    return {key: value for key, _, value in pairs}
+
+
+def add_config(parser: argparse.ArgumentParser) -> None:
+    """The option `--config`, which `config_of` reads."""
+    parser.add_argument(
+        "--config", metavar="FILE", help="settings: TOML, JSON, a run folder or a task such as twc/ExploreHard-v0"
+    )
+
+
+def config_of(name: str | None) -> EnvConfig:
+    """The settings that `--config` names: a standard task, a TOML or JSON file, or a run folder; without it the
+    defaults. Raises ConfigError."""
+    from twc_env.config import EnvConfig, load
+    from twc_env.tasks import task_config
+
+    if name is None:
+        return EnvConfig()
+    return task_config(name) if name.startswith("twc/") else load(name)
+
+
+def add_json(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """The option `--json`, for `write_json`; more: what else is written then."""
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help=f"also write the results as JSON{more}; - for the terminal"
+    )
+
+
+def add_folder(parser: argparse.ArgumentParser, option: str, default: str, what: str) -> None:
+    """An option that names a folder."""
+    parser.add_argument(option, type=Path, default=Path(default), metavar="FOLDER", help=what)
+
+
+def count(text: str) -> int:
+    """A number of things, from 1 on, as an argument's type."""
+    return _whole_number(text, 1)
+
+
+def natural(text: str) -> int:
+    """A whole number from 0 on, as an argument's type."""
+    return _whole_number(text, 0)
+
+
+def _whole_number(text: str, least: int) -> int:
+    if not (text.isascii() and text.isdigit()) or int(text) < least:
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least {least}; got {text!r}")
+    return int(text)
+
+
+def number(least: float, most: float) -> Callable[[str], float]:
+    """A number from `least` to `most`, as an argument's type."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"must be a number from {least:g} to {most:g}; got {text!r}")
+        return value
+
+    return read
+
+
+def show_count(done: int, total: int, what: str = "", every: int = 1) -> None:
+    """Show how much of a command is done, whenever the count is a multiple of `every`; see `show_line`."""
+    if done % every == 0 or done == total:
+        show_line(f"{done}/{total}{what}", done == total)
+
+
+def show_line(text: str, is_last: bool = False) -> None:
+    """Show the progress of a command: on a terminal in one line that is overwritten, in a log in a line per minute."""
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r{text[:LINE_WIDTH]:<{LINE_WIDTH}}")
+        sys.stderr.flush()
+        _progress["is_open"] = True
+        if is_last:
+            end_line()
+    elif time.monotonic() - _progress["logged_s"] >= LOG_INTERVAL_S:
+        sys.stderr.write(f"{text}\n")
+        _progress["logged_s"] = time.monotonic()
+
+
+def end_line() -> None:
+    """End the line that shows progress, so that the next output begins a new line."""
+    if _progress["is_open"]:
+        sys.stderr.write("\n")
+        _progress["is_open"] = False
+
+
+def aligned(rows: Sequence[dict[str, Any]]) -> str:
+    """Rows as a table of aligned columns, which are the keys of the first row."""
+    if not rows:
+        return "no rows"
+    columns = list(rows[0])
+    lines = [columns, *([_cell(row.get(column)) for column in columns] for row in rows)]
+    widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
+    return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+    return str(value)
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """Seeds of a list such as 0-3,7 -> (0, 1, 2, 3, 7). Raises ConfigError for other texts and huge ranges."""
+    seeds: list[int] = []
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not first.isdecimal() or (dash and not last.isdecimal()) or (dash and int(last) < int(first)):
+            raise ConfigError(f"seeds must be numbers and ranges such as 0-9 or 1,4,7-9; got {text!r}")
+        begin, end = int(first), int(last if dash else first) + 1
+        if end - begin > SEEDS_MAX:
+            raise ConfigError(f"a range holds at most {SEEDS_MAX} seeds; got {part.strip()}")
+        seeds += range(begin, end)
+    return tuple(dict.fromkeys(seeds))
+
+
+def make_folder(folder: Path) -> None:
+    """Create the folder that `--out` names. Raises DataError if that fails."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"cannot make the folder {folder}: {error.strerror}; choose another with --out") from error
+
+
+@contextmanager
+def alone_in(folder: Path, patience_s: float = 60.0) -> Iterator[None]:
+    """Lock a folder, which is created, so that two commands do not mix their files in it.
+
+    Raises DataError if another command holds it for longer than `patience_s`, or if the folder cannot be created.
+    """
+    make_folder(folder)
+    with FileLock(folder / ".lock").held(patience_s) as is_ours:
+        if is_ours is False:
+            raise DataError(f"another command writes to {folder}: wait for its end, or choose another with --out")
+        yield

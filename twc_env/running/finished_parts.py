@@ -1,0 +1,82 @@
+"""Results of the parts of a long computation, kept on disk, so that an interrupted computation can continue.
+
+A result is reused only if it was computed with the same settings by the same code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterable
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from twc_env._version import __version__
+from twc_env.errors import DataError
+from twc_env.maps import bundled_folder
+from twc_env.records.json_values import check_folder, plain
+
+SUFFIXES = (".py", ".json")
+"""Files that determine results: code, measured tables and bundled maps."""
+
+
+@cache
+def code_digest(*packages: str) -> str:
+    """Digest (eight hex digits) of all code and bundled data of twc_env and of the given packages."""
+    folders = [Path(place) for name in ("twc_env", *packages) for place in _places(name)]
+    content = hashlib.sha256()
+    for folder in [*folders, bundled_folder()]:
+        for path in sorted(path for path in folder.rglob("*") if path.suffix in SUFFIXES):
+            content.update(f"{path.relative_to(folder).as_posix()}\n".encode() + path.read_bytes())
+    return content.hexdigest()[:8]
+
+
+def _places(package: str) -> Iterable[str]:
+    spec = find_spec(package)
+    if spec is None or spec.submodule_search_locations is None:
+        raise DataError(f"there is no package {package!r}, so nothing says which code computed a part")
+    return spec.submodule_search_locations
+
+
+class FinishedParts:
+    """A folder of finished parts of one computation, with one set of settings and one version of the code.
+
+    Raises DataError, before anything is computed, if the folder cannot be written to.
+    """
+
+    def __init__(self, folder: Path, name: str, settings: Any, packages: tuple[str, ...] = ()):
+        text = json.dumps(plain(settings), sort_keys=True, default=str)
+        stem = f"{name}-{__version__}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+        self.folder = folder / f"{stem}-{code_digest(*packages)}"
+        check_folder(folder)
+        self.of_other_code = sum(
+            1 for other in folder.glob(f"{stem}-*") if other != self.folder for _ in other.glob("*.json")
+        )
+        """Number of parts with the same settings that other code computed; they are not reused."""
+
+    @property
+    def remark(self) -> str | None:
+        """A sentence about parts that are not reused; None if there are none."""
+        if not self.of_other_code:
+            return None
+        return f"{self.of_other_code} finished parts were computed by other code and are not taken; they are run again"
+
+    def once(self, key: str, work: Callable[[], Any]) -> Any:
+        """The result of `work()` as JSON returns it; read from disk if an earlier run finished this part."""
+        path = self.folder / (hashlib.sha256(key.encode()).hexdigest()[:16] + ".json")
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):  # missing or incomplete: compute it
+            pass
+        text = json.dumps(plain(work()))
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            partial = path.with_suffix(f".{os.getpid()}")
+            partial.write_text(text, encoding="utf-8")
+            partial.replace(path)
+        except OSError as error:
+            raise DataError(f"cannot keep finished parts in {self.folder}: {error.strerror}") from error
+        return json.loads(text)

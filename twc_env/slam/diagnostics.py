@@ -1,0 +1,146 @@
+"""Human-readable diagnostics of one mapper: missing cues, silent robots, repeated names and deviating receivers."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections import Counter
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.records.messages import Keyframe
+from twc_env.slam.places.device_offsets import LETTERS_MIN, DeviceOffsets, offset_of
+from twc_env.slam.places.text_similarity import normalise
+from twc_env.slam.team import TeamMapper
+
+SILENT_S = 5.0
+"""Robots not heard for longer are reported."""
+REPEATED_APART_M, REPEATED_SHARE, NAMES_MIN = 4.0, 0.4, 4
+"""A name at places this far apart in one map is repeated; from this share of repeated names on they are reported."""
+
+
+NEVER = -1
+"""In place of a step: not heard yet."""
+
+
+class Listening:
+    """When each mapper last heard each robot, and its longest silence."""
+
+    def __init__(self, listeners: int, robots: int, time_step_s: float):
+        self._time_step_s = time_step_s
+        self.last_steps = np.full((listeners, robots), NEVER)
+        """Step at which each listener last heard each robot that it does not hear now."""
+        self.is_heard = np.zeros((listeners, robots), np.bool_)
+        """(listeners, robots) whom each listener hears in the latest step. Both arrays are modified in place."""
+        self._silence = np.zeros((listeners, robots, 2), np.int64)
+        """First and last step of the longest silence that ended."""
+        self._latest: Array | None = None
+        self._latest_bytes = b""
+        """Contacts of the latest step: array and content."""
+        self.last_step = 0
+
+    def note(self, step: int, heard: Array) -> None:
+        """Record the contacts of a step; heard (listeners, robots) bool, not modified afterwards."""
+        is_same = heard is self._latest
+        if step == self.last_step + 1 and (is_same or heard.tobytes() == self._latest_bytes):
+            self._latest, self.last_step = heard, step
+            return
+        self.last_steps[self.is_heard] = self.last_step
+        self._latest, self._latest_bytes, self.last_step = heard, heard.tobytes(), step
+        begin = np.maximum(self.last_steps, 0)
+        ended = heard & (step - begin > self._silence[..., 1] - self._silence[..., 0])
+        if ended.any():
+            self._silence[ended, 0] = begin[ended]
+            self._silence[ended, 1] = step
+        self.is_heard[:] = heard
+
+    def lines(self, listener: int, robots: Collection[int]) -> list[str]:
+        """Reports of robots that this listener has not heard for long, now or earlier."""
+        found, step, time_step_s = [], self.last_step, self._time_step_s
+        for robot in robots:
+            last = step if self.is_heard[listener, robot] else max(self.last_steps[listener, robot], 0)
+            begin, end = self._silence[listener, robot]
+            if (step - last) * time_step_s > SILENT_S:
+                found.append(f"robot {robot} not heard since {last * time_step_s:.1f} s")
+            if (end - begin) * time_step_s > SILENT_S:
+                found.append(f"robot {robot} not heard from {begin * time_step_s:.1f} s to {end * time_step_s:.1f} s")
+        return found
+
+
+def shortcomings(mapper: TeamMapper) -> list[str]:
+    """One line per problem of a mapper so far, in a fixed order; empty without problems."""
+    return [
+        *_missing(mapper.keyframes, "signs", "no signs read", lambda k: len(k.signs) > 0),
+        *_missing(mapper.keyframes, "WiFi", "no WiFi heard", lambda k: len(k.fingerprint.macs) > 0),
+        *_repeated_names(mapper),
+        *_odd_devices(mapper.keyframes),
+        *_apart(mapper),
+        *_refused(mapper),
+    ]
+
+
+def _missing(paths: Sequence[Sequence[Keyframe]], what: str, nowhere: str, has) -> list[str]:
+    without = [robot for robot, path in enumerate(paths) if path and not any(has(k) for k in path)]
+    if without and len(without) == sum(bool(path) for path in paths):
+        return [nowhere]
+    return [f"no {what} from robot {robot}" for robot in without]
+
+
+def _repeated_names(mapper: TeamMapper) -> list[str]:
+    """Names that occur at several places of one map, if they are many."""
+    readings = Counter(sign.text for path in mapper.keyframes for keyframe in path for sign in keyframe.signs)
+    names = {text for text, count in readings.items() if count > 1 and len(text) >= LETTERS_MIN}
+    repeated = set()
+    for group in range(len(mapper.groups)):
+        places: dict[str, list[Array]] = {}
+        for sign in mapper.signs_of(group):
+            places.setdefault(sign.text, []).append(sign.position_m)
+        repeated |= {text for text, at in places.items() if np.ptp(np.array(at), axis=0).max() > REPEATED_APART_M}
+    count = len(repeated & names)
+    if len(names) < NAMES_MIN or count < REPEATED_SHARE * len(names):
+        return []
+    return [f"{count} of {len(names)} sign texts occur at several places"]
+
+
+def _odd_devices(paths: Sequence[Sequence[Keyframe]]) -> list[str]:
+    """Robots whose receivers have an offset where both read the same name (median, since names may be duplicated)."""
+    devices = DeviceOffsets()
+    devices.make_room(len(paths))
+    for robot, path in enumerate(paths):
+        for keyframe in path:
+            for sign in keyframe.signs:
+                devices.note(robot, normalise(sign.text), keyframe.fingerprint)
+    pairs = itertools.combinations(range(len(paths)), 2)
+    differences = {(a, b): offset_of(devices.between(a, b)) for a, b in pairs}
+    return [
+        f"robot {b} reads WiFi {offset_db:+.0f} dB against robot {a} where both read a name"
+        for (a, b), offset_db in differences.items()
+        if offset_db != 0.0
+    ]
+
+
+def _apart(mapper: TeamMapper) -> list[str]:
+    groups = [group.robots for group in mapper.groups]
+    if len(groups) < 2:
+        return []
+    pending = sum(closure.status == "pending" for closure in mapper.closures)
+    return [
+        f"no common map of {' and '.join(str(list(g)) for g in groups)}; {pending} closures wait for others that agree"
+    ]
+
+
+def _refused(mapper: TeamMapper) -> list[str]:
+    """Reasons for which candidates were rejected, most frequent first."""
+    kinds = Counter(
+        re.split(r"[\d(]", closure.reason, maxsplit=1)[0].strip() or "distance from the estimate"
+        for closure in mapper.closures
+        if closure.status == "rejected"
+    )
+    if not kinds:
+        return []
+    return [
+        "candidates refused: "
+        + ", ".join(f"{count} by {kind}" for kind, count in sorted(kinds.items(), key=lambda k: (-k[1], k[0])))
+    ]

@@ -1,0 +1,1 @@
+"""The robots' front ends: frame checks, clocks, tracking, keyframes."""

@@ -1,0 +1,1 @@
+"""The graph and the map of a group of robots that share a frame."""

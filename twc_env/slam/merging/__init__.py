@@ -1,0 +1,1 @@
+"""Merging maps of groups: tests of hypotheses, review, and optimisation."""

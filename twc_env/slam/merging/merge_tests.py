@@ -1,0 +1,279 @@
+"""Evidence for and against merging the maps of two groups of robots."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from bisect import bisect_left
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.config import MergingConfig
+from twc_env.records.geometry import compose, inverse
+from twc_env.records.messages import GridMap, LoopClosure
+from twc_env.slam.mapping.team_graph import TeamGraph
+from twc_env.slam.merging import map_merging
+from twc_env.slam.merging.map_merging import MergeProposal, Weight
+from twc_env.slam.merging.mutual_observations import MutualObservations
+from twc_env.slam.merging.sign_consistency import SignsRead, count_shared, found_apart
+from twc_env.slam.places.heard_places import HeardPlaces
+from twc_env.slam.places.meeting_recogniser import MEETING
+from twc_env.slam.places.sign_table import MISSING_AFTER_S
+
+DISAGREEING_WEIGHT = 2
+"""With radio-only closures, more than `closures_min` must agree, plus this many for each that disagrees: along rows of
+shelves, scans also match one shelf further."""
+HYPOTHESES_MAX = 16
+"""Of the hypotheses of single closures, the latest so many are tested by sightings."""
+SCANS_ALONE_MIN = 8
+"""Where neither signs nor fingerprints are compared, places this many, `spread_min_m` apart, must agree: rooms and
+whole wings of a building look alike."""
+
+
+Solution = tuple[Sequence[LoopClosure], Array]
+"""Accepted closures of a solution and its node poses (n, 3)."""
+
+
+class MergeTests:
+    """Evaluates a merge of robots `a` with robots `b` by closures, fingerprints, signs and walls."""
+
+    def __init__(
+        self,
+        config: MergingConfig,
+        graph: TeamGraph,
+        spares_deaf: bool = False,
+        doubts_radio: bool = False,
+        sightings: MutualObservations | None = None,
+    ):
+        """doubts_radio: radio-only closures are in use (`meets_by_wifi`), and a merge needs more of them."""
+        self._rule, self._graph, self._spares_deaf, self._doubts_sounds = config, graph, spares_deaf, doubts_radio
+        self._sightings = sightings
+        self._heard = HeardPlaces()
+        """Fingerprints of the nodes, added on demand."""
+        self._read = SignsRead()
+
+    def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int], others: int = 0) -> MergeProposal | None:
+        """The merge hypothesis from closures between `a` and other robots: pose of the others' map in the map of `a`.
+
+        Loose closures are ignored: their two places may be metres apart. With `doubts_radio`, only closures by signs
+        are used unless enough of all closures agree; closures that disagree and the `others` accepted ones elsewhere
+        raise that number.
+        """
+        closures = [c for c in closures if not c.is_loose]
+        by_signs = [c for c in closures if not _is_radio_only(c)] if self._doubts_sounds else closures
+        count, count_min = len(closures), self._rule.closures_min
+        if len(by_signs) < count and count - DISAGREEING_WEIGHT * others > count_min:
+            found = self._agreement(closures, a)
+            agree = 0 if found is None else np.count_nonzero(found.support)
+            if agree - DISAGREEING_WEIGHT * (count - agree + others) > count_min:
+                return found
+        return self._agreement(by_signs, a)
+
+    def _agreement(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> MergeProposal | None:
+        if len(closures) < self._rule.closures_min:
+            return None
+        found = map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)
+        return found and replace(found, agreeing=tuple(itertools.compress(closures, found.support)))
+
+    def sighted_proposal(
+        self, closures: Sequence[LoopClosure], a: Sequence[int], b: Sequence[int]
+    ) -> MergeProposal | None:
+        """A merge hypothesis of few closures by signs, even of one, that mutual sightings of the robots prove.
+
+        See `robot_sightings`. Of several proven hypotheses, the one by which the robots saw each other most often.
+        Loose closures are ignored, and those by radio or scans alone: there are many more wrong ones among them.
+        """
+        closures = [c for c in closures if c.candidate.sign_m is not None and not c.is_loose]
+        if self._sightings is None or not self._sightings.are_known or not closures:
+            return None
+        in_a, in_b, measured, signs, alike = self._as_a_to_b(closures, a)
+        placed = compose(in_a, measured)
+        poses_a_b, is_left, best, seen_most = compose(placed, inverse(in_b)), np.ones(len(closures), bool), None, 0
+        for _ in range(HYPOTHESES_MAX):
+            if not is_left.any():
+                break
+            pose_a_b = poses_a_b[np.flatnonzero(is_left)[-1]]
+            support = map_merging.agree_with(pose_a_b, placed, in_b, self._rule)  # itself included
+            is_left &= ~support
+            found = self._sightings.count(a, b, pose_a_b)
+            if found.prove and found.seen > seen_most:
+                best, seen_most = (pose_a_b, support), found.seen
+        if best is None:
+            return None
+        pose_a_b, support = best
+        weight = map_merging.weight_of(signs[support], alike[support], self._rule)
+        return MergeProposal(pose_a_b, support, weight, tuple(itertools.compress(closures, support)), is_proven=True)
+
+    def may_replace(self, robots: Sequence[int], nodes: Array, before: Solution, after: Solution) -> bool:
+        """Whether solution `after` may replace `before` in the map of these robots, whose nodes (n,) are given.
+
+        The weight of newly accepted closures must reach that of lost ones: their number is not sufficient where few
+        signs were seen often or consecutive names are confused. No new pair of robots may disagree on most of its
+        shared signs.
+        """
+        held, now = ({closure.number for closure in answer[0]} for answer in (before, after))
+        lost = self.weight([c for c in before[0] if c.number not in now], robots)
+        if self.weight([c for c in after[0] if c.number not in held], robots) < lost:
+            return False
+        return self._disagreeing_pairs(robots, nodes, after[1]) <= self._disagreeing_pairs(robots, nodes, before[1])
+
+    def _disagreeing_pairs(self, robots: Sequence[int], nodes: Array, poses: Array) -> set[tuple[int, int]]:
+        """Pairs of robots that disagree on most of their shared signs with these nodes (n,) at poses (n, 3)."""
+        everywhere = self._graph.poses.copy()
+        everywhere[nodes] = poses
+        whose, texts, places = self._read_by(robots, everywhere)
+        pairs = ((pair, np.isin(whose, pair)) for pair in itertools.combinations(robots, 2))
+        return {pair for pair, own in pairs if _texts_disagree(texts[own], places[own], whose[own] == pair[1])}
+
+    def weight(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> Weight:
+        """Weight of closures for the transform between robots `a` and others; loose closures have none."""
+        closures = [c for c in closures if not c.is_loose]
+        if not closures:
+            return 0, 0, 0
+        *_, signs, alike = self._as_a_to_b(closures, a)
+        if self._doubts_sounds:
+            alike &= np.array([not _is_radio_only(c) for c in closures])
+        return map_merging.weight_of(signs, alike, self._rule)
+
+    def _as_a_to_b(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> tuple[Array, Array, Array, Array, Array]:
+        """Keyframe poses in a and in b, measured pose of the latter in the former (k, 3 each), sign positions in a (k,
+        2).
+
+        And whether both readings are identical (k,). Signs are placed from the keyframe of a, so that all are in one
+        frame.
+        """
+        poses, node = self._graph.poses, self._graph.node
+        in_a, in_b, measured, signs = [], [], [], []
+        for closure in closures:
+            target, source, z = closure.candidate.target, closure.candidate.source, closure.pose_target_source
+            sign = closure.candidate.sign_m if closure.candidate.sign_m is not None else np.zeros(2)
+            if target[0] not in a:
+                sign = compose(inverse(z), [*sign, 0.0])[:2]
+                target, source, z = source, target, inverse(z)
+            signs.append(compose(poses[node(target)], [*sign, 0.0])[:2])
+            in_a.append(poses[node(target)])
+            in_b.append(poses[node(source)])
+            measured.append(z)
+        alike = np.array([closure.candidate.is_read_alike for closure in closures])
+        return np.array(in_a), np.array(in_b), np.array(measured), np.array(signs), alike
+
+    def cues_confirm(self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal) -> bool:
+        """Whether radio confirms the merge; without radio comparison, sign names or enough distinct places must.
+
+        Radio is not compared if switched off, or (`spares_deaf`) if one side never received anything. Then robots must
+        have seen each other as the merge implies (`robot_sightings`), or `names_agree` is required if texts were
+        compared, and SCANS_ALONE_MIN places if only scans were.
+        """
+        is_heard = self._rule.wifi_check and not (
+            self._spares_deaf and (self._heard_nothing(a) or self._heard_nothing(b))
+        )
+        if is_heard:
+            return self.radio_agrees(a, b, proposal.pose_a_b) is True
+        if self._sightings is not None and self._sightings.count(a, b, proposal.pose_a_b).confirm:
+            return True
+        compared = [closure.candidate for closure in proposal.agreeing]
+        if self._rule.spread_min_m > 0.0 and all(candidate.sign_m is None for candidate in compared):
+            return proposal.weight[1] >= SCANS_ALONE_MIN
+        is_read = not any(math.isnan(candidate.text_similarity) for candidate in compared)
+        return not is_read or self.names_agree(a, b, proposal.pose_a_b)
+
+    def _heard_nothing(self, robots: Sequence[int]) -> bool:
+        paths = [self._graph.keyframes[robot] for robot in robots]
+        is_late = any(path[-1].time_s >= MISSING_AFTER_S for path in paths if path)
+        return is_late and not any(len(keyframe.fingerprint.macs) for path in paths for keyframe in path)
+
+    def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool | None:
+        """Whether places that the merge brings together have similar fingerprints; None with too few pairs."""
+        members, graph = [*a, *b], self._graph
+        paths = [graph.path_of(robot) for robot in members]
+        nodes, count_a = np.concatenate(paths), sum(map(len, paths[: len(a)]))
+        poses = graph.poses[nodes]
+        poses[count_a:] = compose(pose_a_b, poses[count_a:])
+        return map_merging.wifi_agrees(
+            poses[:, :2],
+            graph.robot_of_node[nodes],
+            graph.travels_m[nodes],
+            self._heard_everywhere(),
+            nodes,
+            np.arange(len(nodes)) >= count_a,
+        )
+
+    def forget(self, _: Array) -> None:
+        """Drop caches after keyframes were removed (`TeamGraph.forget`)."""
+        self._heard = HeardPlaces()
+        self._read.clear()
+
+    def signs_disagree(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
+        """Whether of the sign places that the merge brings together more read differently than identically."""
+        robots, texts, places = self._read_by((*a, *b), self._poses_with(b, pose_a_b))
+        return _texts_disagree(texts, places, np.isin(robots, b))
+
+    def names_agree(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
+        """Whether enough places that the merge brings together have one name that was read nowhere else."""
+        robots, texts, places = self._read_by(range(len(self._graph.keyframes)), self._poses_with(b, pose_a_b))
+        are_tried = np.isin(robots, (*a, *b))
+        are_told = are_tried & ~found_apart(texts, places[:, :2], np.where(are_tried, 0, robots + 1))[texts]
+        same, _ = count_shared(texts[are_told], places[are_told], np.isin(robots[are_told], b))
+        return same >= self._rule.signs_read_alike_min
+
+    def _poses_with(self, b: Sequence[int], pose_a_b: Array) -> Array:
+        """(n, 3) poses of all nodes, with those of `b` transformed to the map of `a`."""
+        poses, nodes = self._graph.poses.copy(), self._graph.nodes_of(b)
+        poses[nodes] = compose(pose_a_b, poses[nodes])
+        return poses
+
+    def _read_by(self, robots: Iterable[int], poses: Array) -> tuple[Array, Array, Array]:
+        """All readings of some robots, with nodes at poses (n, 3): robot (k,), text number (k,), pose of each sign (k,
+        3)."""
+        whose, texts, places = [], [], []
+        for robot in robots:
+            at, numbers, local = self._read.by(robot, self._graph.keyframes[robot])
+            whose.append(np.full(len(at), robot))
+            texts.append(numbers)
+            places.append(compose(poses[self._graph.path_of(robot)[at]], local))
+        return np.concatenate(whose), np.concatenate(texts), np.concatenate(places)
+
+    def _heard_everywhere(self) -> HeardPlaces:
+        """Fingerprints of all nodes."""
+        graph, heard = self._graph, self._heard
+        known = len(heard)
+        new = [iter(path[bisect_left(graph.path_of(r), known) :]) for r, path in enumerate(graph.keyframes)]
+        heard.add([next(new[robot]).fingerprint for robot in graph.robot_of_node[known:].tolist()])
+        return heard
+
+    def overlap(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, reach_m: float) -> list[tuple[int, int]]:
+        """(robot, keyframe index) of keyframes of either side that the merge would put within `reach_m` of the other
+        side."""
+        names = [[(r, k.index) for r in side for k in self._graph.keyframes[r]] for side in (a, b)]
+        poses = [np.concatenate([self._graph.poses_of(r) for r in side]) for side in (a, b)]
+        apart = poses[0][:, None, :2] - compose(pose_a_b, poses[1])[None, :, :2]
+        near = np.hypot(apart[..., 0], apart[..., 1]) < reach_m
+        chosen = near.any(axis=1), near.any(axis=0)
+        return [
+            name
+            for side, is_near in zip(names, chosen, strict=True)
+            for name, n in zip(side, is_near, strict=True)
+            if n
+        ]
+
+    def sightings_contradict(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
+        """Whether robots saw through the places where the merge puts others at that time (`robot_sightings`)."""
+        return self._sightings is not None and self._sightings.count(a, b, pose_a_b).contradict
+
+    def walls_disagree(self, grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> bool:
+        """Whether more than `contradiction_max` of one map's walls lie in free space of the other."""
+        return map_merging.wall_contradiction(grid_a, grid_b, pose_a_b) > self._rule.contradiction_max
+
+
+def _texts_disagree(texts: Array, places: Array, is_b: Array) -> bool:
+    """Whether of the shared sign places more read differently than identically; arguments as in `count_shared`."""
+    same, other = count_shared(texts, places, is_b)
+    return other > same
+
+
+def _is_radio_only(closure: LoopClosure) -> bool:
+    """Whether the closure comes from fingerprints alone, without comparing text."""
+    return closure.candidate.recogniser in ("wifi", MEETING)

@@ -1,0 +1,1 @@
+"""Odometry filters, and calibration of systematic odometry errors."""

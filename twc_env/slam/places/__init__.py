@@ -1,0 +1,1 @@
+"""Place recognition by sign texts, radio and scans."""

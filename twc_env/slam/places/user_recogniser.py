@@ -1,0 +1,56 @@
+"""A place recogniser loaded from a user's file, with checks of its candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from twc_env.config import PlaceRecognitionConfig
+from twc_env.errors import DataError
+from twc_env.records.class_file import class_in
+from twc_env.records.messages import Keyframe, LoopCandidate
+
+
+class OwnRecogniser:
+    """The class that `recogniser` names as FILE.py:CLASS, constructed from the config and the scanner's range [m]."""
+
+    def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
+        """Raises ConfigError if the class does not exist or lacks a method of `Recogniser`."""
+        remedy = "a place recogniser has what twc_env.slam.places.place_recognition.Recogniser names"
+        self._file = config.recogniser
+        self._own = class_in(self._file, ("name", "propose", "forget"), remedy)(config, range_max_m)
+        self.name: str = self._own.name
+        self._known: dict[tuple[int, int], Keyframe] = {}
+        """Keyframes passed to it that are still held, by robot and index."""
+
+    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
+        """See `Recogniser`. Raises DataError for malformed candidates: wrong type, name or source, a target that is no
+        earlier keyframe, or a guess that is no finite pose."""
+        proposed = self._own.propose(keyframe, skipped_robots)
+        if not isinstance(proposed, Sequence) or not all(isinstance(each, LoopCandidate) for each in proposed):
+            raise DataError(f"{self._file} must propose a list of LoopCandidate; got {proposed!r}")
+        candidates = [self._checked(candidate, keyframe) for candidate in proposed]
+        self._known[keyframe.key] = keyframe
+        return candidates
+
+    def score(self, target: Keyframe, source: Keyframe) -> float:
+        """See `Recogniser`."""
+        return float(self._own.score(target, source))
+
+    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+        """See `Recogniser`."""
+        self._known = {key: keyframe for key, keyframe in self._known.items() if is_held(keyframe)}
+        self._own.forget(is_held)
+
+    def _checked(self, candidate: LoopCandidate, keyframe: Keyframe) -> LoopCandidate:
+        guess, source = np.array(candidate.guess, float), keyframe.key
+        if guess.shape != (3,) or not np.isfinite(guess).all():
+            raise DataError(f"{self._file} must guess a pose (x, y, heading); got {candidate.guess!r}")
+        if candidate.recogniser != self.name or tuple(candidate.source) != source:
+            got = f"{candidate.recogniser!r} and {candidate.source}"
+            raise DataError(f"{self._file} must name candidates {self.name!r}, with source {source}; got {got}")
+        if tuple(candidate.target) not in self._known:
+            raise DataError(f"{self._file} must name keyframes that it was shown before; got target {candidate.target}")
+        return replace(candidate, guess=guess)

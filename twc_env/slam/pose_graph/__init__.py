@@ -1,0 +1,1 @@
+"""Pose graphs: arrays, factors, solver, robust back ends, sparsification."""

@@ -1,0 +1,1 @@
+"""Radio SLAM: similarity, closures, refinement, radio maps."""

@@ -1,0 +1,1 @@
+"""Structure from WiFi: inverse k-visibility as published, and our solver."""

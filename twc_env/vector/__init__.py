@@ -1,0 +1,1 @@
+"""Many environments at once: worker processes, and adapters to learning libraries."""

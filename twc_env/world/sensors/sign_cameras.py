@@ -1,0 +1,139 @@
+"""The cameras of a team: the sign readings of all robots in a step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from twc_env.config import EnvConfig
+from twc_env.kernels.compiled import BindsAnew, Lent, borrowing_kernel, bound, parts_of
+from twc_env.records.messages import SignReading
+from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.sensors.misreading import CODES, LINE_DRAWS, misread_signs
+from twc_env.world.sensors.noise import NormalPools
+from twc_env.world.sensors.sign_readers import ocr_stream, shipped_reader, texts_of
+from twc_env.world.sensors.signs import SignCamera, bearing_stream
+
+_TURN_RAD = 2.0 * math.pi
+Readings = tuple[Sequence[tuple[SignReading, ...]], tuple[tuple[int, ...], ...]]
+"""Readings of each robot, and the true signs (plan numbers) behind them."""
+
+
+class SignCameras:
+    """The cameras of all robots; each takes an image every `period` steps, staggered. Equal to one `SignCamera` each.
+
+    With the reader "fast", all readings of a step are computed by one compiled call.
+    """
+
+    def __init__(self, config: EnvConfig, plan: Floorplan, seed: int, period: int):
+        signs, robots = config.signs, config.robots
+        is_fast = signs.reader == "fast"
+        self._cameras = [
+            SignCamera(signs, plan, robot, seed, config.dynamics) for robot in range(1 if is_fast else robots)
+        ]
+        self._robots, self._period = robots, period
+        self._sights, self._hidden = self._cameras[0].allocate(robots)
+        self._counts = np.zeros(robots, np.int64)
+        self.arguments = *self._cameras[0].arguments, self._sights, self._hidden, self._counts, period
+        """Arguments of `look` after the poses, its outputs, the counts (robots,) of signs in view, and the period."""
+        self.nothing: Readings = ((),) * robots, ((),) * robots
+        """The readings if no sign is in view."""
+        self._table: _TableReadings | None = None
+        if is_fast:
+            self._table = _TableReadings(config, tuple(sign.text for sign in plan.signs), seed, self.arguments[-4:])
+
+    def read(self, step: int) -> Readings:
+        """The readings of the signs that `look` has found in view in a step."""
+        first = -step % self._period
+        readings, sources = list(self.nothing[0]), list(self.nothing[1])
+        if self._table is not None:
+            for robot, sign, reading in self._table.read(first):
+                readings[robot] += (reading,)
+                sources[robot] += (sign,)
+        else:
+            for robot in range(first, self._robots, self._period):
+                sights = self._sights[robot, : self._counts[robot]]
+                readings[robot], sources[robot] = self._cameras[robot].read_sights(sights, self._hidden[robot])
+        return readings, tuple(sources)
+
+
+class _TableReadings(BindsAnew):
+    """Samples the readings of all robots from the measured table."""
+
+    def __init__(self, config: EnvConfig, texts: tuple[str, ...], seed: int, views: tuple):
+        """views: sights and hidden characters of all robots, counts of sights (robots,), and the period."""
+        self._texts, robots, signs = texts_of(texts, seed), range(config.robots), config.signs
+        most = len(robots) * len(texts)
+        draws = LINE_DRAWS * len(texts) + 2 * sum(map(len, texts))
+        self._text_noise = NormalPools([ocr_stream(seed, robot) for robot in robots], draws)
+        self._position_noise = NormalPools([bearing_stream(seed, robot) for robot in robots], draws)
+        self._letters = np.empty(len(robots) * self._texts.out.size, np.uint32)
+        self._found, self._measured = np.empty((most, 3), np.int64), np.empty((most, 2))
+        self._arrays = (
+            *views, *self._text_noise.arguments, *self._position_noise.arguments, signs.bearing_noise_std_rad,
+            signs.range_noise_std_m, *self._texts.arguments, self._letters, self._found, self._measured,
+        )  # fmt: skip
+        self._run: Callable[[int], int] | None = None
+        """`_read_in_view` with the arrays."""
+
+    def read(self, first: int) -> list[tuple[int, int, SignReading]]:
+        """(robot, sign, reading) of all signs read by robots first, first + period, ..."""
+        if self._run is None:
+            team = Lent(self._arrays)
+            self._run = partial(bound(_read_in_view, shipped_reader().table, team, first), team)
+        count = self._run(first)
+        while count < 0:
+            self._text_noise.refill(-count)
+            self._position_noise.refill(-count)
+            count = self._run(first)
+        found, begin, readings = self._found[:count].tolist(), 0, []
+        text = self._letters[: found[-1][2]].tobytes().decode(CODES) if found else ""
+        for (robot, sign, end), (bearing, distance) in zip(found, self._measured[:count].tolist(), strict=True):
+            line, begin = text[begin:end].strip(), end
+            if line:
+                readings.append((robot, sign, SignReading(line, math.remainder(bearing, _TURN_RAD), distance)))
+        return readings
+
+
+@borrowing_kernel
+def _read_in_view(table, team, first):
+    """Read the signs in view of robots first, first + period, ...; returns the count of texts read.
+
+    Fills found (k, 3): robot, sign and end of its text in `letters`; measured (k, 2): bearing and distance. If some
+    robot needs more random numbers than available, nothing is read, and minus the number needed is returned.
+    """
+    (
+        sights, hidden, sight_counts, period, text_noise, text_used, text_end, position_noise, position_used,
+        position_end, bearing_std, range_std, codes, lengths, kept, weights, draws, levels, out, counts, letters,
+        found, measured,
+    ) = parts_of(team)  # fmt: skip
+    for robot in range(first, sight_counts.shape[0], period):
+        needed = 0
+        for k in range(sight_counts[robot]):
+            needed += LINE_DRAWS + 2 * lengths[int(sights[robot, k, 0])]
+        if max(text_used[robot] + needed - text_end[robot], position_used[robot] + needed - position_end[robot]) > 0:
+            return -needed
+    end = read = 0
+    for robot in range(first, sight_counts.shape[0], period):
+        count = sight_counts[robot]
+        text_used[robot] = misread_signs(
+            table, count, sights[robot], hidden[robot], text_noise[robot], text_used[robot], codes, lengths, kept,
+            weights, draws, levels, out, counts,
+        )  # fmt: skip
+        for k in range(count):
+            if counts[k] > 0:
+                for m in range(counts[k]):
+                    letters[end + m] = out[k, m]
+                end += counts[k]
+                found[read, 0], found[read, 1], found[read, 2] = robot, int(sights[robot, k, 0]), end
+                measured[read, 0] = (
+                    sights[robot, k, 2] + bearing_std * position_noise[robot, position_used[robot] + 2 * k]
+                )
+                off = range_std * position_noise[robot, position_used[robot] + 2 * k + 1]
+                measured[read, 1] = max(sights[robot, k, 1] + off, 0.0)
+                read += 1
+        position_used[robot] += 2 * count
+    return read
