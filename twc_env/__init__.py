@@ -21,6 +21,7 @@ import gymnasium
 import pettingzoo
 
 from twc_env._version import __version__
+from twc_env.running.moved_modules import name_moved_modules
 from twc_env.tasks import TASKS, task_config
 
 if TYPE_CHECKING:
@@ -113,4 +114,5 @@ def _register() -> None:
         gymnasium.register(task, entry_point="twc_env.exploration.single_agent:SingleRobotEnv", kwargs={"task": task})
 
 
+name_moved_modules()
 _register()

@@ -25,7 +25,8 @@ def test_drawing_from_one_stream_does_not_advance_the_others():
 
 
 def test_another_process_with_another_hash_seed_draws_the_same_numbers():
-    code = "from twc_env.records.random_streams import random_stream as r; print(r(7, 'lidar', 2).integers(0, 2**62, 3).tolist())"
+    code = "from twc_env.records.random_streams import random_stream as r\n"
+    code += "print(r(7, 'lidar', 2).integers(0, 2**62, 3).tolist())"
     outputs = {
         subprocess.run(
             [sys.executable, "-c", code], check=True, capture_output=True, text=True, env={"PYTHONHASHSEED": seed}

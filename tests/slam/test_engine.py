@@ -24,7 +24,8 @@ engine = CooperativeSlam(config, config.robots)
 for step in frames:
     engine.update(step)
 engine.finish()
-loaded = sorted(name for name in sys.modules if name.startswith(("twc_env.world", "twc_env.records.random_streams", "pymunk")))
+truth = ("twc_env.world", "twc_env.records.random_streams", "pymunk")
+loaded = sorted(name for name in sys.modules if name.startswith(truth))
 print(",".join(loaded))
 print(b"".join(engine.team.poses_of(robot).tobytes() for robot in range(config.robots)).hex())
 """

@@ -56,6 +56,10 @@ def choices_of(setting: dataclasses.Field) -> str:
     return ", ".join(setting.metadata["choices"]) + (" or FILE.py:CLASS" if setting.metadata["or_class"] else "")
 
 
+_SECTION_NAMES: dict[type, str] = {}
+"""Dotted names of the sections, for messages; see `name_sections`."""
+
+
 class Checked:
     """Base of config sections: checks each field against its declared range or list. Raises ConfigError."""
 
@@ -84,10 +88,13 @@ class Checked:
 
     def _name(self, setting: dataclasses.Field) -> str:
         """Dotted name of the field, such as slam.local_map.resolution_m."""
-        from twc_env.config.environment import EnvConfig
+        return f"{_SECTION_NAMES.get(type(self), '')}.{setting.name}".lstrip(".")
 
-        section = next((name for name, cls in sections_of(EnvConfig) if cls is type(self)), "")
-        return f"{section}.{setting.name}".lstrip(".")
+
+def name_sections(cls: type) -> None:
+    """Let messages call the sections of this config by their dotted names."""
+    for name, section in sections_of(cls):
+        _SECTION_NAMES.setdefault(section, name)
 
 
 def sections_of(cls: type, name: str = "") -> Iterator[tuple[str, type]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from twc_env.config.checks import Checked, choice, number
+from twc_env.config.checks import Checked, choice, name_sections, number
 from twc_env.config.slam import SlamConfig
 from twc_env.config.world import (
     ROBOTS_MAX,
@@ -68,7 +68,7 @@ class ActionConfig(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RewardConfig(Checked):
-    """Weights of the terms in `twc_env.exploration.assessment.rewards`; by default only correctly mapped floor is rewarded."""
+    """Weights of the terms in `exploration/assessment/rewards.py`; by default only correctly mapped floor is rewarded."""
 
     period_steps: int = number(10, 1, 10000)
     """How often the first three terms are evaluated; always at the last step."""
@@ -104,3 +104,6 @@ class EnvConfig(Checked):
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     action: ActionConfig = field(default_factory=ActionConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
+
+
+name_sections(EnvConfig)

@@ -1,7 +1,7 @@
 """Compilation at the first start on a machine: a log message, and a helper process that shares the work.
 
 Compiled kernels are cached on disk for all processes, and no two processes compile the same kernel at once
-(`twc_env.kernels.kernel_compiler`). While this process compiles the kernels of the world and the observations, the helper
+(`twc_env.kernels.kernel_compiler`). While this process compiles the kernels of world and observations, the helper
 (`twc_env.exploration.warm_up`) starts with those of the engine; each loads what the other has already compiled. The
 helper then compiles kernels that only later steps need. It ends with the process that started it.
 """

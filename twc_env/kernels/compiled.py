@@ -1,7 +1,7 @@
 """Compiled kernels: loops over arrays, written in Python and as fast as in C.
 
-`twc_env.kernels.kernel_compiler` compiles them and keeps them on disk. A kernel may call kernels of other files and read their
-constants, imported by `from module import name`; a change of any of them recompiles it.
+`twc_env.kernels.kernel_compiler` compiles them and keeps them on disk. A kernel may call kernels of other files and
+read their constants, imported by `from module import name`; a change of any of them recompiles it.
 """
 
 from __future__ import annotations

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from twc_env.config import OdometryFilterConfig
 from twc_env.records.geometry import compose, wrap_angle
 from twc_env.slam.odometry.filterpy_filter import FilterpyFilters
-from twc_env.slam.odometry.odometry_filter import CompiledFilters, make_filters
+from twc_env.slam.odometry.filters import make_filters
+from twc_env.slam.odometry.odometry_filter import CompiledFilters
 
 DT_S = 0.1
 CONFIG = OdometryFilterConfig()

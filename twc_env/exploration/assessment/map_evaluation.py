@@ -26,8 +26,8 @@ from twc_env.world.building.floor_cells import Cells
 PLACE_M, TURN_RAD = 0.02, 0.001
 """Resolution to which a map's alignment is rounded, so that its mask stays valid for longer."""
 JUDGED_MAX = 4000
-"""If a mapper has more keyframes than this, `MapEvaluators` uses every second one, with twice as many every third, and so
-on, which bounds its run time and memory."""
+"""If a mapper has more keyframes than this, `MapEvaluators` uses every second one, with twice as many every third, and
+so on, which bounds its run time and memory."""
 NOT_KNOWN = -1.0
 """Instead of the number of wrong pairs: there are no keyframes. Instead of the number of cells: the map has moved."""
 

@@ -21,15 +21,15 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, override
 from twc_env.reproduce.routes import Walk
 from twc_env.reproduce.runner import Runner, add_seeds
+from twc_env.reproduce.twc.published import PRINT, over_known
 from twc_env.reproduce.twc.sighting_scores import COMBINED, METHODS, RECALL_LEVELS, TEXT, WIFI, judge, judge_some
 from twc_env.reproduce.twc.twc_scenes import AS_DRAWN, DEPARTMENTS, add_scenes, scene_config, walk_scene
 from twc_env.slam.places.rssi_similarity import BY_DISTANCE, COSINES
@@ -38,13 +38,6 @@ RSSI_MODES = (*BY_DISTANCE, *COSINES, "paper")
 SUMMARY = "TWC-SLAM Table I: precision and recall of text, WiFi, both, laser and all cues fused"
 CHOOSES = ("seeds", "scenes")
 
-PRINT = {
-    "#01": {"text": ((35, 89), (52, 78), (78, 31)), "wifi": ((45, 86), (62, 72), (68, 70)),
-            "twc": ((65, 92), (95, 90), (96, 65))},
-    "#02": {"text": ((41, 75), (61, 76), (88, 45)), "wifi": ((51, 81), (70, 76), (87, 40)),
-            "twc": ((54, 89), (82, 93), (84, 68))},
-}  # fmt: skip
-"""Published precision and recall [%]."""
 EQ7_AS_PRINTED, AS_PRINTED = "eq7", "as printed"
 """Eq. 7 as printed (without division), alone and with Eq. 10 as a distance."""
 
@@ -116,12 +109,6 @@ def _summary(scene: str, figures: Sequence[dict]) -> dict:
     row |= {"seeds": len(figures), "sd": over_known(values["precision"], np.std, 2)}
     row["sd_recall"] = over_known(values["recall_absolute"], np.std, 2)
     return row
-
-
-def over_known(values: Array, statistic: Callable[[Array], float], digits: int) -> float:
-    """A statistic of the finite values, rounded; NaN if there are none."""
-    known = values[np.isfinite(values)]
-    return round(float(statistic(known)), digits) if len(known) else math.nan
 
 
 def _printed(scene: str, figure: dict) -> tuple[float, float]:

@@ -44,9 +44,9 @@ from twc_env.reproduce.twc.offline_mapping import (
     point_cloud,
     wall_thickness_m,
 )
+from twc_env.reproduce.twc.published import PRINT as PRINT_TABLE1
+from twc_env.reproduce.twc.published import over_known
 from twc_env.reproduce.twc.twc_scenes import SCENES, SIGNS, add_scenes, scene_config, walk_scene
-from twc_env.reproduce.twc.twc_table1 import PRINT as PRINT_TABLE1
-from twc_env.reproduce.twc.twc_table1 import over_known
 from twc_env.slam.team import TeamMapper
 
 SUMMARY = "TWC-SLAM Table II: errors of the maps by text, WiFi, both, laser and all cues fused, by back end"

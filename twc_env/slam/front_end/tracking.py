@@ -16,11 +16,11 @@ from twc_env.kernels.compiled import BindsAnew, Lent, borrowing_kernel, bound, p
 from twc_env.records.geometry import beam_directions
 from twc_env.records.team_messages import TeamFrames
 from twc_env.slam.matching.scan_matching import LineFields, match_scan, matching_room
+from twc_env.slam.odometry.filters import make_filters
 from twc_env.slam.odometry.odometry_filter import (
     CompiledFilters,
     anchor,
     believe_match,
-    make_filters,
     open_direction,
     predict_state,
 )

@@ -11,7 +11,6 @@ the scale (errors in variables).
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -19,9 +18,6 @@ from numpy.typing import NDArray as Array
 from twc_env.config import OdometryFilterConfig
 from twc_env.kernels.compiled import borrowing_kernel, kernel
 from twc_env.kernels.small_matrices import invert3
-
-if TYPE_CHECKING:
-    from twc_env.slam.odometry.filterpy_filter import FilterpyFilters
 
 LATEST_SHARE = 0.2
 """Weight of the latest reading in the running mean of readings."""
@@ -290,16 +286,3 @@ class OdometryAlone(CompiledFilters):
 
     def update(self, robots: Array, poses: Array, information: Array, is_matched: Array, is_clear: Array) -> None:
         """Does nothing."""
-
-
-def make_filters(
-    config: OdometryFilterConfig, count: int, believes_scans: bool = True
-) -> CompiledFilters | FilterpyFilters:
-    """One filter per robot, of the type that `config.backend` names."""
-    if not believes_scans:
-        return OdometryAlone(config, count)
-    if config.backend == "filterpy":
-        from twc_env.slam.odometry.filterpy_filter import FilterpyFilters
-
-        return FilterpyFilters(config, count)
-    return CompiledFilters(config, count)

@@ -94,8 +94,8 @@ def mark_teammates(ranges, range_max, radius, directions, is_jump, jumps, out, d
 def unmark(scan, discs, pose, seen, following, travel, time):
     """Restore the beams (beams,) on discs (k, 4) that stayed in place long enough, seen from different places.
 
-    discs: as written by `mark_teammates`; seen (MEMORY, 4): x, y in the odom frame, travel [m] and time [s] of the first
-    sighting, infinite where unused. `following` is the row to overwrite next (ring buffer); returns the next one.
+    discs: as written by `mark_teammates`; seen (MEMORY, 4): x, y in the odom frame, travel [m] and time [s] of the
+    first sighting, infinite where unused. `following` is the row to overwrite next (ring buffer); returns the next one.
     """
     beams = scan.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])

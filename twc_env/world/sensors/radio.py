@@ -23,7 +23,7 @@ from twc_env.world.building.crossing_table import CrossingTable
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.materials import MATERIALS
 from twc_env.world.building.wall_index import WallIndex
-from twc_env.world.sensors.reception import mean_rssi
+from twc_env.world.sensors.mean_rssi import mean_rssi
 
 LOW_BAND, HIGH_BAND, CELL_BAND = 0, 1, 2
 """2.4 GHz, 5 GHz, LTE."""
@@ -139,7 +139,7 @@ class RadioModel:
             np.array([config.distance_min_m, _bypass_share(config.wall_loss_limit_db)]),
             np.empty((3 + used, len(sources.position_m))),
         )  # fmt: skip
-        """Arguments of `reception.mean_rssi` after the position and the wall losses."""
+        """Arguments of `mean_rssi` after the position and the wall losses."""
 
     def mean_rssi_dbm(self, position_m: Array) -> Array:
         """(transmitters,) RSSI at a position (2,) before fading, device offset and noise."""

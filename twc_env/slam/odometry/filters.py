@@ -1,0 +1,24 @@
+"""The odometry filters of all robots, by the back end that the settings name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from twc_env.config import OdometryFilterConfig
+from twc_env.slam.odometry.odometry_filter import CompiledFilters, OdometryAlone
+
+if TYPE_CHECKING:
+    from twc_env.slam.odometry.filterpy_filter import FilterpyFilters
+
+
+def make_filters(
+    config: OdometryFilterConfig, count: int, believes_scans: bool = True
+) -> CompiledFilters | FilterpyFilters:
+    """One filter per robot, of the type that `config.backend` names."""
+    if not believes_scans:
+        return OdometryAlone(config, count)
+    if config.backend == "filterpy":
+        from twc_env.slam.odometry.filterpy_filter import FilterpyFilters
+
+        return FilterpyFilters(config, count)
+    return CompiledFilters(config, count)
