@@ -35,7 +35,7 @@ def test_a_warm_import_takes_less_than_its_limit():
     assert best_s < WARM_IMPORT_MAX_S
 
 
-@pytest.mark.parametrize("name", ["config", "messages", "geometry"])
+@pytest.mark.parametrize("name", ["config", "records.messages", "records.geometry", "vector"])
 def test_every_public_module_can_be_imported_alone(name):
     assert run(f"import twc_env.{name}; print(twc_env.{name}.__name__)").strip() == f"twc_env.{name}"
 

@@ -60,7 +60,11 @@ def test_every_setting_named_in_a_document_exists():
     for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
         for name in re.findall(rf"`((?:{sections})\.[a-z_0-9.]+)[`= ]", path.read_text()):
             folder, _, module = f"twc_env/{name.replace('.', '/')}".rpartition("/")
-            is_code = (ROOT / folder / f"{module}.py").exists() or (ROOT / f"{folder}.py").exists()
+            is_code = (
+                (ROOT / f"{folder}.py").exists()
+                or (ROOT / folder / f"{module}.py").exists()
+                or (ROOT / f"{folder}.py").exists()
+            )
             is_setting = reduce(lambda at, part: getattr(at, part, None), name.split("."), config) is not None
             assert is_code or is_setting or name == "radio.preset", f"{path.name} names {name}"
 

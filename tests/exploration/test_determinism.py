@@ -104,10 +104,10 @@ def test_seeds_of_the_spaces_do_not_change_the_episode(explore, same_steps):
 def test_global_random_generators_are_neither_used_nor_advanced(explore, same_steps):
     import random
 
-    np.random.seed(1)
+    np.random.seed(1)  # noqa: NPY002
     random.seed(1)
     first = explore(20)
-    assert np.random.random() == np.random.RandomState(1).random()
+    assert np.random.random() == np.random.RandomState(1).random()  # noqa: NPY002
     assert random.random() == random.Random(1).random()
-    np.random.seed(2)
+    np.random.seed(2)  # noqa: NPY002
     assert same_steps(steps_of(explore(20)), steps_of(first))

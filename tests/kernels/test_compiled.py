@@ -59,7 +59,7 @@ def test_a_kernel_must_import_names_not_modules_of_the_package():
     def reaching(x):
         return geometry.wrap_angle(x)
 
-    with pytest.raises(TypeError, match=r"kernel reaching: import names from twc_env\.geometry"):
+    with pytest.raises(TypeError, match=r"kernel reaching: import names from twc_env\.records\.geometry"):
         kernel(reaching)
 
 

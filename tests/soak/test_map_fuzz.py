@@ -29,7 +29,7 @@ class OfTwoLines(MapError):
 
 @pytest.mark.parametrize("error", [ValueError("bad"), OfTwoLines(), RecursionError("deep")])
 def test_the_fuzzer_detects_injected_faults(monkeypatch, error):
-    def broken(path, calls=[]):
+    def broken(path, calls=[]):  # noqa: B006
         if "mutated" in str(path):
             raise error
 

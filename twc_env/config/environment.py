@@ -68,7 +68,7 @@ class ActionConfig(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RewardConfig(Checked):
-    """Weights of the terms in `exploration/assessment/rewards.py`; by default only correctly mapped floor is rewarded."""
+    """Weights of the terms in `exploration/assessment/rewards.py`; by default only mapped floor is rewarded."""
 
     period_steps: int = number(10, 1, 10000)
     """How often the first three terms are evaluated; always at the last step."""

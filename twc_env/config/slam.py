@@ -66,7 +66,7 @@ class KeyframeConfig(Checked):
     """... or at this distance (and a rotation reduced in proportion) if the scan shows something new, that is if"""
     explained_min: float = number(0.98, 0.0, 1.0)
     """fewer than this share of its beams end near walls of the local map."""
-    mask_mates: bool = True
+    mask_teammates: bool = True
     """Ignore beams that hit something with the shape and size of a robot (`dynamics.robot_radius_m`)."""
     fingerprint_window_s: float = number(2.0, 0.1, 60.0)
     fingerprint_scans_max: int = number(12, 1, 200)
@@ -157,7 +157,7 @@ class MergingConfig(Checked):
     enabled: bool = True
     """If off, robots never share a map."""
     closures_min: int = number(3, 1, 100)
-    """Minimum number of mutually consistent closures; one where mutual sightings prove it (`sightings_check`)."""
+    """Minimum number of mutually consistent closures; one if robots saw each other (`mutual_observations_check`)."""
     spread_min_m: float = number(1.5, 0.0, 100.0)
     """Minimum distance between the signs behind the closures (0: one sign is enough)."""
     signs_read_alike_min: int = number(1, 0, 100)
@@ -168,9 +168,9 @@ class MergingConfig(Checked):
     """Maximum share of one map's walls that lie in the other's free space."""
     wifi_check: bool = True
     """Check all fingerprints that a merge would bring together against the variation along each robot's own path."""
-    sightings_check: bool = True
+    mutual_observations_check: bool = True
     """Check that robots see each other's bodies in laser scans when and where a merge implies it; where they did at ten
-    keyframes, one closure by a sign is enough. Needs robots that move at the same time (`slam.keyframe.mask_mates`,
+    keyframes, one closure by a sign is enough. Needs robots that move at the same time (`slam.keyframe.mask_teammates`,
     laser cue)."""
     undo: bool = True
     """Re-examine merges as evidence accumulates, and undo those found to be wrong."""

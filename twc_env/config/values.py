@@ -190,5 +190,11 @@ def _from_text(value, old, where: str):
         raise ConfigError(f"{where} must be {_KINDS[type(old)]}; got {value!r}") from None
 
 
+RENAMED = {"mask_mates": "mask_teammates", "sightings_check": "mutual_observations_check"}
+"""Settings of earlier versions and their present names."""
+
+
 def _near(key, known) -> str:
+    if RENAMED.get(key) in known:
+        return f": it is now {RENAMED[key]}"
     return did_you_mean(key, known) or (f"; known are {', '.join(known)}" if known else "")

@@ -95,8 +95,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     With `observation.kind = "flat"` the blocks are concatenated to one float32 vector, images scaled to [0, 1].
 
     Reward: a weighted sum of named terms. `twc_env.exploration.assessment.rewards` lists the terms, `reward` has the
-    weights, and `info["reward_terms"]` the values. By default each agent receives the increase in correctly mapped floor of the
-    best correctly merged group, so the return of an episode is that share at its end: `coverage_correct`, unless
+    weights, and `info["reward_terms"]` the values. By default each agent receives the increase in correctly mapped
+    floor of the best correctly merged group, so the return of an episode is that share at its end: `coverage_correct`, unless
     another group has more robots. The map is evaluated every `reward.period_steps` time steps and at the last one. The
     last `info` also contains the scalar metrics of the report (docs/figures.md).
 
@@ -120,7 +120,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     Versions: v0, first release.
     """
 
-    metadata: dict[str, Any] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012
         "name": "twc_env_explore_v0",
         "render_modes": ["human", "rgb_array"],
         "is_parallelizable": True,

@@ -21,7 +21,7 @@ from twc_env.records.messages import Belief
 class SingleRobotEnv(gymnasium.Env):
     """`ExplorationEnv` with one robot: same observation, action and reward, without the dictionaries per agent."""
 
-    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012
 
     def __init__(
         self,

@@ -36,7 +36,7 @@ def write_page(run: Path, path: Path) -> Path:
     with contradictions(run):
         data = page_data(trace, report)
         content = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    template = files("twc_env").joinpath("replay_page.html").read_text(encoding="utf-8")
+    template = files("twc_env.pictures").joinpath("replay_page.html").read_text(encoding="utf-8")
     title = escape(f"{report.get('agent', 'team')} on {report['map']}, seed {report['seed']}")
     try:
         filled = re.sub("__(TITLE|DATA)__", lambda gap: {"TITLE": title, "DATA": content}[gap[1]], template)

@@ -22,7 +22,7 @@ PLANTED_STEP = 60
 ROOM_M = (8.0, 0.0, 0.0)
 """Error of the injected relative pose: robot 1 is placed one room too far."""
 BLIND = {"slam.merging.contradiction_max": 1.0, "slam.merging.wifi_check": False}
-UNSEEN = {"slam.merging.sightings_check": False}
+UNSEEN = {"slam.merging.mutual_observations_check": False}
 """Robots do not look for each other; otherwise they soon merge rightly, by one closure."""
 
 

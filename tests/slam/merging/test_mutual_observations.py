@@ -109,7 +109,11 @@ def test_only_scans_that_have_arrived_are_used():
 
 @pytest.mark.parametrize(
     "setting",
-    [{"slam.merging.sightings_check": False}, {"slam.keyframe.mask_mates": False}, {"slam.cues.lidar": False}],
+    [
+        {"slam.merging.mutual_observations_check": False},
+        {"slam.keyframe.mask_teammates": False},
+        {"slam.cues.lidar": False},
+    ],
 )
 def test_the_check_can_be_disabled_and_needs_marked_scans(setting):
     off = sightings(config=override(EnvConfig(robots=2), setting))

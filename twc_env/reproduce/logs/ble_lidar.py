@@ -64,7 +64,7 @@ SETTINGS: dict = {
             "gyro_bias_walk_rad_s": 0.0,
         },
         "local_map": {"match_iterations_max": 30},
-        "keyframe": {"distance_m": 0.3, "turn_rad": 0.3, "mask_mates": False},
+        "keyframe": {"distance_m": 0.3, "turn_rad": 0.3, "mask_teammates": False},
         "place_recognition": {"proximity_m": 2.0, "scan_similarity_min": 0.6},
         "verification": {"window_m": 0.8, "window_rad": 0.4, "overlap_min": 0.55, "backlog_per_step": 20},
         "pose_graph": {"period_steps": 5},

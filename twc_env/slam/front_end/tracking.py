@@ -159,7 +159,7 @@ class Tracker(BindsAnew):
         """Motion that no scan constrained since `take_by_odometry` was last called, in the odom frames."""
         self._has_been_alone = [False] * count
         """Whether each robot ever moved by odometry alone."""
-        masks = rule.mask_mates and config.robots > 1
+        masks = rule.mask_teammates and config.robots > 1
         mate_radius_m = robot_radius_m if masks else 0.0
         opening = opening_beams(beams, config.lidar.dropout_probability)
         self._marking = (beam_directions(beams), opening, mate_radius_m, self.marked_m, self.discs, self.disc_counts)

@@ -146,7 +146,7 @@ class MutualObservations:
         self._graph, self._maps, self._radius_m = graph, maps, config.dynamics.robot_radius_m
         self._reach_m = config.lidar.range_max_m - 2 * self._radius_m - TOLERANCE_M
         slam = config.slam
-        self.are_known = slam.merging.sightings_check and slam.keyframe.mask_mates and slam.cues.lidar
+        self.are_known = slam.merging.mutual_observations_check and slam.keyframe.mask_teammates and slam.cues.lidar
         """Whether robots are looked for in scans at all."""
 
     def count(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> Sightings:
