@@ -96,9 +96,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     Reward: a weighted sum of named terms. `twc_env.exploration.assessment.rewards` lists the terms, `reward` has the
     weights, and `info["reward_terms"]` the values. By default each agent receives the increase in correctly mapped
-    floor of the best correctly merged group, so the return of an episode is that share at its end: `coverage_correct`, unless
-    another group has more robots. The map is evaluated every `reward.period_steps` time steps and at the last one. The
-    last `info` also contains the scalar metrics of the report (docs/figures.md).
+    floor of the best correctly merged group, so the return of an episode is that share at its end: `coverage_correct`,
+    unless another group has more robots. The map is evaluated every `reward.period_steps` time steps and at the last
+    one. The last `info` also contains the scalar metrics of the report (docs/figures.md).
 
     `slam.mode = "off"` runs no engine: `pose` is integrated odometry, `map` shows the own path in unknown space,
     `team` stays zero, `coverage` pays nothing, only `velocity` actions are possible (there is no map), and
