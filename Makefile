@@ -32,7 +32,7 @@ help: ## list the commands
 setup: .venv/installed-dev ## .venv with everything but torch
 
 demo: .venv/installed-demo ## three robots explore twin-01: table, map.png and episode.gif in runs/demo
-	$(PY) -m agents explore --map twin-01 --out runs/demo
+	.venv/bin/twc-env explore --map twin-01 --out runs/demo
 	@echo "The picture: runs/demo/map.png   The film: runs/demo/episode.gif"
 
 check: .venv/installed-dev ## format, lint, types, import arrows

@@ -1,6 +1,7 @@
 """Scripted team policies, which map beliefs to actions. They use the public interface of twc_env only."""
 
 import twc_env  # noqa: F401  first: handles Ctrl-C during the other imports
-from agents.policy import Policy, make_policy, policy_names
+
+from .policy import Policy, make_policy, policy_names
 
 __all__ = ["Policy", "make_policy", "policy_names"]

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import twc_env
-from agents.explore import explore, origin_of, write_run
 from twc_env import EnvConfig
 from twc_env.config import digest
 from twc_env.running.worker_processes import in_processes
+
+from .explore import explore, origin_of, write_run
 
 COLUMNS = (
     ("merged_robots", "merged", "d"),

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 import twc_env
-from agents.explore import origin_of
-from agents.policy import make_policy
 from twc_env.config import EnvConfig, override, to_dict
 from twc_env.running.finished_parts import FinishedParts
 from twc_env.running.worker_processes import in_processes
+
+from .explore import origin_of
+from .policy import make_policy
 
 GOAL = 0.9
 """Share of the floor to be mapped correctly."""
@@ -65,7 +66,7 @@ def compare(
         make_policy(agent, config)  # an unknown name fails before the first episode
     parts = [(name, agent, seed) for seed, name in enumerate(maps) for agent in agents]
     found: dict[tuple[str, str, int], Outcome] = {}
-    finished = FinishedParts(folder, "compare", to_dict(config), ("agents",))
+    finished = FinishedParts(folder, "compare", to_dict(config), ("twc_env.agents",))
     if finished.remark:
         tell(finished.remark)
     run = partial(_once, config, finished)

@@ -12,8 +12,6 @@ import numpy as np
 from numba.core.event import TimingListener, register, unregister
 
 import twc_env
-from agents import picture
-from agents.policy import make_policy
 from twc_env import DataError, EnvConfig, EpisodeResult, EpisodeTrace, load_map
 from twc_env.config import to_dict
 from twc_env.datasets.buildings.ros_map import write_ros_maps
@@ -25,6 +23,9 @@ from twc_env.records.json_values import plain, write_json
 from twc_env.records.messages import Contacts, SensorFrame
 from twc_env.running.command_line import alone_in
 from twc_env.running.finished_parts import code_digest
+
+from . import picture
+from .policy import make_policy
 
 WARM_UP_STEPS = 10
 """Steps at the start that are excluded from the speed."""
@@ -48,9 +49,9 @@ class Run:
     was_interrupted: bool
     frames: Sequence[Sequence[SensorFrame]]
     contacts: list[Contacts]
-    """All sensor frames, step by step; `python -m twc_env replay` runs the engine on them again."""
+    """All sensor frames, step by step; `twc-env replay` runs the engine on them again."""
     trace: EpisodeTrace
-    """Poses, maps and figures over time; `python -m twc_env replay RUN --html` shows them."""
+    """Poses, maps and figures over time; `twc-env replay RUN --html` shows them."""
 
 
 def explore(
@@ -118,7 +119,7 @@ def origin_of(config: EnvConfig, agent: str) -> dict[str, str]:
         "back_end_digest": slam.pose_graph.robust,
     }
     own = {key: digest_of(name) for key, name in named.items() if is_in_file(name)}
-    return {"code_digest": code_digest("agents"), "map_digest": load_map(config.map).digest, **own}
+    return {"code_digest": code_digest("twc_env.agents"), "map_digest": load_map(config.map).digest, **own}
 
 
 def _clock_s(compiling: TimingListener) -> float:

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray as Array
 from scipy.optimize import linear_sum_assignment
 
-from agents.nearest_frontier import NearestFrontier
 from twc_env.config import EnvConfig
 from twc_env.planning import PathFinder, Terrain
 from twc_env.records.messages import Belief
+
+from .nearest_frontier import NearestFrontier
 
 WORTH_M = 10.0
 """Detour that a frontier is worth if no other robot will see it (1 / beta of Burgard et al.)."""

@@ -13,9 +13,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from agents.explorer_state import UNSEEN, ExplorerConfig, ExplorerRobot, Failure
-from agents.openings import is_open_behind, open_bearing
-from agents.tours import Tours
 from twc_env.config import DynamicsConfig, EnvConfig
 from twc_env.planning import (
     Disc,
@@ -30,6 +27,10 @@ from twc_env.planning import (
 )
 from twc_env.records.geometry import compose, inverse
 from twc_env.records.messages import Belief, GridMap
+
+from .explorer_state import UNSEEN, ExplorerConfig, ExplorerRobot, Failure
+from .openings import is_open_behind, open_bearing
+from .tours import Tours
 
 
 class NearestFrontier:

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Protocol
 
 from numpy.typing import NDArray
 
-from agents.frontier_teams import Assignment, CostUtility, Voronoi
-from agents.nearest_frontier import NearestFrontier
-from agents.radio_frontier import RadioFrontier
-from agents.radio_walk import RadioWalk
-from agents.random_walk import RandomWalk
-from agents.wall_follower import WallFollower
 from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError, did_you_mean
 from twc_env.records.class_file import class_in, is_in_file
@@ -37,16 +32,17 @@ class Policy(Protocol):
         """Whether there is nothing left to do, so that the episode may end early."""
 
 
-_POLICIES: dict[str, type[Policy]] = {
-    "nearest-frontier": NearestFrontier,
-    "cost-utility": CostUtility,
-    "assignment": Assignment,
-    "voronoi": Voronoi,
-    "radio-frontier": RadioFrontier,
-    "radio-walk": RadioWalk,
-    "random": RandomWalk,
-    "wall-follower": WallFollower,
+_POLICIES = {
+    "nearest-frontier": ("nearest_frontier", "NearestFrontier"),
+    "cost-utility": ("frontier_teams", "CostUtility"),
+    "assignment": ("frontier_teams", "Assignment"),
+    "voronoi": ("frontier_teams", "Voronoi"),
+    "radio-frontier": ("radio_frontier", "RadioFrontier"),
+    "radio-walk": ("radio_walk", "RadioWalk"),
+    "random": ("random_walk", "RandomWalk"),
+    "wall-follower": ("wall_follower", "WallFollower"),
 }
+"""Module and class of each team; imported when a team is made, so that `--help` starts quickly."""
 
 
 def policy_names() -> tuple[str, ...]:
@@ -68,7 +64,9 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
             f"scripted teams need action.kind = 'velocity'; got {config.action.kind!r}: remove this setting"
         )
     if name in _POLICIES:
-        return _POLICIES[name](config)
-    remedy = "derive it from agents.Policy, or add what lacks"
+        module, class_name = _POLICIES[name]
+        scripted: Policy = getattr(import_module(f"{__package__}.{module}"), class_name)(config)
+        return scripted
+    remedy = "derive it from twc_env.agents.Policy, or add what lacks"
     policy: Policy = class_in(name, ("reset", "act", "finished"), remedy)(config)
     return policy

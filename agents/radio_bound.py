@@ -11,12 +11,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from agents.radio_walk import HUG, SPACING_M
-from agents.ray_gain import RayGain
 from twc_env.config import DynamicsConfig
 from twc_env.datasets.buildings.map_export import grid_of
 from twc_env.planning import Terrain, covering_walk, walk_graph
 from twc_env.records.messages import GridMap
+
+from .radio_walk import HUG, SPACING_M
+from .ray_gain import RayGain
 
 PRICES_M = tuple(np.geomspace(0.005, 0.3, 12))
 TRIES = 40_000

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from agents.nearest_frontier import NearestFrontier
 from twc_env.planning import Terrain
 from twc_env.records.messages import Belief
+
+from .nearest_frontier import NearestFrontier
 
 REACH_M = 4.0
 """Unseen floor within this distance of a frontier counts."""

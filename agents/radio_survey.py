@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 import twc_env
-from agents.policy import make_policy
-from agents.radio_bound import shortest_known_walk_m
 from twc_env import load_map
 from twc_env.config import EnvConfig, override
 from twc_env.records.geometry import inverse, transform_points
 from twc_env.records.messages import GridMap
 from twc_env.running.finished_parts import FinishedParts
+
+from .policy import make_policy
+from .radio_bound import shortest_known_walk_m
 
 AGENTS = ("wall-follower", "radio-walk")
 STEP_M = 1.0
@@ -88,7 +89,7 @@ def compare(
     names: list[str], seeds: Sequence[int], steps: int, folder: Path, tell=lambda text: None
 ) -> list[Comparison]:
     """Run every building with every seed; finished walks are read from the folder."""
-    finished = FinishedParts(folder, "radio-survey", {"steps": steps}, ("agents",))
+    finished = FinishedParts(folder, "radio-survey", {"steps": steps}, ("twc_env.agents",))
     if finished.remark:
         tell(finished.remark)
     found = []

@@ -12,11 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from agents.ray_gain import RayGain
 from twc_env.config import EnvConfig
 from twc_env.planning import Driver, PathFinder, Terrain, WalkGraph, as_action, covering_walk, walk_graph
 from twc_env.records.geometry import travelled_m
 from twc_env.records.messages import Belief
+
+from .ray_gain import RayGain
 
 SPACING_M = 0.25
 """Spacing of positions that the walk may visit."""

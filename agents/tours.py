@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from agents.explorer_state import ExplorerConfig, ExplorerRobot
 from twc_env.planning import Disc, PathFinder, Plan, Terrain
 from twc_env.records.messages import Belief
+
+from .explorer_state import ExplorerConfig, ExplorerRobot
 
 
 class Tours:

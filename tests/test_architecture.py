@@ -56,6 +56,7 @@ ALLOWED = {
 WITHOUT_RANDOM = ("twc_env.slam", "twc_env.metrics", "twc_env.planning")
 COMPUTED = "<a name computed at run time>"
 PUBLIC_MODULES = {
+    "twc_env.agents",
     "twc_env.config",
     "twc_env.datasets",
     "twc_env.errors",
@@ -63,6 +64,7 @@ PUBLIC_MODULES = {
     "twc_env.planning",
     "twc_env.records",
     "twc_env.running",
+    "twc_env.training",
     "twc_env.vector",
 }
 

@@ -216,7 +216,7 @@ def test_a_file_that_is_no_toml_or_json_is_rejected_by_name(tmp_path, name):
         (
             "a.json",
             b"\xef\xbb\xbf\n",
-            r"a\.json is empty; .* a \.toml or \.json file such as `python -m twc_env settings",
+            r"a\.json is empty; .* a \.toml or \.json file such as `twc-env settings",
         ),
         ("a.yaml", b"robots: 2", r"a\.yaml is YAML by its name; settings are a \.toml or \.json file"),
         ("a.json", b"[" * 100_000, r"a\.json nests its values too deeply"),

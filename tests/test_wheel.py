@@ -52,3 +52,45 @@ def test_the_wheel_has_the_version_of_the_package(installed):
 
     (metadata,) = installed.glob("*.dist-info/METADATA")
     assert f"\nVersion: {twc_env.__version__}\n" in metadata.read_text()
+
+
+def test_the_wheel_has_the_command_the_teams_and_the_learners(installed):
+    (entries,) = installed.glob("*.dist-info/entry_points.txt")
+    assert "twc-env = twc_env.__main__:main" in entries.read_text()
+    for folder in ("agents", "training"):
+        names = {path.name for path in (ROOT / folder).glob("*.py")}
+        assert names == {path.name for path in (installed / "twc_env" / folder).glob("*.py")}
+
+
+@pytest.mark.slow
+def test_an_installed_wheel_explores_and_compares_in_any_folder(installed, tmp_path):
+    env = {**os.environ, "PYTHONPATH": str(installed), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    code = "from twc_env.agents import Policy; import twc_env.agents; print(twc_env.agents.__file__)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=env, check=True, capture_output=True, text=True
+    )
+    assert Path(done.stdout.strip()).is_relative_to(installed)
+    for arguments in (
+        ["explore", "--map", "twin-01", "--steps", "20", "--no-pictures", "--out", "run"],
+        ["compare", "--agents", "nearest-frontier", "random", "--buildings", "2", "--steps", "20"],
+    ):
+        command = [sys.executable, "-m", "twc_env", *arguments]
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "report.json").exists()
+
+
+def test_an_editable_install_puts_no_other_package_on_the_path(tmp_path):
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel:editable", "-d", str(tmp_path)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        tops = {name.split("/")[0] for name in archive.namelist()}
+        paths = [
+            line
+            for name in archive.namelist()
+            if name.endswith(".pth")
+            for line in archive.read(name).decode().split("\n")
+        ]
+    assert not tops & {"agents", "training", "tests"}
+    assert str(ROOT) not in paths

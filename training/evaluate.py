@@ -10,16 +10,17 @@ from pathlib import Path
 import numpy as np
 import torch
 from stable_baselines3 import PPO
+from twc_env.agents.policy import make_policy
 
 import twc_env
-from agents.policy import make_policy
-from training.model_file import load_model
-from training.ppo import ChoicePolicy
-from training.progress import progress_bar
-from training.run_folder import Task, model_in, read_settings, task_of
-from training.team_notes import TeamNotes
 from twc_env.config import override
 from twc_env.pictures.video import RecordEpisodes
+
+from .model_file import load_model
+from .ppo import ChoicePolicy
+from .progress import progress_bar
+from .run_folder import Task, model_in, read_settings, task_of
+from .team_notes import TeamNotes
 
 Choose = Callable[[dict, int], dict]
 """Observations and time steps gone by -> actions."""

@@ -23,13 +23,14 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from training.model_file import load_model, save_model
-from training.progress import progress_bar
-from training.run_folder import Task, read_settings, write_settings
-from training.team_notes import NotedTeams
 from twc_env.errors import DataError, WorkerError
 from twc_env.running.command_line import alone_in
 from twc_env.vector.sb3 import TeamVecEnv
+
+from .model_file import load_model, save_model
+from .progress import progress_bar
+from .run_folder import Task, read_settings, write_settings
+from .team_notes import NotedTeams
 
 COLUMNS = ("steps", "episodes", "mean_return", "mean_length", "steps_per_s")
 EPISODES_SHOWN = 100

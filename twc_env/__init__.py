@@ -21,6 +21,7 @@ import gymnasium
 import pettingzoo
 
 from twc_env._version import __version__
+from twc_env.running.clone import find_folders_of_clone
 from twc_env.running.moved_modules import name_moved_modules
 from twc_env.tasks import TASKS, task_config
 
@@ -84,7 +85,7 @@ def parallel_env(*args: Any, **kwargs: Any) -> ExplorationEnv:
     """The environment under PettingZoo's parallel API; `help(twc_env.ExplorationEnv)` describes it.
 
     Arguments: map, robots, max_cycles, config (an EnvConfig or a dict such as {"action.kind": "frontier"}),
-    render_mode, floorplan, task, render_signal. `python -m twc_env settings` lists everything config may contain.
+    render_mode, floorplan, task, render_signal. `twc-env settings` lists everything config may contain.
     """
     from twc_env.exploration.environment import ExplorationEnv
 
@@ -114,5 +115,6 @@ def _register() -> None:
         gymnasium.register(task, entry_point="twc_env.exploration.single_agent:SingleRobotEnv", kwargs={"task": task})
 
 
+find_folders_of_clone()
 name_moved_modules()
 _register()

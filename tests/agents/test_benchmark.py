@@ -4,10 +4,10 @@ import json
 import shutil
 
 import pytest
+from twc_env.agents import benchmark
 
-from agents import benchmark
-from agents.__main__ import main
 from twc_env import ConfigError, EnvConfig
+from twc_env.__main__ import main
 from twc_env.maps import bundled_folder
 from twc_env.running.command_line import parse_seeds
 
@@ -133,7 +133,7 @@ def test_a_run_of_other_code_or_another_plan_is_run_again_and_reported(tmp_path,
     assert "1 finished runs used other code or another floor plan" in capsys.readouterr().err
     assert main(arguments) == 0
     assert "(reused)" in capsys.readouterr().err
-    monkeypatch.setattr("agents.explore.code_digest", lambda *_: "other")
+    monkeypatch.setattr("twc_env.agents.explore.code_digest", lambda *_: "other")
     assert main(arguments) == 0
     assert "1 finished runs used other code or another floor plan" in capsys.readouterr().err
 

@@ -3,10 +3,10 @@
 import json
 
 import pytest
+from twc_env.agents import compare
+from twc_env.agents.compare import Outcome
 
-from agents import compare
-from agents.__main__ import main
-from agents.compare import Outcome
+from twc_env.__main__ import main
 from twc_env.config import EnvConfig, override
 
 SMALL = override(EnvConfig(), {"max_cycles": 60, "robots": 2, "lidar.beam_count": 60})

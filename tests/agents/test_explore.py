@@ -7,12 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from twc_env.agents import explore as explore_module
+from twc_env.agents.explore import table_of
+from twc_env.agents.picture import Film, placed_in_building
 
-from agents import explore as explore_module
-from agents.__main__ import main
-from agents.explore import table_of
-from agents.picture import Film, placed_in_building
 from twc_env import DataError
+from twc_env.__main__ import main
 from twc_env.config import digest, from_dict, override
 from twc_env.datasets.logs.g2o import read_g2o
 from twc_env.datasets.logs.tum import read_tum
@@ -117,7 +117,7 @@ def test_a_team_in_several_maps_reports_the_reason(tmp_path, capsys):
 
 def test_many_rejected_closures_do_not_hide_the_paths(tmp_path, monkeypatch):
     axes_module = pytest.importorskip("matplotlib.axes", reason="pictures need the viz extra")
-    from agents import picture
+    from twc_env.agents import picture
 
     refused = {"status": "rejected", "target_m": (1.0, 1.0), "source_m": (2.0, 1.0)}
     drawn = []
@@ -201,7 +201,7 @@ def test_a_folder_without_a_report_keeps_its_files(tmp_path):
 def test_results_for_the_terminal_are_also_written_to_the_file(tmp_path):
     figures = tmp_path / "all.txt"
     figures.write_text("before\n")
-    command = [sys.executable, "-m", "agents", "explore", "--steps", "2", "--robots", "1", "--no-pictures"]
+    command = [sys.executable, "-m", "twc_env", "explore", "--steps", "2", "--robots", "1", "--no-pictures"]
     with figures.open("a") as file:
         subprocess.run([*command, "--json", "-", "--out", str(tmp_path / "run")], stdout=file, check=True)
     first, _, rest = figures.read_text().partition("\n")
@@ -233,7 +233,7 @@ def test_runs_with_different_settings_have_different_folders(tmp_path, monkeypat
 
 
 def test_missing_drawing_libraries_are_reported_before_the_episode(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr("agents.picture.find_spec", lambda name: None)
+    monkeypatch.setattr("twc_env.agents.picture.find_spec", lambda name: None)
     assert main(["explore", "--steps", "5", "--out", str(tmp_path / "run")]) == 2
     assert "pip install 'twc_env[viz]'" in capsys.readouterr().err
     assert main(["explore", "--steps", "5", "--no-pictures", "--out", str(tmp_path / "run")]) == 0
@@ -245,7 +245,7 @@ def test_an_interrupted_run_writes_its_results_so_far(monkeypatch, capsys, tmp_p
         if done == 12:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("agents.__main__.show_count", interrupt)
+    monkeypatch.setattr("twc_env.commands.explore.show_count", interrupt)
     assert main(["explore", "--steps", "50", "--no-pictures", "--out", str(tmp_path / "run")]) == 130
     assert json.loads((tmp_path / "run" / "report.json").read_text())["steps"] == 12
     assert "interrupted after 12 steps" in capsys.readouterr().err
@@ -284,7 +284,7 @@ def test_on_a_terminal_progress_is_one_line_and_an_error_begins_a_new_one(monkey
         raise DataError("no room")
 
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setattr("agents.__main__.explore", run)
+    monkeypatch.setattr("twc_env.agents.explore.explore", run)
     assert main(["explore", "--steps", "100", "--no-pictures", "--out", str(tmp_path / "run")]) == 2
     first, second, _ = capsys.readouterr().err.split("\n")
     assert (first.strip(), second) == ("50/100 steps on twin-01, seed 0", "error: no room")

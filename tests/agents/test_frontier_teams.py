@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from twc_env.agents.frontier_teams import WORTH_M, Assignment, CostUtility, Voronoi
 
-from agents.frontier_teams import WORTH_M, Assignment, CostUtility, Voronoi
 from twc_env.config import EnvConfig
 from twc_env.planning import Terrain
 from twc_env.records.messages import Belief, GridMap

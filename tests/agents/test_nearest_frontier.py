@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from twc_env.agents.explorer_state import ExplorerConfig
+from twc_env.agents.nearest_frontier import NearestFrontier
 
-from agents.explorer_state import ExplorerConfig
-from agents.nearest_frontier import NearestFrontier
 from twc_env import EnvConfig
 from twc_env.records.messages import Belief, GridMap, KnownSign
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from twc_env.agents.policy import make_policy, policy_names
 
-from agents.policy import make_policy, policy_names
 from twc_env import ConfigError, EnvConfig
 from twc_env.records.messages import Belief, GridMap
 

@@ -4,15 +4,15 @@ import json
 import pickle
 
 import pytest
+from twc_env.agents.policy import make_policy
 
-from agents.__main__ import main
-from agents.policy import make_policy
 from twc_env import ConfigError, EnvConfig
+from twc_env.__main__ import main
 from twc_env.records.class_file import digest_of
 
 MINE = """
 import numpy as np
-from agents import Policy
+from twc_env.agents import Policy
 from beside import SPEED
 
 class Mine(Policy):
@@ -70,7 +70,7 @@ def test_a_report_names_its_policy_file_and_a_changed_file_is_run_again(mine, tm
     [
         ("mine.py:Main", r"no class 'Main' in .*mine\.py; it has Mine$"),
         ("other.py:Mine", "there is no file other.py"),
-        ("mine.py:Half", r"has no reset and no finished: derive it from agents\.Policy"),
+        ("mine.py:Half", r"has no reset and no finished: derive it from twc_env.agents\.Policy"),
         ("mine", "or FILE.py:CLASS"),
     ],
 )

@@ -2,13 +2,13 @@ import math
 
 import numpy as np
 import pytest
+from twc_env.agents import radio_survey
+from twc_env.agents.radio_bound import shortest_known_walk_m
+from twc_env.agents.radio_survey import Comparison, Walked
+from twc_env.agents.radio_walk import ARRIVAL_M, RadioWalk
+from twc_env.agents.ray_gain import RayGain
+from twc_env.agents.wall_follower import STANDOFF_M, WallFollower, nearest_wall
 
-from agents import radio_survey
-from agents.radio_bound import shortest_known_walk_m
-from agents.radio_survey import Comparison, Walked
-from agents.radio_walk import ARRIVAL_M, RadioWalk
-from agents.ray_gain import RayGain
-from agents.wall_follower import STANDOFF_M, WallFollower, nearest_wall
 from twc_env.config import EnvConfig
 from twc_env.records.messages import Belief, GridMap
 

@@ -5,14 +5,12 @@ import shlex
 from pathlib import Path
 
 import pytest
+from twc_env.agents.policy import policy_names
 
-import agents.__main__
-import training.__main__
 import twc_env.__main__
-from agents.policy import policy_names
 from twc_env.running.command_line import Paragraphs
 
-PROGRAMS = {"twc_env": twc_env.__main__, "agents": agents.__main__, "training": training.__main__}
+PROGRAMS = {"twc-env": twc_env.__main__}
 
 
 def parsers(parser):
@@ -53,14 +51,14 @@ def test_defaults_and_paths_have_one_form_in_all_help_texts(parser):
 def test_a_missing_command_is_an_error_that_refers_to_the_help(capsys):
     with pytest.raises(SystemExit):
         twc_env.__main__.main([])
-    assert "python -m twc_env --help says more" in capsys.readouterr().err
+    assert "twc-env --help says more" in capsys.readouterr().err
 
 
 def test_an_unknown_option_is_an_error_with_the_usage_of_the_command(capsys):
     with pytest.raises(SystemExit):
         twc_env.__main__.main(["reproduce", "solver", "--walks", "1"])
     told = capsys.readouterr().err
-    assert "usage: python -m twc_env reproduce solver" in told and "unrecognized arguments: --walks 1" in told
+    assert "usage: twc-env reproduce solver" in told and "unrecognized arguments: --walks 1" in told
 
 
 @pytest.mark.parametrize(
@@ -73,16 +71,16 @@ def test_an_unknown_option_is_an_error_with_the_usage_of_the_command(capsys):
 )
 def test_the_error_of_a_misspelt_command_or_option_suggests_the_nearest(arguments, near, capsys):
     with pytest.raises(SystemExit):
-        agents.__main__.main(arguments.split())
+        twc_env.__main__.main(arguments.split())
     assert f"; did you mean {near}?" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
 def test_the_examples_of_every_command_can_be_parsed(parser):
-    examples = [line.split("   ")[0] for line in parser.format_help().splitlines() if line.startswith("  python -m ")]
+    examples = [line.split("   ")[0] for line in parser.format_help().splitlines() if line.startswith("  twc-env ")]
     assert examples
     for example in examples:
-        name, *arguments = shlex.split(example.split(" > ")[0])[2:]
+        name, *arguments = shlex.split(example.split(" > ")[0])
         PROGRAMS[name]._parser().parse_args(arguments)
 
 
@@ -105,7 +103,7 @@ def test_the_points_of_a_list_are_filled_one_by_one():
 
 
 def test_the_help_of_agents_lists_every_team():
-    text = agents.__main__._parser().format_help()
+    text = twc_env.__main__._parser().format_help()
     assert all(f"\n  {name}  " in text for name in [*policy_names(), "FILE.py:CLASS"])
 
 
@@ -118,4 +116,4 @@ def test_every_program_prints_its_version(name, capsys):
 
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
 def test_the_help_of_set_names_the_settings_command(parser):
-    assert all("twc_env settings" in a.help for a in options(parser) if a.option_strings == ["--set"])
+    assert all("twc-env settings" in a.help for a in options(parser) if a.option_strings == ["--set"])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import twc_env
-from agents.__main__ import main as agents
 from twc_env import metrics
 from twc_env.__main__ import main
+from twc_env.__main__ import main as agents
 from twc_env.bench.rates import wander as drive
 from twc_env.config import override
 from twc_env.datasets.logs.frame_log import read_frame_log, read_truth_log, write_frame_log, write_truth_log
@@ -56,7 +56,7 @@ def test_bad_input_ends_with_one_line_and_status_2(arguments, message, refusal):
 
 
 def test_a_folder_without_a_run_is_named(tmp_path, refusal):
-    assert f"{tmp_path} is no run folder (no frames.npz): `python -m" in refusal(main, ["replay", str(tmp_path)])
+    assert f"{tmp_path} is no run folder (no frames.npz): `twc-env" in refusal(main, ["replay", str(tmp_path)])
 
 
 @pytest.mark.parametrize(
@@ -254,7 +254,7 @@ def test_a_reader_that_closes_the_output_early_is_no_error():
 @pytest.mark.parametrize("closed", ["1>&-", "2>&-", "1>&- 2>&-"])
 def test_a_command_with_closed_output_still_does_its_work(tmp_path, closed):
     arguments = f"explore --robots 1 --steps 2 --no-pictures --out {tmp_path / 'run'} {closed}"
-    done = subprocess.run(f"{sys.executable} -m agents {arguments}", shell=True, capture_output=True, text=True)
+    done = subprocess.run(f"{sys.executable} -m twc_env {arguments}", shell=True, capture_output=True, text=True)
     assert done.returncode == 0 and "Traceback" not in done.stderr
     assert (tmp_path / "run" / "report.json").exists()
 

@@ -5,8 +5,8 @@ import math
 
 import pytest
 
-from agents.__main__ import main as explore
 from twc_env.__main__ import main
+from twc_env.__main__ import main as explore
 from twc_env.maps import load_map, map_names
 from twc_env.pictures.map_picture import draw_plan, name_rooms, name_sign
 from twc_env.world.building.floorplan_file import write_floorplan

@@ -1,4 +1,4 @@
-"""`python -m twc_env settings` prints a config file that describes every setting."""
+"""`twc-env settings` prints a config file that describes every setting."""
 
 import dataclasses
 

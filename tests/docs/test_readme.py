@@ -7,8 +7,8 @@ from functools import reduce
 from pathlib import Path
 
 import pytest
+from twc_env.agents.explore import explore
 
-from agents.explore import explore
 from twc_env import EnvConfig
 from twc_env.reproduce.runner import TABLES, table_module
 

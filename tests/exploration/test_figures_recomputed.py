@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from twc_env.agents import compare
 
 import twc_env
-from agents import compare
 from twc_env import metrics
 from twc_env.config import EnvConfig, override
 
@@ -20,7 +20,7 @@ SETTINGS = {
 
 @pytest.fixture(scope="module", params=SETTINGS)
 def result(request):
-    from agents.policy import make_policy
+    from twc_env.agents.policy import make_policy
 
     env = twc_env.parallel_env(config=SETTINGS[request.param])
     env.reset(seed=0)

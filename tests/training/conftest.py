@@ -19,7 +19,7 @@ def torch():
 
 @pytest.fixture(scope="session")
 def task(torch):
-    from training.run_folder import Task
+    from twc_env.training.run_folder import Task
 
     return Task(
         area_m2=100.0, buildings=2, max_cycles=80, overrides={"lidar.beam_count": 60, "action.decision_max_s": 2.0}
@@ -28,14 +28,14 @@ def task(torch):
 
 @pytest.fixture(scope="session")
 def settings(torch):
-    from training.ppo import Settings
+    from twc_env.training.ppo import Settings
 
     return Settings(seed=3, environments=2, workers=0, rollout_steps=16, batch_size=32, epochs=2)
 
 
 @pytest.fixture(scope="session")
 def train(torch):
-    from training import ppo
+    from twc_env.training import ppo
 
     return partial(ppo.train, show_progress=False)
 

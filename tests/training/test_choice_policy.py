@@ -8,8 +8,7 @@ pytestmark = pytest.mark.usefixtures("torch")
 
 def test_a_masked_choice_is_never_taken(task, run):
     from stable_baselines3 import PPO
-
-    from training.run_folder import read_settings, task_of
+    from twc_env.training.run_folder import read_settings, task_of
 
     model = PPO.load(run / "model.zip", device="cpu")
     observation = {

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from training.__main__ import main
+from twc_env.__main__ import main
 
 pytestmark = pytest.mark.usefixtures("torch")
 
@@ -26,7 +26,7 @@ def test_a_trained_model_is_evaluated_against_random_actions(run, tmp_path, caps
 
 def test_recording_a_trained_team_does_not_affect_the_episode(run, tmp_path):
     pytest.importorskip("PIL", reason="needs the extra 'viz'")
-    from training.evaluate import evaluate
+    from twc_env.training.evaluate import evaluate
 
     plain = evaluate(run, [0, 1], False)  # a run folder instead of a model file
     filmed = evaluate(run / "model.zip", [0, 1], False, tmp_path / "films")
@@ -35,7 +35,7 @@ def test_recording_a_trained_team_does_not_affect_the_episode(run, tmp_path):
 
 
 def test_coverage_does_not_depend_on_the_reward_of_training(task):
-    from training.evaluate import _nearest, _played, _scripted, _team
+    from twc_env.training.evaluate import _nearest, _played, _scripted, _team
 
     team = replace(task, robots=3, max_cycles=60)
     alone = replace(team, overrides={**team.overrides, "reward.sharing": "individual"})
@@ -45,8 +45,7 @@ def test_coverage_does_not_depend_on_the_reward_of_training(task):
 
 def test_the_error_of_a_corrupt_model_or_one_of_another_task_names_it(task, run, tmp_path, capsys):
     from stable_baselines3 import PPO
-
-    from training.run_folder import write_settings
+    from twc_env.training.run_folder import write_settings
 
     shutil.copy(run / "config.json", tmp_path)
     sound, model = (run / "model.zip").read_bytes(), tmp_path / "model.zip"
@@ -70,7 +69,7 @@ def test_the_error_of_a_corrupt_model_or_one_of_another_task_names_it(task, run,
 
 
 def test_one_building_is_printed_without_a_spread():
-    from training.evaluate import POLICIES, Episode, Evaluation  # needs torch
+    from twc_env.training.evaluate import POLICIES, Episode, Evaluation  # needs torch
 
     one = {name: (Episode(0.9, 0.5, 2, 0),) for name in POLICIES}
     rows = Evaluation((0,), one).table.splitlines()[1:]

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from training.__main__ import main
+from twc_env.__main__ import main
 
 
 @pytest.mark.usefixtures("torch")
@@ -16,14 +16,14 @@ from training.__main__ import main
         (["evaluate", "--seeds", "a-b"], "seeds must be numbers and ranges"),
         (["evaluate", "--seeds", "0-99999999999"], "a range holds at most 100000 seeds; got 0-99999999999"),
         (["evaluate", "--seeds", "3,99999999999999999999"], "--seeds must be 0 to 2147483647"),
-        (["ppo", "--steps", "0"], "--steps must be at least 1; got 0"),
-        (["ppo", "--set", "lidar.beam_count"], "--set takes KEY=VALUE"),
-        (["ppo", "--set", "lidar.beam_cuont=9"], "did you mean 'beam_count'?"),
-        (["ppo", "--resume"], "holds no training run"),
-        (["ppo", "--seed", "-1"], "--seed must be 0 to"),
-        (["ppo", "--set", "slam.mode=off"], "slam.mode=off has none: remove that setting"),
+        (["train", "ppo", "--steps", "0"], "--steps must be at least 1; got 0"),
+        (["train", "ppo", "--set", "lidar.beam_count"], "--set takes KEY=VALUE"),
+        (["train", "ppo", "--set", "lidar.beam_cuont=9"], "did you mean 'beam_count'?"),
+        (["train", "ppo", "--resume"], "holds no training run"),
+        (["train", "ppo", "--seed", "-1"], "--seed must be 0 to"),
+        (["train", "ppo", "--set", "slam.mode=off"], "slam.mode=off has none: remove that setting"),
         (
-            ["ppo", "--out", "/dev/null/run"],
+            ["train", "ppo", "--out", "/dev/null/run"],
             "cannot write to the folder /dev/null/run: /dev/null is a file; choose another",
         ),
     ],
@@ -34,7 +34,9 @@ def test_the_error_of_a_wrong_command_is_one_line_with_the_remedy(arguments, mes
 
 
 def test_without_torch_the_error_names_what_to_install():
-    code = "import sys; sys.modules['torch'] = None; from training.__main__ import main; sys.exit(main(['ppo']))"
+    code = (
+        "import sys; sys.modules['torch'] = None; from twc_env.__main__ import main; sys.exit(main(['train', 'ppo']))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 2
     assert "training needs torch; install it with: pip install 'twc_env[train]'" in done.stderr
@@ -43,10 +45,10 @@ def test_without_torch_the_error_names_what_to_install():
 @pytest.mark.usefixtures("torch")
 def test_another_kind_of_action_or_observation_is_rejected(tmp_path, capsys):
     for setting in ("action.kind=velocity", "observation.kind=flat"):
-        assert main(["ppo", "--steps", "8", "--out", str(tmp_path / "run"), "--set", setting]) == 2
+        assert main(["train", "ppo", "--steps", "8", "--out", str(tmp_path / "run"), "--set", setting]) == 2
         assert "action.kind=frontier" in capsys.readouterr().err
     for block in ("pose", "team"):
-        assert main(["ppo", "--out", str(tmp_path / "run"), "--set", f"observation.{block}=false"]) == 2
+        assert main(["train", "ppo", "--out", str(tmp_path / "run"), "--set", f"observation.{block}=false"]) == 2
         assert "keep observation.pose=true and observation.team=true" in capsys.readouterr().err
 
 
@@ -61,7 +63,7 @@ def test_the_error_of_a_dead_worker_names_resume(tmp_path, monkeypatch, capsys):
         return step(self)
 
     monkeypatch.setattr(TeamVecEnv, "step_wait", killing)
-    assert main(["ppo", "--workers", "2", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path)]) == 2
+    assert main(["train", "ppo", "--workers", "2", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path)]) == 2
     *_, last = capsys.readouterr().err.splitlines()
     assert (
         last.startswith("error: a worker process has died") and "--resume continues from the last saved model" in last
@@ -76,6 +78,8 @@ def test_an_interrupted_training_reports_it_on_a_new_line(tmp_path, monkeypatch,
         raise KeyboardInterrupt
 
     monkeypatch.setattr(TeamVecEnv, "step_wait", interrupt)
-    assert main(["ppo", "--workers", "0", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path)]) == 130
+    assert (
+        main(["train", "ppo", "--workers", "0", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path)]) == 130
+    )
     *_, last = capsys.readouterr().err.splitlines()
     assert last == "interrupted; --resume continues from the last saved model, if any"

@@ -47,7 +47,7 @@ def test_tensorboard_shows_the_learning_curve_and_every_update_at_the_decisions_
 
 
 def test_the_step_size_decreases_to_zero():
-    from training.ppo import falling
+    from twc_env.training.ppo import falling
 
     assert [falling(1e-3, left) for left in (1.0, 0.25, 0.0, -0.01)] == [1e-3, 2.5e-4, 0.0, 0.0]
 
@@ -95,7 +95,7 @@ def test_a_row_ahead_of_its_model_is_dropped_when_a_killed_training_resumes(trai
 
 @pytest.mark.parametrize("change", ['{"kindz": 1}', "3", '{"kinds": [], "area_m2": "big"}'])
 def test_the_error_of_an_invalid_run_config_names_it(change, tmp_path):
-    from training.run_folder import read_settings
+    from twc_env.training.run_folder import read_settings
 
     (tmp_path / "config.json").write_text(f'{{"task": {change}, "settings": {{}}, "config_digest": ""}}')
     with pytest.raises(DataError, match="holds a task of another form"):
@@ -106,7 +106,7 @@ def test_the_error_of_an_invalid_run_config_names_it(change, tmp_path):
 
 
 def test_a_wrong_map_leaves_no_run_folder(train, settings, tmp_path):
-    from training.run_folder import Task
+    from twc_env.training.run_folder import Task
 
     with pytest.raises(MapError, match="no map named 'twin-3'"):
         train(Task("twin-3"), settings, 128, tmp_path / "run")
@@ -114,7 +114,7 @@ def test_a_wrong_map_leaves_no_run_folder(train, settings, tmp_path):
 
 
 def test_resuming_with_another_task_is_rejected(train, settings, run):
-    from training.run_folder import Task
+    from twc_env.training.run_folder import Task
 
     with pytest.raises(DataError, match=r"was trained with map=.* instead of 'twin-02'.*; use the same settings"):
         train(Task("twin-02"), settings, 512, run, resume=True)

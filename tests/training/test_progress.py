@@ -3,7 +3,7 @@ import io
 import pytest
 
 pytest.importorskip("tqdm")
-from training.progress import progress_bar
+from twc_env.training.progress import progress_bar
 
 
 class Terminal(io.StringIO):

@@ -46,7 +46,7 @@ STAY = CHOICES - 1
 
 
 def notes_after(actions, **seen):
-    from training.team_notes import TeamNotes
+    from twc_env.training.team_notes import TeamNotes
 
     notes = TeamNotes(1, 2, 100)
     before = seen_from(POSES, PLACES_M, **seen)

@@ -1,6 +1,6 @@
 """Measurements in separate processes: start-up time, memory per environment, two worker processes.
 
-`python -m twc_env.bench.probes PROBE ...` runs one measurement and prints its figure.
+`twc-env.bench.probes PROBE ...` runs one measurement and prints its figure.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`python -m twc_env record` and `replay`."""
+"""`twc-env record` and `replay`."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         "record",
         help="record the sensor frames of an episode, and the ground truth in a separate file",
         description="Record an episode of robots driven by a reactive policy. Writes frames.npz (sensor frames and "
-        "settings, no ground truth) and truth.npz (true poses); see docs/frames.md. `python -m agents explore` records "
+        "settings, no ground truth) and truth.npz (true poses); see docs/frames.md. `twc-env explore` records "
         "frames too.",
-        epilog="example:\n  python -m twc_env record --map twin-02 --steps 900 --out runs/log",
+        epilog="example:\n  twc-env record --map twin-02 --steps 900 --out runs/log",
     )
     record.add_argument("--map", default="twin-01", help="bundled name, generated name or file")
     record.add_argument("--robots", type=count, default=3, help="number of robots")
@@ -59,11 +59,11 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         "are merged where scans fit. The engine uses nothing but the logs. --html and --rerun run nothing: they "
         "convert the run folder's trace.npz and report.json to a web page with a time slider, or to a recording for "
         "the Rerun viewer (`rerun RUN/replay.rrd`).",
-        epilog="examples:\n  python -m twc_env replay runs/log/frames.npz --truth runs/log/truth.npz\n"
-        "  python -m twc_env replay runs/demo --set slam.place_recognition.recogniser=text --out runs/text\n"
-        "  python -m twc_env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel\n"
-        "  python -m twc_env replay monday.log tuesday.log --out runs/both\n"
-        "  python -m twc_env replay runs/demo --html",
+        epilog="examples:\n  twc-env replay runs/log/frames.npz --truth runs/log/truth.npz\n"
+        "  twc-env replay runs/demo --set slam.place_recognition.recogniser=text --out runs/text\n"
+        "  twc-env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel\n"
+        "  twc-env replay monday.log tuesday.log --out runs/both\n"
+        "  twc-env replay runs/demo --html",
     )
     replay.add_argument(
         "logs",
@@ -134,9 +134,9 @@ def _replay(options: argparse.Namespace) -> None:
     for log in options.logs:
         if not log.exists():
             what = "run folder" if is_export else "run folder or log"
-            raise DataError(f"there is no {what} {log}: `python -m agents explore --out RUN` writes one")
+            raise DataError(f"there is no {what} {log}: `twc-env explore --out RUN` writes one")
         if log.is_dir() and not is_export and not (log / "frames.npz").exists():
-            raise DataError(f"{log} is no run folder (no frames.npz): `python -m agents explore --out RUN` writes one")
+            raise DataError(f"{log} is no run folder (no frames.npz): `twc-env explore --out RUN` writes one")
         if len(options.logs) > 1 and (log.is_dir() or _is_frame_log(log)):
             raise DataError(f"{log} is of a whole team: give it alone; several logs are laser logs, one of each robot")
     log = options.logs[0]

@@ -1,4 +1,4 @@
-"""Command line: python -m twc_env maps list | show | generate | import | export | check | schema."""
+"""Command line: twc-env maps list | show | generate | import | export | check | schema."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from twc_env.world.building.floorplan import Floorplan
 
 _NAMES = """\
 A MAP is
-  a bundled name            twin-01, sfw-e3, radio-ntu ...  (see: python -m twc_env maps list)
+  a bundled name            twin-01, sfw-e3, radio-ntu ...  (see: twc-env maps list)
   a generated building      gen:KIND:AREA:SEED              for example gen:office:800:7
   a building of a split     train/0000 ... train/0999, validation/0000 ..., test/0000 ... test/0099
   a file                    .json (twc_env, HouseExpo), .yaml (ROS map_server), .png, .pgm,
@@ -32,7 +32,7 @@ def add_maps_parser(commands) -> None:
         "maps",
         help="list, draw, generate, import, export and check floor plans",
         description="Floor plans: list, draw, generate, import, export and check them.",
-        epilog="examples:\n  python -m twc_env maps list\n  python -m twc_env maps show gen:ward:600:2\n\n" + _NAMES,
+        epilog="examples:\n  twc-env maps list\n  twc-env maps show gen:ward:600:2\n\n" + _NAMES,
     )
     maps.set_defaults(run=_list, maps=[])
     parts = maps.add_subparsers(metavar="COMMAND")
@@ -103,7 +103,7 @@ def add_maps_parser(commands) -> None:
 
 
 def _part(parts, name: str, run, text: str, examples: list[str], more: str = "") -> argparse.ArgumentParser:
-    lines = "".join(f"\n  python -m twc_env maps {example}" for example in examples)
+    lines = "".join(f"\n  twc-env maps {example}" for example in examples)
     names = "" if name in ("generate", "schema") else f"\n\n{_NAMES}"
     epilog = f"example{'s' if len(examples) > 1 else ''}:{lines}{more}{names}"
     parser = parts.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=epilog)

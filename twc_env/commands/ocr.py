@@ -1,4 +1,4 @@
-"""`python -m twc_env ocr`: measure the table of OCR errors, and show it."""
+"""`twc-env ocr`: measure the table of OCR errors, and show it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def add_ocr_parser(commands) -> None:
         "ocr",
         help="measure how a real OCR misreads signs, or show the measured table",
         description="Measure how a real OCR misreads signs, or show the measured table (docs/ocr.md).",
-        epilog="example:\n  python -m twc_env ocr show --out runs/ocr.png",
+        epilog="example:\n  twc-env ocr show --out runs/ocr.png",
     )
     actions = parser.add_subparsers(required=True, metavar="ACTION")
 
@@ -23,7 +23,7 @@ def add_ocr_parser(commands) -> None:
         help="render signs, read them with a real OCR, write the error table (about 10 minutes; extra `ocr`)",
         description="Render signs, read them with a real OCR and write the error table. Resumes if interrupted. The "
         "table in the package was measured with the defaults.",
-        epilog="example:\n  python -m twc_env ocr measure --signs 4 --out runs/ocr/table.json",
+        epilog="example:\n  twc-env ocr measure --signs 4 --out runs/ocr/table.json",
     )
     make.add_argument("--out", type=Path, required=True, metavar="FILE", help="error table to write, JSON")
     make.add_argument("--seed", type=natural, default=0, help="of signs and views")
@@ -36,7 +36,7 @@ def add_ocr_parser(commands) -> None:
         "show",
         help="draw sample signs and the error rates of the table (extra `ocr`)",
         description="Draw sample signs with their readings and the error rates of the table.",
-        epilog="example:\n  python -m twc_env ocr show --out runs/ocr.png",
+        epilog="example:\n  twc-env ocr show --out runs/ocr.png",
     )
     show.add_argument("--out", type=Path, required=True, metavar="FILE", help="picture to write, PNG")
     show.set_defaults(run=_show)

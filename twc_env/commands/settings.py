@@ -1,4 +1,4 @@
-"""`python -m twc_env settings`."""
+"""`twc-env settings`."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ def add_settings_parser(commands: argparse._SubParsersAction) -> None:
         help="print every setting with its meaning, range and value, as a TOML file to start from",
         description="Print settings as commented TOML; values that differ from the default are marked. The output is "
         "a config file: save it, edit it, and pass it to --config or twc_env.config.load.",
-        epilog="examples:\n  python -m twc_env settings lidar slam.keyframe\n"
-        "  python -m twc_env settings --config twc/ExploreHard-v0 > hard.toml",
+        epilog="examples:\n  twc-env settings lidar slam.keyframe\n"
+        "  twc-env settings --config twc/ExploreHard-v0 > hard.toml",
     )
     parser.add_argument("sections", nargs="*", metavar="SECTION", help="print only these, e.g. radio or slam.merging")
     add_config(parser)

@@ -1,4 +1,4 @@
-"""`python -m twc_env soak`."""
+"""`twc-env soak`."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def add_soak_parser(commands: argparse._SubParsersAction) -> None:
         description="Run episodes of 500 steps, each in another building of the training split, with robots driven by "
         "a reactive policy, and print the memory growth after a warm-up. An exception ends the run and names the "
         "seed of its episode. With --actions or --observations, run these tests instead.",
-        epilog="examples:\n  python -m twc_env soak --steps 100000 --set observation.kind=flat\n"
-        "  python -m twc_env soak --actions 100000 --observations 10000",
+        epilog="examples:\n  twc-env soak --steps 100000 --set observation.kind=flat\n"
+        "  twc-env soak --actions 100000 --observations 10000",
     )
     long.add_argument("--steps", type=count, default=1_000_000, help="total time steps, in whole episodes")
     long.add_argument(

@@ -91,7 +91,7 @@ def load(path: str | Path) -> EnvConfig:
         raise ConfigError(f"{path}: {error}") from None
 
 
-_FILE = "a .toml or .json file such as `python -m twc_env settings > mine.toml` writes"
+_FILE = "a .toml or .json file such as `twc-env settings > mine.toml` writes"
 
 
 def _text_of(path: Path) -> str:

@@ -1,7 +1,7 @@
 """Time series of an episode: poses of every time step; maps, closures and figures every few seconds.
 
 An `EpisodeTrace` reads an environment without modifying it and is written to `trace.npz` of a run folder;
-`python -m twc_env replay RUN --html` makes a page of it. It contains ground truth and estimates.
+`twc-env replay RUN --html` makes a page of it. It contains ground truth and estimates.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Compile the kernels of an environment, the engine's first: `python -m twc_env.exploration.warm_up`.
+"""Compile the kernels of an environment, the engine's first: `twc-env.exploration.warm_up`.
 
 This is the helper process of a first start (`twc_env.exploration.compilation`).
 """

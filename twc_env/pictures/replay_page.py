@@ -1,4 +1,4 @@
-"""One self-contained HTML page that plays a recorded episode: `python -m twc_env replay RUN --html`."""
+"""One self-contained HTML page that plays a recorded episode: `twc-env replay RUN --html`."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def contradictions(run: Path) -> Iterator[None]:
 
 def read_trace(path: Path) -> dict[str, Array]:
     """The arrays of a trace.npz. Raises DataError if it is missing, invalid or of another format."""
-    return read_arrays(path, "trace", FORMAT, TRACE_KEYS, "`python -m agents explore --out RUN` writes one")
+    return read_arrays(path, "trace", FORMAT, TRACE_KEYS, "`twc-env explore --out RUN` writes one")
 
 
 def read_report(path: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A recorded episode for the Rerun viewer: `python -m twc_env replay RUN --rerun`. Needs rerun-sdk (extra `rerun`)."""
+"""A recorded episode for the Rerun viewer: `twc-env replay RUN --rerun`. Needs rerun-sdk (extra `rerun`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One file per published table: `python -m twc_env reproduce NAME --json FILE` runs it and prints it beside the print.
+"""One file per published table: `twc-env reproduce NAME --json FILE` runs it and prints it beside the print.
 
 A table is a module with `SUMMARY` (one line), `add_arguments(parser)` and `rows(options, runner)`, which gives the rows
 as flat dictionaries; `remarks(rows)`, where there is one, gives lines that are printed below the table. `CHOOSES` names

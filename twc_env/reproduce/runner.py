@@ -28,7 +28,7 @@ TABLES = (
 
 _EPILOG = """\
 example:
-  python -m twc_env reproduce {name} --json runs/{name}.json
+  twc-env reproduce {name} --json runs/{name}.json
 
 An interrupted command continues where it stopped; with more seeds, places or buildings it reuses finished parts.
 Tables of real data read the folder in the environment variable TWC_DATA (docs/real_data.md).
@@ -128,7 +128,7 @@ def table_module(name: str) -> ModuleType:
 
 
 def add_parser(commands) -> None:
-    """The `reproduce` command of `python -m twc_env`."""
+    """The `reproduce` command of `twc-env`."""
     parser = commands.add_parser(
         "reproduce",
         help="reproduce tables of the three papers and our own, beside published values",

@@ -170,7 +170,7 @@ def add_set(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="override a setting, e.g. lidar.beam_count=90; repeatable (list: python -m twc_env settings)",
+        help="override a setting, e.g. lidar.beam_count=90; repeatable (list: twc-env settings)",
     )
 
 

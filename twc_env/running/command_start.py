@@ -8,7 +8,7 @@ import sys
 import threading
 from types import FrameType
 
-_COMMANDS = ("twc_env.__main__", "agents.__main__", "training.__main__")
+_COMMANDS = ("twc_env.__main__",)
 
 
 def end_when_interrupted() -> None:

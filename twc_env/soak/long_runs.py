@@ -1,4 +1,4 @@
-"""Long runs with a new building in every episode and memory monitoring: `python -m twc_env soak`."""
+"""Long runs with a new building in every episode and memory monitoring: `twc-env soak`."""
 
 from __future__ import annotations
 

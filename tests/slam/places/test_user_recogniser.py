@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import twc_env
-from agents.__main__ import main
 from twc_env import ConfigError, DataError, EnvConfig
+from twc_env.__main__ import main
 from twc_env.config import PlaceRecognitionConfig, from_dict, override, to_dict
 from twc_env.config.manual import as_toml
 from twc_env.records.class_file import digest_of

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import twc_env
-from agents.__main__ import main
 from twc_env import ConfigError, DataError
+from twc_env.__main__ import main
 from twc_env.config import PoseGraphConfig
 from twc_env.records.class_file import digest_of
 from twc_env.records.geometry import between

@@ -39,7 +39,7 @@ def at_level(rate: float, **values):
 def test_the_shipped_table_is_small_says_how_it_was_made_and_holds_probabilities():
     assert SHIPPED.stat().st_size < 300_000
     made = json.loads(SHIPPED.read_text())["made"]
-    assert made["command"].startswith("python -m twc_env ocr measure")
+    assert made["command"].startswith("twc-env ocr measure")
     assert made["signs_read"] > 5000
     table = load_table()
     for rates in (table.miss, table.fragment, table.space_loss, table.level_cdf, table.confusion_cdf):

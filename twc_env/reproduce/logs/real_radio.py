@@ -77,7 +77,7 @@ ENGINE: EnvConfig = from_dict(
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `python -m twc_env reproduce real-radio`."""
+    """Arguments of `twc-env reproduce real-radio`."""
     parser.add_argument("--floors", default=",".join((*FLOORS, ROBOT_FLOOR)), help="floors")
     parser.add_argument("--seeds", type=count, default=5, metavar="N", help="number of simulated drifts for uw_floor")
     parser.add_argument("--traces", type=count, metavar="N", help="only the first N walks of a mall")

@@ -78,7 +78,7 @@ def measure(path: Path, seed: int, signs_per_bin: int, cache: Path, processes: i
     table |= fit_correlation(table, [line for part in triples for line in part], seed)
     lines = sum(len(part) for part in read) + 3 * sum(len(part) for part in triples)
     table["made"] = {
-        "command": f"python -m twc_env ocr measure --seed {seed} --signs {signs_per_bin}",
+        "command": f"twc-env ocr measure --seed {seed} --signs {signs_per_bin}",
         "signs_read": lines,
         "ocr": "PP-OCRv4 detection and recognition (mobile) as shipped in rapidocr-onnxruntime",
         "versions": {

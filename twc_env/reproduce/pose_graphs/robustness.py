@@ -63,7 +63,7 @@ class Case:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `python -m twc_env reproduce robustness`."""
+    """Arguments of `twc-env reproduce robustness`."""
     add_seeds(parser, "6", "seeds for `ours`")
     parser.add_argument("--other-seeds", type=seeds_argument, default="1", help="seeds for the other methods")
     parser.add_argument("--datasets", default=",".join(DATASETS), help="pose graphs")

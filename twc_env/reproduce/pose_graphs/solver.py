@@ -28,7 +28,7 @@ CHOOSES = ("datasets",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `python -m twc_env reproduce solver`."""
+    """Arguments of `twc-env reproduce solver`."""
     parser.add_argument("--datasets", default=",".join(DATASETS), help="pose graphs")
     parser.add_argument("--repeats", type=count, default=5, help="alternating runs of each solver")
 

@@ -34,7 +34,7 @@ SURVEY_PRINTED_S = 8619.2
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `python -m twc_env reproduce radio-table1`."""
+    """Arguments of `twc-env reproduce radio-table1`."""
     add_seeds(parser, "4-9", "walks, of which 0-3 were used for calibration")
     parser.add_argument("--places", default=",".join(PLACES), help="places")
     parser.add_argument("--methods", default=",".join(METHODS), help="methods")

@@ -1,6 +1,6 @@
 """Measured OCR errors: rates over capital height, incidence angle and motion blur, and confusions of characters.
 
-`python -m twc_env ocr measure` writes `ocr_table.json`, whose `made` entry contains the command and the versions. The
+`twc-env ocr measure` writes `ocr_table.json`, whose `made` entry contains the command and the versions. The
 error model:
 
 - a line is missed with probability `miss`, short lines more often than long ones;
@@ -93,9 +93,7 @@ def load_table(path: Path = SHIPPED) -> OcrTable:
     except OSError as error:
         raise DataError(f"cannot read the OCR table {path}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise DataError(
-            f"{path} is not an OCR table ({error!r}); make one with: python -m twc_env ocr measure"
-        ) from error
+        raise DataError(f"{path} is not an OCR table ({error!r}); make one with: twc-env ocr measure") from error
 
 
 def table_of(values: dict) -> OcrTable:

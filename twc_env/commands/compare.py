@@ -1,0 +1,63 @@
+"""`twc-env compare`: several teams in the same buildings."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+from twc_env import load_map
+from twc_env.commands.team_options import TEAMS, add_team, paragraphs, team_config
+from twc_env.records.json_values import TERMINAL, write_json
+from twc_env.running.command_line import add_folder, count
+
+_COMPARE_HELP = """\
+Compare teams in the same buildings from the same start poses: how much sooner than the first team each of the others
+has mapped 90 % of the floor correctly, with a 95 % confidence interval. Episodes finished by the same code are reused.
+
+examples:
+  twc-env compare --buildings 20 --jobs 2
+  twc-env compare --agents nearest-frontier mine.py:Mine --buildings 10 --jobs 2
+  twc-env compare --agents nearest-frontier radio-frontier --robots 1 --set slam.k_visibility.enabled=true
+"""
+
+
+def add_compare_parser(commands: Any) -> None:
+    """Add the command."""
+    from twc_env.agents import policy_names
+
+    parser = commands.add_parser(
+        "compare", help="compare several agents in the same buildings", **paragraphs(_COMPARE_HELP)
+    )
+    parser.add_argument(
+        "--agents",
+        nargs="+",
+        default=list(TEAMS),
+        metavar="AGENT",
+        help=f"any of {', '.join(policy_names())}, or FILE.py:CLASS; the first is the baseline "
+        f"(default: {', '.join(TEAMS)})",
+    )
+    parser.add_argument(
+        "--buildings", type=count, default=10, help="number of buildings, from the start of the test split"
+    )
+    parser.add_argument("--maps", nargs="+", metavar="MAP", help="names or files, instead of --buildings")
+    add_folder(parser, "--out", "runs/compare", "folder of finished episodes")
+    parser.add_argument("--jobs", type=count, default=1, help="parallel processes")
+    parser.set_defaults(run=_compare)
+    add_team(parser)
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from twc_env.agents import compare
+
+    config = team_config(options, None, options.steps)
+    maps = options.maps or [f"test/{number:04d}" for number in range(options.buildings)]
+    for name in maps:
+        load_map(name)
+    found = compare.compare(
+        config, maps, options.agents, options.out, options.jobs, lambda text: print(text, file=sys.stderr)
+    )
+    write_json(options.json, compare.as_json(found))
+    if options.json != TERMINAL:
+        print(compare.table_of(found))
+    return 0

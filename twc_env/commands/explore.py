@@ -1,0 +1,85 @@
+"""`twc-env explore`: run one episode with a scripted team."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from twc_env import EnvConfig, map_names
+from twc_env.commands.team_options import add_agent, add_team, folder_name, paragraphs, team_config
+from twc_env.config import digest, override
+from twc_env.records.json_values import TERMINAL, check_folder, write_json
+from twc_env.running.command_line import end_line, natural, show_count
+
+_EXPLORE_HELP = """\
+Run one episode with a scripted team and write a run folder:
+report.json (metrics, defined in docs/figures.md), config.json, map.png, episode.gif, map.pgm + map.yaml,
+pose_graph.g2o and trajectories/*.tum (readable by evo).
+
+examples:
+  twc-env explore
+  twc-env explore --map twin-02 --robots 3 --seed 1 --out runs/twin-02
+  twc-env explore --map office.yaml --steps 6000 --set odometry.drift=2 --set lidar.beam_count=360
+  twc-env explore --map gen:office:800:7 --agent random --no-pictures --json -
+  twc-env explore --agent mine.py:Mine        your own team: a class derived from agents.Policy
+  twc-env explore --config runs/twin-02 --seed 1        the same episode again, to the byte
+  twc-env explore --config twc/ExploreHard-v0 --steps 1500
+"""
+
+
+def add_explore_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser("explore", help="run one episode and write a run folder", **paragraphs(_EXPLORE_HELP))
+    parser.add_argument(
+        "--map", help=f"{', '.join(map_names())}; generated: gen:office:800:7, test/0003; or a file (default: twin-01)"
+    )
+    parser.add_argument("--seed", type=natural, default=0, help="of start poses, noise and generated signs")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help="run folder (default: runs/MAP-AGENT-seedSEED, plus a digest of the settings if they are not the "
+        "defaults)",
+    )
+    parser.add_argument("--no-gif", action="store_true", help="do not write episode.gif")
+    parser.set_defaults(run=_explore)
+    add_agent(parser)
+    add_team(parser)
+
+
+def _explore(options: argparse.Namespace) -> int:
+    from twc_env.agents import picture
+    from twc_env.agents.explore import explore, table_of, write_run
+
+    config = team_config(options, options.map, options.steps)
+    has_gif = not (options.no_gif or options.no_pictures)
+    if not options.no_pictures:
+        picture.require_libraries(has_gif)
+    folder = options.out or _run_folder(config, options.agent, options.seed)
+    check_folder(folder)
+    what = f" steps on {folder_name(config.map)}, seed {options.seed}"
+    film = picture.Film() if has_gif else None
+    run = explore(
+        config, options.agent, options.seed, film, lambda done: show_count(done, config.max_cycles, what, every=50)
+    )
+    end_line()
+    write_run(run, folder, not options.no_pictures)
+    write_json(options.json, run.report)
+    if options.json != TERMINAL:
+        print(f"{options.agent} on {config.map}, seed {options.seed}, {config.robots} robots\n")
+        print(table_of(run.report))
+        if run.report["merged_robots"] < run.report["robots"] and run.report["lacked"]:
+            print("\nwhy the robots do not all share one map:", *run.report["lacked"], sep="\n  ")
+        print(f"\nwritten: {folder}")
+    if run.was_interrupted:
+        print(f"interrupted after {run.report['steps']} steps; the results cover these", file=sys.stderr)
+    return 130 if run.was_interrupted else 0
+
+
+def _run_folder(config: EnvConfig, agent: str, seed: int) -> Path:
+    """The default run folder, different for different settings."""
+    name = f"{folder_name(config.map)}-{agent.rpartition(':')[2]}-seed{seed}"
+    is_usual = config == override(EnvConfig(), {"map": config.map})
+    return Path("runs") / (name if is_usual else f"{name}-{digest(config)}")

@@ -1,0 +1,74 @@
+"""Options and folder names that the commands of teams share."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from twc_env.config import EnvConfig, override
+from twc_env.running.command_line import add_config, add_json, add_set, assignments, config_of, count
+
+AGENTS = """\
+An AGENT is
+  nearest-frontier    drives to the nearest frontier, keeping teammates apart
+  cost-utility        trades off distance to a frontier against what teammates will see of it
+  assignment          one frontier per robot, minimising the total path length
+  voronoi             each robot takes the frontiers that it is closest to
+  radio-frontier      nearest-frontier, preferring floor predicted from WiFi (slam.k_visibility.enabled=true)
+  radio-walk          drives to where walls estimated from WiFi are least certain
+  random              wanders
+  wall-follower       follows walls
+  FILE.py:CLASS       your own class, derived from agents.Policy (docs/library.md)
+"""
+TEAMS = ("nearest-frontier", "cost-utility", "assignment", "voronoi", "random")
+
+
+def team_config(options: argparse.Namespace, map_name: str | None, steps: int | None) -> EnvConfig:
+    """The settings: defaults, then the file or standard task, then the options, then --set."""
+    named = {"map": map_name, "robots": options.robots, "max_cycles": steps}
+    chosen = {key: value for key, value in named.items() if value is not None}
+    config = override(config_of(options.config), chosen)
+    return override(config, assignments(options.set))
+
+
+def folder_name(map_name: str) -> str:
+    """A map name as part of a path: the stem of a file, or a generated name without separators."""
+    path = Path(map_name)
+    return path.stem if path.suffix else map_name.replace("/", "-").replace(":", "-")
+
+
+def folder_names(maps: Sequence[str]) -> dict[str, str]:
+    """A folder name for each map; files of the same name are distinguished by their folders."""
+    shared = Counter(folder_name(name) for name in dict.fromkeys(maps))
+    return {
+        name: folder_name(name) if shared[folder_name(name)] == 1 else re.sub(r"[^\w.-]+", "-", name).strip("-")
+        for name in maps
+    }
+
+
+def paragraphs(text: str) -> dict[str, Any]:
+    """The first paragraph as description, the rest (examples) as epilog."""
+    description, _, examples = text.partition("\n\n")
+    return {"description": description, "epilog": examples}
+
+
+def add_agent(parser: argparse.ArgumentParser) -> None:
+    """Options of commands that run one team."""
+    from twc_env.agents import policy_names
+
+    names = f"one of {', '.join(policy_names())}, or FILE.py:CLASS"
+    parser.add_argument("--agent", default="nearest-frontier", help=names)
+    parser.add_argument("--no-pictures", action="store_true", help="write neither map.png nor episode.gif")
+
+
+def add_team(parser: argparse.ArgumentParser) -> None:
+    """Options of all commands of teams: robots, steps, settings, output."""
+    parser.add_argument("--robots", type=count, help="number of robots (default: 3)")
+    parser.add_argument("--steps", type=count, help="maximum number of steps (default: 2000)")
+    add_config(parser)
+    add_set(parser)
+    add_json(parser)
