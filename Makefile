@@ -55,7 +55,7 @@ test-bounds: .venv/installed-test ## the engine's tests with numba's bounds chec
 
 test-ray: .venv-ray/installed ## RLlib plays a team (in .venv-ray: ray asks for an older gymnasium)
 	.venv-ray/bin/python -c 'import ray.rllib'
-	.venv-ray/bin/python -m pytest -q -k "rllib or RLlib" tests/test_tools.py tests/test_snippets.py
+	.venv-ray/bin/python -m pytest -q -k "rllib or RLlib" tests/vector/test_tools.py tests/docs/test_snippets.py
 
 clean: ## delete caches and runs, keep .venv
 	rm -rf runs build dist .numba_bounds .pytest_cache .mypy_cache .ruff_cache .hypothesis

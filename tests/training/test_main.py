@@ -34,9 +34,18 @@ def test_the_error_of_a_wrong_command_is_one_line_with_the_remedy(arguments, mes
 
 
 def test_without_torch_the_error_names_what_to_install():
-    code = (
-        "import sys; sys.modules['torch'] = None; from twc_env.__main__ import main; sys.exit(main(['train', 'ppo']))"
-    )
+    code = """
+import sys
+
+class WithoutTorch:
+    def find_spec(self, name, path=None, target=None):
+        if name == "torch":
+            raise ModuleNotFoundError(name, name=name)
+
+sys.meta_path.insert(0, WithoutTorch())
+from twc_env.__main__ import main
+sys.exit(main(["train", "ppo"]))
+"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 2
     assert "training needs torch; install it with: pip install 'twc_env[train]'" in done.stderr

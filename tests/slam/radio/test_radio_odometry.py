@@ -62,7 +62,9 @@ def test_the_final_path_equals_that_of_offline_radio_slam(log_and_truth):
     own.solve(is_last=True)
     solved = radio_slam.solve(log, RadioSlamConfig())
     assert own.is_corrected
-    assert poses_along(own.motions) == pytest.approx(solved.poses, abs=1e-6)
+    assert poses_along(own.motions) == pytest.approx(
+        solved.poses, abs=1e-4
+    )  # far below the steps at which the solver stops
 
 
 def test_longer_paths_are_solved_less_often(log_and_truth, monkeypatch):
