@@ -258,3 +258,16 @@ def test_a_missing_file_is_rejected_by_name(tmp_path):
 def test_settings_without_names_are_rejected(assignments):
     with pytest.raises(ConfigError, match="a dict with names as keys"):
         override(EnvConfig(), assignments)
+
+
+@pytest.mark.parametrize("digits", [400, 5000])
+def test_a_number_of_too_many_digits_is_refused_in_one_line(digits):
+    for make in (
+        lambda: override(EnvConfig(), {"lidar.range_max_m": 10**digits}),
+        lambda: LidarConfig(range_max_m=10**digits),
+    ):
+        with pytest.raises(
+            ConfigError,
+            match=f"lidar.range_max_m must be a number of at most 300 digits; got one of about {digits + 1}",
+        ):
+            make()

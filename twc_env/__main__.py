@@ -1,5 +1,5 @@
 # PYTHON_ARGCOMPLETE_OK
-"""The command `twc-env`; `python -m twc_env` is the same."""
+"""The command `twc-env`; `twc-env` is the same."""
 
 from __future__ import annotations
 

@@ -120,10 +120,10 @@ def _read_native(path: Path, modified: int) -> Floorplan:
 
 
 def _written(path: Path) -> tuple[int, ...]:
-    """Modification times of a file and of its companions: the size of a floor, or the picture of a ROS map."""
-    beside = [path.with_name("floor_info.json")]
+    """Modification times of a file and of what lies beside it: size and doors of a floor, picture of a ROS map."""
+    beside = [path.with_name("floor_info.json"), path.with_name("opening.geojson")]
     if path.suffix.lower() in (".yaml", ".yml"):
-        beside = sorted(path.parent.glob("*.p[gn][mg]*"))
+        beside = sorted(p for kind in ("*.p[gn][mg]*", "*.jp*g", "*.bmp") for p in path.parent.glob(kind))
     return tuple(each.stat().st_mtime_ns for each in (path, *beside) if each.is_file())
 
 
@@ -151,7 +151,7 @@ def _read_json(path: Path, seed: int, level: str | None) -> Floorplan:
     if isinstance(values, dict) and "format" not in values and ("type" in values or "features" in values):  # GeoJSON
         from twc_env.datasets.buildings.geojson import geojson_plan
 
-        return geojson_plan(values, path, seed, "0" if level is None else level)
+        return geojson_plan(values, path, seed, level)
     if level is not None:
         raise MapError(f"{path.name}#{level}: only .geojson maps have levels; leave #{level} out")
     if isinstance(values, dict) and "verts" in values:

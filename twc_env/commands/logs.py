@@ -159,9 +159,10 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     from twc_env.slam.modes import make_engine
 
     check_folder(options.out)
-    config, steps, contacts, begun_s = _read_logs(logs)
+    asked = assignments(options.set)
+    config, steps, contacts, begun_s = _read_logs(logs, asked.get("lidar.beam_count"))
     chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
-    config = override(config, {**assignments(options.set), **chosen})
+    config = override(config, {**asked, **chosen})
     odom_poses: list[np.ndarray] = []
     if config.slam.oracle != "none":
         print(f"slam.oracle = {config.slam.oracle!r}: ignored, since logs contain no ground truth", file=sys.stderr)
@@ -210,8 +211,12 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
 
 def _read_logs(
     logs: Sequence[Path],
+    beam_count: object = None,
 ) -> tuple[EnvConfig, Sequence[Sequence[SensorFrame]], list[Contacts], Sequence[float]]:
-    """Settings, frames per step, contacts per step ([] for laser logs), and start time [s] of each robot's clock."""
+    """Settings, frames per step, contacts per step ([] for laser logs), and start time [s] of each robot's clock.
+
+    beam_count: directions of laser logs; None: as many as their scanners have.
+    """
     from twc_env.config import from_dict
     from twc_env.datasets.logs import frame_log, scan_log
 
@@ -219,9 +224,11 @@ def _read_logs(
         config, steps = frame_log.read_frame_log(logs[0])
         return config, steps, frame_log.read_contacts(logs[0]), [0.0] * config.robots
     scans = [scan_log.read_any_log(log) for log in logs]
-    paths = [scan_log.sensor_frames(s, scan_log.BEAMS, scan_log.RANGE_MAX_M, robot=r) for r, s in enumerate(scans)]
+    beams = beam_count if isinstance(beam_count, int) and beam_count > 0 else scan_log.beam_count_of(scans)
+    paths = [scan_log.sensor_frames(s, beams, scan_log.RANGE_MAX_M, robot=r) for r, s in enumerate(scans)]
     steps = [tuple(frame for frame in frames if frame is not None) for frames in zip_longest(*paths)]
-    config = from_dict(scan_log.SETTINGS | {"robots": len(logs), "max_cycles": len(steps)})
+    lidar = scan_log.SETTINGS["lidar"] | {"beam_count": beams}
+    config = from_dict(scan_log.SETTINGS | {"lidar": lidar, "robots": len(logs), "max_cycles": len(steps)})
     return config, steps, [], [float(s.times_s[0]) for s in scans]
 
 

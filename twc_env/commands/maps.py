@@ -22,7 +22,7 @@ A MAP is
   a building of a split     train/0000 ... train/0999, validation/0000 ..., test/0000 ... test/0099
   a file                    .json (twc_env, HouseExpo), .yaml (ROS map_server), .png, .pgm,
                             .geojson (indoor-location-competition-20 with floor_info.json beside it;
-                            OpenStreetMap: FILE#LEVEL); .gz too
+                            OpenStreetMap, or IMDF units with opening.geojson beside them: FILE#LEVEL); .gz too
 """
 
 

@@ -16,6 +16,14 @@ import numpy as np
 from twc_env.errors import ArgumentError, ConfigError, did_you_mean
 from twc_env.records.class_file import is_in_file
 
+_BITS_MAX = 1000
+"""Bits of whole numbers; a floating-point number reaches 1,024."""
+
+
+def is_too_great(value: int) -> bool:
+    """Whether a whole number is greater than any floating-point number, or close to it."""
+    return value.bit_length() > _BITS_MAX
+
 
 def number(default, minimum: float = -math.inf, maximum: float = math.inf):
     """A numeric field with its allowed range (inclusive)."""
@@ -83,6 +91,11 @@ class Checked:
                 low, high = f.metadata["minimum"], f.metadata["maximum"]
                 if isinstance(value, bool) or not isinstance(value, (int, float)):
                     raise ConfigError(f"{self._name(f)} must be a number; got {value!r}")
+                if isinstance(value, int) and is_too_great(value):
+                    digits = int(value.bit_length() * math.log10(2.0)) + 1
+                    raise ConfigError(
+                        f"{self._name(f)} must be a number of at most 300 digits; got one of about {digits}"
+                    )
                 if not low <= value <= high:
                     raise ConfigError(f"{self._name(f)} must lie in [{low:g}, {high:g}]; got {value!r}")
 

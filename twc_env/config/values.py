@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
-from twc_env.config.checks import plain_value
+from twc_env.config.checks import is_too_great, plain_value
 from twc_env.config.environment import EnvConfig
 from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.world import RadioConfig
@@ -160,7 +160,7 @@ def _value(kind: type, value, where: str):
         return value if isinstance(value, kind) else from_dict(value, kind, where)
     value = plain_value(value)
     if kind is float and type(value) is int:
-        return float(value)
+        return value if is_too_great(value) else float(value)  # the section refuses it
     if type(value) is not kind:
         raise ConfigError(f"{where} must be {_KINDS[kind]}; got {value!r}")
     return value

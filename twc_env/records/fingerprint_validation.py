@@ -6,9 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.records.messages import Fingerprint
+
+_RSSI_MAX_DBM = 30.0
+"""No receiver hears more."""
 
 
 def validated_fingerprints(fingerprints: Sequence[Fingerprint], name: str = "fingerprint") -> tuple[Fingerprint, ...]:
@@ -43,4 +47,15 @@ def fault_of_readings(macs: ArrayLike, rssi_dbm: ArrayLike) -> str | None:
         return "addresses that do not ascend: sort them, each but once"
     if not np.isfinite(rssi_dbm).all():
         return "a strength that is not finite: leave out what was not heard"
+    return fault_of_strengths(np.asarray(rssi_dbm))
+
+
+def fault_of_strengths(rssi_dbm: Array) -> str | None:
+    """What fingerprint sets write for "not heard" among strengths that are heard: 100, or 0; None if it is not there.
+
+    Strengths that are all positive are a fault of their unit.
+    """
+    is_odd = (rssi_dbm > _RSSI_MAX_DBM) | (rssi_dbm == 0.0)
+    if is_odd.any() and (rssi_dbm < 0.0).any():
+        return f"a strength of {rssi_dbm[is_odd][0]:g} dBm: leave out what was not heard"
     return None

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from twc_env.errors import DataError
+from twc_env.records.whole_file import whole_file
 
 TERMINAL = Path("-")
 """Path that stands for standard output."""
@@ -54,7 +55,8 @@ def write_json(path: Path | None, values: Any) -> None:
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        with whole_file(path) as beside:
+            beside.write_text(text, encoding="utf-8")
     except OSError as error:
         raise DataError(f"cannot write {path}: {error.strerror}; choose another place") from error
 

@@ -1,11 +1,17 @@
 """Pose graphs survive the g2o format, and public ones can be read."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from tests.real_data import DATA, needs_data
+from twc_env.config import PoseGraphConfig
 from twc_env.datasets.logs.g2o import read_g2o, write_g2o
 from twc_env.errors import DataError
+from twc_env.slam.pose_graph import robust_back_end as robust_backend
+
+CASES = Path(__file__).parents[1] / "cases"
 
 
 def some_graph():
@@ -80,6 +86,8 @@ def test_nodes_of_a_file_of_edges_alone_lie_along_the_odometry(tmp_path):
         ("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 9 1 0 0 1 0 0 1 0 1\n", "line 2: the edge names vertex 9"),
         ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "holds VERTEX_SE3:QUAT"),
         ("", "it is empty"),
+        ("VERTEX_SE2 1 0 0 0\nEDGE_SE2 1 1 1 0 0 1 0 0 1 0 1\n", "line 2: the edge leads from vertex 1 to itself"),
+        ("VERTEX_SE2 1 0 0 0\nFIX 7\n", "line 2: FIX names vertex 7"),
     ],
 )
 def test_a_malformed_file_is_refused_with_the_reason(tmp_path, text, message):
@@ -101,6 +109,65 @@ def test_a_graph_that_does_not_fit_together_is_not_written(tmp_path, change, mes
     with pytest.raises(DataError, match=message):
         write_g2o(tmp_path / "a.g2o", some_graph() | change)
     assert not (tmp_path / "a.g2o").exists()
+
+
+def solved(path, robust="ours"):
+    """Poses of a file, its closures and how many of them are believed."""
+    graph = read_g2o(path)
+    is_closure = np.array([kind == "closure" for kind in graph["edges_kind"]])
+    parts = (graph[key] for key in ("nodes", "edges_ij", "edges_z", "edges_information"))
+    result = robust_backend.solve(*parts, is_closure, PoseGraphConfig(robust=robust), graph["fixed"])
+    return result.poses, is_closure, int((is_closure & result.accepted).sum())
+
+
+@pytest.mark.parametrize("name", ["two-robots.g2o", "two-robots-apart.g2o"])
+def test_the_paths_of_two_robots_are_not_joined_by_their_numbers(name):
+    poses, is_closure, believed = solved(CASES / "12-g2o-ids" / name)
+    assert ((~is_closure).sum(), is_closure.sum(), believed) == (6, 5, 4)
+    assert np.ptp(poses[:, :2], axis=0) == pytest.approx([3.0, 3.0], abs=0.01)
+
+
+def test_ids_may_have_any_step():
+    odd, plain = (read_g2o(CASES / "12-g2o-ids" / name) for name in ("odd-ids.g2o", "consecutive.g2o"))
+    assert odd["edges_kind"] == plain["edges_kind"]
+    assert odd["edges_kind"].count("odometry") == 29
+
+
+def test_toro_is_read_as_the_planar_graph_it_is():
+    graph = read_g2o(CASES / "16-g2o-toro" / "toro.graph")
+    assert graph["nodes"].tolist() == [[0, 0, 0], [1, 0, 0], [2, 0, 0]]
+    assert graph["edges_information"][0].tolist() == np.diag([100.0, 100.0, 400.0]).tolist()
+
+
+def test_the_information_of_toro_is_in_its_own_order(tmp_path):
+    (tmp_path / "a.graph").write_text("EDGE2 0 1 1 0 0 11 12 22 33 13 23\n")
+    (information,) = read_g2o(tmp_path / "a.graph")["edges_information"]
+    assert information.tolist() == [[11, 12, 13], [12, 22, 23], [13, 23, 33]]
+
+
+def test_the_fixed_vertex_of_a_file_stays_in_place():
+    poses, *_ = solved(CASES / "16-g2o-toro" / "fix.g2o", "plain")
+    assert poses[2] == pytest.approx([2.0, 0.0, 0.0], abs=1e-9)
+    assert poses[0, 0] == pytest.approx(-0.2, abs=1e-3)
+
+
+def test_landmarks_are_left_out_with_a_word(caplog):
+    read_g2o(CASES / "16-g2o-toro" / "landmarks.g2o")
+    assert "1 VERTEX_XY, 2 EDGE_SE2_XY" in caplog.text
+
+
+def test_a_self_edge_is_not_written(tmp_path):
+    with pytest.raises(DataError, match="edge 1 of the pose graph leads from node 1 to itself"):
+        write_g2o(tmp_path / "a.g2o", some_graph() | {"edges_ij": np.array([[0, 1], [1, 1], [2, 3], [0, 3]])})
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("name", "odometry"),
+    [("MIT", 807), ("intel", 1727), ("manhattan", 3499), ("manhattanOlson3500_vertigo", 3499), ("ring", 433)],
+)
+def test_public_graphs_keep_their_odometry(name, odometry):
+    assert read_g2o(DATA / "posegraph" / f"{name}.g2o.gz")["edges_kind"].count("odometry") == odometry
 
 
 @needs_data

@@ -260,3 +260,10 @@ def test_poses_between_corrected_ones_are_interpolated():
     path = np.column_stack([np.arange(5.0), np.zeros(5), np.zeros(5)])
     moved = spread(path, np.arange(5.0), np.array([0, 4]), np.array([[0, 0, 0], [4.0, 2.0, 0.0]]))
     assert moved[:, 1] == pytest.approx([0.0, 0.5, 1.0, 1.5, 2.0])
+
+
+@pytest.mark.parametrize("not_heard", [100.0, 0.0])
+def test_a_fingerprint_of_what_was_not_heard_is_refused(not_heard):
+    prints = [Fingerprint(np.arange(3), np.array([-50.0, not_heard, -60.0]))] * 2
+    with pytest.raises(DataError, match=f"a strength of {not_heard:g} dBm: leave out what was not heard"):
+        RadioLog(np.zeros((1, 3)), np.zeros(1), prints)

@@ -326,3 +326,11 @@ def test_invalid_readings_are_rejected(changes, message):
     readings = {"position_m": np.zeros((60, 2)), "rssi_dbm": np.full((60, 1), -50.0), "router_m": [[1.0, 2.0]]}
     with pytest.raises(DataError, match=message):
         map_structure(**{**readings, **changes})
+
+
+@pytest.mark.parametrize("not_heard", [100.0, 0.0])
+def test_readings_of_what_was_not_heard_are_refused(not_heard):
+    position_m = np.stack([np.linspace(0.0, 5.0, 50), np.zeros(50)], axis=1)
+    rssi_dbm = np.where(np.arange(50) % 3 == 0, not_heard, -50.0)[:, None]
+    with pytest.raises(DataError, match=f"a strength of {not_heard:g} dBm: leave out what was not heard"):
+        map_structure(position_m, rssi_dbm)

@@ -11,6 +11,7 @@ from pathlib import Path
 from twc_env.datasets.buildings.competition_floor import competition_floor
 from twc_env.datasets.buildings.furnish import place_access_points
 from twc_env.datasets.buildings.geojson_features import check_reference, part_of, properties_of
+from twc_env.datasets.buildings.imdf import is_imdf, tagged
 from twc_env.datasets.buildings.osm_level import osm_level
 from twc_env.errors import MapError
 from twc_env.records.random_streams import random_stream
@@ -21,17 +22,17 @@ from twc_env.world.building.floorplan_file import load_json
 ACCESS_POINT_AREA_M2 = 150.0
 
 
-def read_geojson(path: str | Path, seed: int = 0, level: str = "0") -> Floorplan:
+def read_geojson(path: str | Path, seed: int = 0, level: str | None = None) -> Floorplan:
     """One floor of a GeoJSON file (.geojson or .json, also .gz). Place names become signs.
 
-    `level` picks the floor of an OpenStreetMap building. Access points are placed by seed. Raises MapError for files
-    that are neither kind, for unknown levels and for floors without free space.
+    `level` picks the floor of an OpenStreetMap or IMDF building, by default "0" or the only one. Access points are
+    placed by seed. Raises MapError for files of no such kind, for unknown levels and for floors without free space.
     """
     path = Path(path)
     return geojson_plan(load_json(path), path, seed, level)
 
 
-def geojson_plan(values: object, path: Path, seed: int = 0, level: str = "0") -> Floorplan:
+def geojson_plan(values: object, path: Path, seed: int = 0, level: str | None = None) -> Floorplan:
     """Build a plan from the values of a GeoJSON file at `path`; a competition floor needs floor_info.json beside it."""
     table = values if isinstance(values, dict) else {}
     features = table.get("features")
@@ -39,8 +40,10 @@ def geojson_plan(values: object, path: Path, seed: int = 0, level: str = "0") ->
         raise MapError(f"{path.name} is not a GeoJSON FeatureCollection with features; export the floor again")
     check_reference(table, path.name)
     name = _plan_name(path)
-    if any("tags" in properties_of(feature) or part_of(feature) for feature in features):
-        plan = osm_level(features, path.name, f"{name}-{level}", level)
+    if is_imdf(features):
+        plan = osm_level(tagged(features, path), path.name, name, level)
+    elif any("tags" in properties_of(feature) or part_of(feature) for feature in features):
+        plan = osm_level(features, path.name, name, level)
     else:
         plan = competition_floor(features, path, name)
     random = random_stream(seed, "furnish")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -22,6 +24,14 @@ _NUMBER_MAX = 1e15
 """Greater numbers are no level, width or name."""
 _NO_FLOOR = ("shell", "wall", "door", "yes", "no")
 """Tags of outlines and openings, which are not floor."""
+_LEVEL = r"[+-]?\d+(?:\.\d+)?"
+_LEVEL_RANGE = re.compile(rf"({_LEVEL})\s*-\s*({_LEVEL})")
+_LEVELS_MAX = 200
+"""Storeys of the highest building."""
+_WIDTH = re.compile(r"""(\d+(?:[.,]\d+)?)\s*(mm|cm|m|ft|in|'|")?""")
+_WIDTH_UNIT_M = {"mm": 0.001, "cm": 0.01, "m": 1.0, "ft": 0.3048, "'": 0.3048, "in": 0.0254, '"': 0.0254}
+_NO = ("", "no")
+_LOG = logging.getLogger(__name__)
 _REMEDY = "export it in longitude and latitude (WGS 84, EPSG:4326)"
 
 
@@ -34,6 +44,8 @@ class Area:
     """(k, 2), not closed, counter-clockwise."""
     holes_m: tuple[Array, ...] = ()
     """Holes, clockwise."""
+    is_open: bool = False
+    """Whether it has no walls of its own."""
 
 
 def walls_of(ring: Array) -> Array:
@@ -88,21 +100,78 @@ def part_of(feature: dict) -> str:
     return kind if kind not in _NO_FLOOR else ""
 
 
+def is_open(feature: dict) -> bool:
+    """Whether a part has no walls of its own, only those of the rooms beside it: indoor=area or corridor."""
+    return tag_of(feature, "indoor") in ("area", "corridor")
+
+
+def is_door(feature: dict) -> bool:
+    """Whether a point or line is a door in one of the taggings in use."""
+    geometry = feature.get("geometry")
+    if isinstance(geometry, dict) and geometry.get("type") in ("Polygon", "MultiPolygon"):
+        return False  # a room that has doors
+    if tag_of(feature, "door") == "no":
+        return False
+    return tag_of(feature, "indoor") == "door" or any(tag_of(feature, key) not in _NO for key in ("door", "entrance"))
+
+
 def levels_of(feature: dict) -> list[str]:
-    """The levels of an OpenStreetMap feature: those of its relations, or its own, as in "0;1"."""
+    """The levels of an OpenStreetMap feature: those of its relations, or its own, as in "0;1", "0-2" or ["0", "1"]."""
     relations = properties_of(feature).get("relations")
     tables = [r.get("reltags") for r in relations if isinstance(r, dict)] if isinstance(relations, list) else []
     related = [t["level"] for t in tables if isinstance(t, dict) and isinstance(t.get("level"), str)]
-    return related or [level.strip() for level in tag_of(feature, "level").split(";") if level.strip()]
+    return list(dict.fromkeys(level for text in related or _level_texts(feature) for level in _levels(text)))
+
+
+def _level_texts(feature: dict) -> list[str]:
+    own = properties_of(feature)
+    tags = own.get("tags")
+    value = (tags if isinstance(tags, dict) else own).get("level")
+    if isinstance(value, list):
+        return [f"{item}" for item in value if isinstance(item, (str, int, float)) and not isinstance(item, bool)]
+    return [tag_of(feature, "level")]
+
+
+def _levels(text: str) -> list[str]:
+    """The levels of a list of single ones and ranges, with one spelling for each."""
+    found = []
+    for part in re.split("[;,]", text):
+        if ends := _LEVEL_RANGE.fullmatch(part.strip()):
+            first, last = float(ends[1][:9]), float(ends[2][:9])
+            count = int(min(last - first, _LEVELS_MAX)) + 1 if last >= first else 0
+            found += [f"{first + k:g}" for k in range(count)]
+        elif part.strip():
+            found.append(f"{float(part):g}" if re.fullmatch(_LEVEL, part.strip()[:9]) else part.strip())
+    return found
 
 
 def width_m_of(feature: dict) -> float:
-    """Width of a door, as tagged or by default, within plausible limits."""
+    """Width of a door, as tagged or by default, within plausible limits; a width that cannot be read is named."""
+    text = tag_of(feature, "width")
+    told = _WIDTH.fullmatch(text.lower())
+    if told is None:
+        if text:
+            _LOG.warning("a door of width %r is taken as %g m wide; write metres as '1.5'", text[:40], _DOOR_WIDTH_M)
+        return _DOOR_WIDTH_M
+    width_m = float(told[1].replace(",", ".")) * _WIDTH_UNIT_M[told[2] or "m"]
+    return float(np.clip(width_m, *_DOOR_WIDTHS_M))
+
+
+def lines_of(feature: dict, where: str) -> list[Array]:
+    """Lines of a feature, each (k, 2) [degrees]: those of a line, or the rings of a polygon; [] for points."""
+    geometry = feature.get("geometry")
+    if not isinstance(geometry, dict) or geometry.get("type") not in ("LineString", "MultiLineString"):
+        return [np.concatenate([ring, ring[:1]]) for rings in polygons_of(feature, where) for ring in rings]
     try:
-        width_m = float(tag_of(feature, "width").removesuffix("m"))
-    except ValueError:
-        width_m = _DOOR_WIDTH_M
-    return float(np.clip(width_m, *_DOOR_WIDTHS_M)) if np.isfinite(width_m) else _DOOR_WIDTH_M
+        parts = geometry["coordinates"] if geometry["type"] == "MultiLineString" else [geometry["coordinates"]]
+        lines = [np.array(part, dtype=float)[:, :2] for part in parts]
+        if not all(line.shape[1] == 2 and len(line) > 1 and np.isfinite(line).all() for line in lines):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError, IndexError):
+        raise MapError(f"{where}: a line must hold two or more [longitude, latitude]; export it again") from None
+    for line in lines:
+        _check_degrees(line, where)
+    return lines
 
 
 def polygons_of(feature: dict, where: str) -> list[list[Array]]:
@@ -139,13 +208,19 @@ def _opened(ring: Array, is_outer: bool, where: str) -> Array:
 
 
 def point_of(feature: dict, where: str) -> Array:
-    """(2,) [degrees] of a door."""
+    """(2,) [degrees] of a door; the middle of one drawn as a line."""
+    geometry = feature.get("geometry")
+    if isinstance(geometry, dict) and geometry.get("type") == "LineString":
+        line = lines_of(feature, where)[0]
+        return (line[0] + line[-1]) / 2
     try:
         point = np.array(feature["geometry"]["coordinates"][:2], dtype=float)
         if point.shape != (2,):
             raise ValueError
     except (KeyError, TypeError, ValueError, OverflowError):
-        raise MapError(f"{where}: a door must be a Point [longitude, latitude]; export it again") from None
+        raise MapError(
+            f"{where}: a door must be a Point [longitude, latitude] or a LineString; export it again"
+        ) from None
     _check_degrees(point[None], where)
     return point
 

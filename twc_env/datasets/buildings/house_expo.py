@@ -54,6 +54,8 @@ def house_expo_plan(values: object, where: str, seed: int = 0) -> Floorplan:
 def _contour(values: dict, where: str) -> Array:
     try:
         contour = np.array(values["verts"], dtype=float)
+        if any(isinstance(number, (bool, str)) for corner in values["verts"] for number in corner):
+            raise ValueError  # numpy takes true for 1.0
     except KeyError:
         raise MapError(f"{where} lacks the key 'verts', the contour of a HouseExpo plan; add it") from None
     except (TypeError, ValueError, OverflowError):
@@ -106,6 +108,8 @@ def _rooms(categories: object, cells: Cells, where: str) -> tuple[Room, ...]:
 def _boxes(boxes: object, where: str) -> list[tuple[float, ...]]:
     try:
         table = np.array(boxes, dtype=float)
+        if table.ndim == 2 and any(isinstance(n, (bool, str)) for box in boxes for n in box):  # type: ignore[attr-defined]
+            raise ValueError
         if table.size and (table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all()):
             raise ValueError
     except (TypeError, ValueError, OverflowError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -12,7 +13,10 @@ from twc_env.datasets.buildings.geojson_features import (
     EXTENT_MAX_M,
     Area,
     distinct,
+    is_door,
+    is_open,
     levels_of,
+    lines_of,
     part_of,
     point_of,
     polygons_of,
@@ -33,25 +37,40 @@ _FRAME_M = 0.05
 _WALL_THICKNESS_MAX_M = 0.6
 """Rooms whose outlines are at most this far apart share a wall."""
 _PLATE_OFFSET_M = 0.3
+_SHARED_M, _PARALLEL = 0.1, 0.05
+"""Sides of areas this near and (sine) this parallel are one border."""
+_LEFT_OUT_MIN_M2 = 1.0
+_LOG = logging.getLogger(__name__)
 
 
-def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorplan:
-    """The floor plan of one level; doors are corners of the outlines of rooms. Rooms without a level are on "0"."""
+def osm_level(features: list[dict], where: str, name: str, level: str | None = None) -> Floorplan:
+    """The floor plan of one level, by default "0" or the only one. Rooms without a level are on "0".
+
+    Doors lie on the outlines of rooms. Areas and corridors have no walls between them. What no door leads to is left
+    out, with a warning.
+    """
     parts = [(number, feature) for number, feature in enumerate(features) if part_of(feature)]
     if not parts:
         raise MapError(f"{where} has no rooms: polygons tagged indoor=room or buildingpart=room; export these too")
     levels = sorted({lvl for _, feature in parts for lvl in levels_of(feature)})
+    if level is None:
+        level = levels[0] if len(levels) == 1 else "0"
+    name = f"{name}-{level}"
+    level = f"{float(level):g}" if level not in levels and _is_number(level) else level
     polygons = [
-        (tag_of(feature, "name"), rings)
+        (tag_of(feature, "name"), is_open(feature), rings)
         for number, feature in parts
         if level in (levels_of(feature) if levels else ("0",))
         for rings in polygons_of(feature, f"{where}: feature {number}")
     ]
     if not polygons:
         raise MapError(f"{where} has no level {level!r}; levels are {', '.join(levels) or '0'}: write FILE#LEVEL")
-    origin = np.mean([rings[0].mean(axis=0) for _, rings in polygons], axis=0)
+    origin = np.mean([rings[0].mean(axis=0) for *_, rings in polygons], axis=0)
     scale = metres_per_degree(origin[1])
-    drawn = distinct(Area(text, *_in_metres(rings, origin, scale)) for text, rings in polygons)
+    drawn = distinct(
+        Area(text, *_in_metres(rings, origin, scale), is_open=is_without_walls)
+        for text, is_without_walls, rings in polygons
+    )
     if max(np.abs(area.ring_m).max() for area in drawn) > EXTENT_MAX_M:
         raise MapError(
             f"{where}: level {level!r} is wider than {EXTENT_MAX_M:g} m; cut out one building, or, "
@@ -61,14 +80,15 @@ def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorp
     areas, seeds = [area for area, seed in inside if seed is not None], [seed for _, seed in inside if seed is not None]
     if not areas:
         raise MapError(f"{where}: the rooms of level {level!r} have no area; export it again")
-    outlines = [Area(area.name, ring) for area in areas for ring in (area.ring_m, *area.holes_m)]
-    walls = [walls_of(outline.ring_m) for outline in outlines]
+    outlines = [Area(area.name, ring, is_open=area.is_open) for area in areas for ring in (area.ring_m, *area.holes_m)]
+    walls = _without_open_borders([walls_of(outline.ring_m) for outline in outlines], outlines)
+    walls.append(_drawn_walls(features, where, level, origin, scale))
     plates: list[tuple[str, Array, Array]] = []  # text, (2, 2) either side of the door, normal
     jambs = []
     boxes = np.array([[*outline.ring_m.min(axis=0), *outline.ring_m.max(axis=0)] for outline in outlines])
     opened: set[tuple[float, ...]] = set()
     for number, feature in enumerate(features):
-        if tag_of(feature, "door"):
+        if is_door(feature) and level in (levels_of(feature) or [level]):
             place = (point_of(feature, f"{where}: feature {number}") - origin) * scale
             if (key := tuple(np.round(place, 2).tolist())) in opened:
                 continue
@@ -80,15 +100,68 @@ def osm_level(features: list[dict], where: str, name: str, level: str) -> Floorp
                 jambs += _open_door([outlines[k] for k in near], near, walls, place, width_m_of(feature), plates)
     table = np.concatenate([*walls, np.array(jambs).reshape(-1, 2, 2)])
     # First all rooms are interior points, then only the largest connected part is kept.
-    plan = Floorplan(name, table, np.full(len(table), WALL_LOSS_DB / 2), interior_m=np.array(seeds))
+    losses_db = np.full(len(table), WALL_LOSS_DB / 2)
+    losses_db[len(table) - len(jambs) - len(walls[-1]) : len(table) - len(jambs)] = WALL_LOSS_DB
+    plan = Floorplan(name, table, losses_db, interior_m=np.array(seeds))
     cells = plan.cells()
-    inside_m = cells.centre_of(np.array([deepest_cell(largest_part(cells.free))]))
+    kept = largest_part(cells.free)
+    inside_m = cells.centre_of(np.array([deepest_cell(kept)]))
+    all_m2, kept_m2 = (part.sum() * cells.resolution_m**2 for part in (cells.free, kept))
+    if all_m2 - kept_m2 >= _LEFT_OUT_MIN_M2:
+        _LOG.warning(
+            "%s: %.0f of %.0f m2 of floor left out: no door leads there; add points tagged door=yes on the walls",
+            where, all_m2 - kept_m2, all_m2,
+        )  # fmt: skip
     plan = dataclasses.replace(plan, interior_m=inside_m)
     reached = plan.cells().is_free(np.array(seeds))
     rooms = [Room(area.name or f"ROOM {i + 1}", area.ring_m) for i, area in enumerate(areas) if reached[i]]
     tries = [[hung_sign(plan, text, at, normal) for at in sides] for text, sides, normal in plates]
     signs = [sign for both in tries for sign in [s for s in both if s is not None][:1]]
     return dataclasses.replace(plan, rooms=tuple(rooms), signs=tuple(signs))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return bool(np.isfinite(float(text)))
+    except ValueError:
+        return False
+
+
+def _drawn_walls(features: list[dict], where: str, level: str, origin: Array, scale: Array) -> Array:
+    """(w, 2, 2) the walls of the level that are drawn as such."""
+    pieces = [np.zeros((0, 2, 2))]
+    for number, feature in enumerate(features):
+        if tag_of(feature, "indoor") == "wall" and level in (levels_of(feature) or [level]):
+            for line in lines_of(feature, f"{where}: feature {number}"):
+                places = (line - origin) * scale
+                pieces.append(np.stack([places[:-1], places[1:]], axis=1))
+    walls = np.concatenate(pieces)
+    return walls[np.linalg.norm(walls[:, 1] - walls[:, 0], axis=1) > 1e-3]
+
+
+def _without_open_borders(walls: list[Array], outlines: list[Area]) -> list[Array]:
+    """The walls (w, 2, 2) of each outline, without those between two areas that have no walls of their own."""
+    open_ones = [k for k, outline in enumerate(outlines) if outline.is_open]
+    out = list(walls)
+    for k in open_ones:
+        for other in open_ones:
+            if other != k:
+                for begin, end in sides_of(outlines[other].ring_m):
+                    out[k] = _without_border(out[k], begin, end)
+    return out
+
+
+def _without_border(walls: Array, begin: Array, end: Array) -> Array:
+    """Walls (w, 2, 2) without the parts that run along a side."""
+    length = float(np.linalg.norm(end - begin))
+    if length < 1e-9 or not len(walls):
+        return walls
+    along = (end - begin) / length
+    normal = np.array([-along[1], along[0]])
+    ways = walls[:, 1] - walls[:, 0]
+    is_beside = (np.abs((walls - begin) @ normal) < _SHARED_M).all(axis=1)
+    is_beside &= np.abs(ways @ normal) < _PARALLEL * np.linalg.norm(ways, axis=1)
+    return np.concatenate([walls[~is_beside], _cut(walls[is_beside], begin, along, 0.0, length)])
 
 
 def metres_per_degree(latitude_deg: float) -> Array:
@@ -116,15 +189,20 @@ def _open_door(
     width_m: float,
     plates: list[tuple[str, Array, Array]],
 ) -> list[Array]:
-    """Cut a door into the outline that has it as a corner and into the one behind; returns the two jambs.
+    """Cut a door into the outline it lies on, best as a corner, and into the one behind; returns the two jambs.
 
-    areas: the outlines near the door, and their numbers in walls. A hole of a room is a separate outline with the
-    opposite direction.
+    areas: the outlines near the door, and their numbers in walls, the last of which are walls drawn as such. A hole of
+    a room is a separate outline with the opposite direction.
     """
-    corner_gaps = [np.linalg.norm(area.ring_m - place, axis=1).min() for area in areas]
+    corner_gaps: list[float] = [np.linalg.norm(area.ring_m - place, axis=1).min() for area in areas]
     room = int(np.argmin(corner_gaps))
-    if corner_gaps[room] > 0.05:
-        return []
+    if corner_gaps[room] > 0.05:  # a door within a side, or within the thickness of the wall
+        found = [_nearest(sides_of(area.ring_m), place) for area in areas]
+        room = int(np.argmin([gap for _, gap in found]))
+        if found[room][1] > _WALL_THICKNESS_MAX_M:
+            return []
+        side_begin, side_end = sides_of(areas[room].ring_m)[found[room][0]]
+        place = _foot(side_begin, side_end, place)
     gaps = [np.inf if i == room else _nearest(sides_of(area.ring_m), place)[1] for i, area in enumerate(areas)]
     behind = int(np.argmin(gaps))
     if gaps[behind] > _WALL_THICKNESS_MAX_M:
@@ -143,8 +221,8 @@ def _open_door(
     last = min(at + width_m / 2, min(high for _, high in ends) - _FRAME_M)
     if last - first < _DOOR_WIDTH_MIN_M:
         return []
-    for number in (room, behind):
-        walls[numbers[number]] = _cut(walls[numbers[number]], begin, along, first, last)
+    for number in (numbers[room], numbers[behind], len(walls) - 1):
+        walls[number] = _cut(walls[number], begin, along, first, last)
     into_behind = np.array([-along[1], along[0]])  # outlines run counter-clockwise
     for number, normal, other in ((room, into_behind, behind), (behind, -into_behind, room)):
         base = begin if other == behind else begin + across
@@ -184,6 +262,12 @@ def _cut(walls: Array, begin: Array, along: Array, first: float, last: float) ->
             if s1 - s0 > 1e-3:
                 pieces.append((a + (s0 - sa) / (sb - sa) * (b - a), a + (s1 - sa) / (sb - sa) * (b - a)))
     return np.array(pieces).reshape(-1, 2, 2)
+
+
+def _foot(begin: Array, end: Array, place: Array) -> Array:
+    """The point of a side nearest to a place."""
+    way = end - begin
+    return begin + np.clip((place - begin) @ way / max(way @ way, 1e-12), 0.0, 1.0) * way
 
 
 def _nearest(sides: Array, place: Array) -> tuple[int, float]:

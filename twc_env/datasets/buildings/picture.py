@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy import ndimage
 
 from twc_env.datasets.buildings.furnish import furnish_picture
 from twc_env.datasets.buildings.outline import outer_ring, simplified_ring
-from twc_env.datasets.buildings.raster import parts, plan_from_free, read_grey
+from twc_env.datasets.buildings.raster import check_closed, name_marks, parts, plan_from_free, read_grey
 from twc_env.errors import MapError
 from twc_env.world.building.floorplan import Floorplan, Room
 from twc_env.world.building.floorplan_check import validate
@@ -26,16 +27,26 @@ ROOM_MIN_M2 = 1.0
 """Smaller pieces lie between the lines at a door or behind a stray beam."""
 _ROOM_FREE_SHARE_MIN = 0.5
 _SIMPLIFY_PIXELS = 2.0
+_LOG = logging.getLogger(__name__)
 
 
-def read_picture(path: str | Path, seed: int = 0, resolution_m: float = PICTURE_RESOLUTION_M) -> Floorplan:
+def read_picture(path: str | Path, seed: int = 0, resolution_m: float | None = None) -> Floorplan:
     """A .png or .pgm(.gz) picture with white free space; signs and access points are placed by seed.
 
+    A picture without resolution_m has PICTURE_RESOLUTION_M, which is said.
     Rooms come from the picture named with ROOMS_SUFFIX, if it exists. Raises MapError if a picture cannot be read or
     shows no free space, or if the two differ in size.
     """
     path = Path(path)
     free = read_grey(path)[::-1] > FREE_ABOVE
+    if resolution_m is None:
+        resolution_m = PICTURE_RESOLUTION_M
+        _LOG.warning(
+            "%s: a picture tells no scale; %g m per pixel assumed, %.1f x %.1f m in all; if it is another, use `maps "
+            "import --resolution`", path.name, resolution_m, *np.array(free.shape[::-1]) * resolution_m,
+        )  # fmt: skip
+    check_closed(free, resolution_m, path.name)
+    name_marks(free, resolution_m, path.name)
     plan = validate(plan_from_free(free, resolution_m, path.name.split(".")[0]))
     plan = dataclasses.replace(plan, rooms=_rooms_beside(path, plan, free.shape, resolution_m))
     return validate(furnish_picture(plan, seed, resolution_m, np.zeros(3)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import re
 import warnings
 from collections.abc import Sequence
@@ -24,6 +25,13 @@ SPECK_M2 = 0.02
 """Smaller obstacles are removed as noise."""
 STRIP_M = 0.2
 """Free strips up to this width, too narrow for a robot, are removed as stray beams and gaps of the scan."""
+LEFT_OUT_MIN_M2 = 1.0
+"""Parts of the floor of this size are named if they are left out."""
+_OUTSIDE_SHARE = 0.9
+"""A floor that takes more of the border of a picture goes around the building."""
+_MARK_MAX_M, _MARKS_MIN = 1.5, 2
+"""So many obstacles up to this size that stand free are named: they may be writing."""
+_LOG = logging.getLogger(__name__)
 _GAP = rb"(?:\s|#[^\n]*\n)*"
 _PGM_HEADER = re.compile(_GAP + rb"(P[25])" + 3 * (rb"\s" + _GAP + rb"(\d{1,9})") + rb"(?!\S)")
 """Kind, columns, rows and the value of white, with optional comments in between."""
@@ -50,6 +58,53 @@ def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Sequen
         wall_loss_db=np.full(len(walls), WALL_LOSS_DB / 2),
         interior_m=origin + (np.array([[column, row]]) + 0.5) * resolution_m,
     )
+
+
+def check_closed(free: Array, resolution_m: float, where: str) -> None:
+    """Raise MapError if the largest part of the floor goes around the building; name what else is doubtful in it.
+
+    Named are floor at the border of the picture, and floor that is left out.
+    """
+    kept = largest_part(free)
+    border = np.concatenate([kept[0], kept[-1], kept[1:-1, 0], kept[1:-1, -1]])
+    if border.mean() > _OUTSIDE_SHARE and _has_inside_walls(kept):
+        raise MapError(
+            f"{where}: the floor reaches {border.sum()} of {border.size} pixels of the picture's border, so that the "
+            "outside is floor: close the gaps of the outer wall, or paint the outside dark"
+        )
+    if border.any():
+        _LOG.warning(
+            "%s: the floor reaches the border of the picture at %d of %d pixels, where a wall is assumed; check that "
+            "the outer wall has no gap", where, border.sum(), border.size,
+        )  # fmt: skip
+    labels, sizes = parts(free)
+    outside = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    sizes[outside[outside > 0] - 1] = 0
+    lost = sizes[sizes * resolution_m**2 >= LEFT_OUT_MIN_M2].sum() - (0 if border.any() else kept.sum())
+    if lost > 0:
+        all_m2, lost_m2 = (kept.sum() + lost) * resolution_m**2, lost * resolution_m**2
+        _LOG.warning(
+            "%s: %.0f of %.0f m2 of floor left out: not connected; draw doors of at least %g m",
+            where, lost_m2, all_m2, STRIP_M,
+        )  # fmt: skip
+
+
+def _has_inside_walls(free: Array) -> bool:
+    """Whether anything is drawn apart from the border."""
+    return bool((~free[1:-1, 1:-1]).any())
+
+
+def name_marks(free: Array, resolution_m: float, where: str) -> None:
+    """Warn of small obstacles that stand free on the largest part of the floor, as letters do."""
+    free = largest_part(free)
+    labels, _ = ndimage.label(~free, np.ones((3, 3)))
+    sizes = [max(box[0].stop - box[0].start, box[1].stop - box[1].start) for box in ndimage.find_objects(labels)]
+    count = int((np.array(sizes, float) * resolution_m <= _MARK_MAX_M).sum())
+    if count >= _MARKS_MIN:
+        _LOG.warning(
+            "%s: %d shapes of at most %g m stand free on the floor and become walls; if they are writing, erase it",
+            where, count, _MARK_MAX_M,
+        )  # fmt: skip
 
 
 def free_edges(free: Array) -> Array:
@@ -103,7 +158,7 @@ def _decode_with_pillow(raw: bytes, path: Path, behind: int) -> Array:
     except ImportError as error:
         raise MapError(f"reading {path.name} needs Pillow; run `pip install 'twc_env[viz]'`, or use .pgm") from error
     try:
-        with warnings.catch_warnings(), Image.open(io.BytesIO(raw), formats=("PNG", "PPM")) as picture:
+        with warnings.catch_warnings(), Image.open(io.BytesIO(raw), formats=("PNG", "PPM", "JPEG", "BMP")) as picture:
             warnings.simplefilter("error")
             if picture.width * picture.height > CELLS_MAX:
                 raise ValueError(f"{picture.width} x {picture.height} pixels are too many")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.buildings.furnish import furnish_picture
-from twc_env.datasets.buildings.raster import plan_from_free, read_grey
+from twc_env.datasets.buildings.raster import check_closed, plan_from_free, read_grey
 from twc_env.errors import MapError
 from twc_env.records.messages import GridMap
+from twc_env.records.whole_file import whole_file
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.floorplan_check import validate
 from twc_env.world.building.floorplan_file import load_bytes
@@ -25,6 +27,7 @@ _MODES, _RAW_MAX = ("trinary", "scale", "raw"), 100
 RESOLUTION_MIN_M = 0.005
 _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0
 _OCCUPIED_ABOVE, _FREE_BELOW = 0.65, 0.196
+_LOG = logging.getLogger(__name__)
 _PLAIN = re.compile(r"\w[\w. -]*")
 """Names that YAML reads without quotes."""
 _QUOTED = re.compile(r"""("(?:[^"\\]|\\.)*"|'(?:[^']|'')*')\s*(?:#.*)?""")
@@ -52,6 +55,7 @@ def read_ros_map(path: str | Path, seed: int = 0) -> Floorplan:
     """
     path = Path(path)
     ros_map = read_ros_cells(path)
+    check_closed(ros_map.free, ros_map.resolution_m, path.name)
     plan = plan_from_free(ros_map.free, ros_map.resolution_m, path.stem)
     return validate(furnish_picture(plan, seed, ros_map.resolution_m, ros_map.origin))
 
@@ -74,8 +78,16 @@ def read_ros_cells(path: str | Path) -> RosMap:
             f"{path.name}: free_thresh and occupied_thresh must be shares from 0 to 1, the first not above the second; "
             f"got {free_below:g} and {occupied_above:g}"
         )
+    free = occupancy < free_below
+    grey = occupancy == 1.0 - _UNKNOWN / 255.0
+    if values.get("mode", "trinary") == "trinary" and (free & grey).any() and (free & ~grey).any():
+        _LOG.warning(
+            "%s: free_thresh %g would make the grey %d of map_saver, which is unknown, floor; it is left unknown: "
+            "write free_thresh: %g", path.name, free_below, _UNKNOWN, _FREE_BELOW,
+        )  # fmt: skip
+        free &= ~grey
     return RosMap(
-        free=occupancy < free_below,
+        free=free,
         occupied=occupancy > occupied_above,
         resolution_m=resolution_m,
         origin=_origin(values["origin"], path),
@@ -102,16 +114,18 @@ def write_ros_map(grid: GridMap, folder: str | Path, stem: str) -> Path:
     shade[grid.log_odds < 0] = _FREE
     shade[grid.log_odds > 0] = _OCCUPIED
     rows, columns = shade.shape
-    (folder / f"{stem}.pgm").write_bytes(b"P5\n%d %d\n255\n" % (columns, rows) + shade[::-1].tobytes())
+    with whole_file(folder / f"{stem}.pgm") as beside:
+        beside.write_bytes(b"P5\n%d %d\n255\n" % (columns, rows) + shade[::-1].tobytes())
     # YAML 1.1 reads 1e-17, which has no decimal point, as text.
     resolution, x, y = (np.format_float_positional(v, trim="0") for v in (grid.resolution_m, *grid.origin_m))
     picture = f"{stem}.pgm" if _PLAIN.fullmatch(stem) else json.dumps(f"{stem}.pgm", ensure_ascii=False)
     path = folder / f"{stem}.yaml"
-    path.write_text(
+    text = (
         f"image: {picture}\nresolution: {resolution}\norigin: [{x}, {y}, 0.0]\nnegate: 0\n"
-        f"occupied_thresh: {_OCCUPIED_ABOVE}\nfree_thresh: {_FREE_BELOW}\n",
-        encoding="utf-8",
+        f"occupied_thresh: {_OCCUPIED_ABOVE}\nfree_thresh: {_FREE_BELOW}\n"
     )
+    with whole_file(path) as beside:
+        beside.write_text(text, encoding="utf-8")
     return path
 
 
@@ -181,6 +195,9 @@ def _number(values: dict[str, str], key: str, path: Path) -> float:
 def _origin(text: str, path: Path) -> Array:
     try:
         origin = np.array([float(value) for value in text.strip("[], ").split(",")])
+        if origin.shape == (3,) and np.isnan(origin[2]):  # as map_saver writes where it knows no yaw
+            _LOG.warning("%s: the yaw of origin is no number; 0 is assumed: write it", path.name)
+            origin[2] = 0.0
     except ValueError:
         origin = np.zeros(0)
     if origin.shape != (3,) or not np.isfinite(origin).all():

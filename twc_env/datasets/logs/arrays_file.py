@@ -11,11 +11,15 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
+from twc_env.records.whole_file import whole_file
+
+ARRAYS_BYTES_MAX = 4_000_000_000
+"""Maximum size of the arrays of a file, unpacked."""
 
 
 def write_arrays(path: str | Path, **arrays: Any) -> None:
-    """Write a compressed file with exactly this name; numpy alone would append .npz."""
-    with Path(path).open("wb") as file:
+    """Write a compressed file with exactly this name, whole or not at all; numpy alone would append .npz."""
+    with whole_file(path) as beside, beside.open("wb") as file:
         np.savez_compressed(file, **arrays)
 
 
@@ -28,6 +32,7 @@ def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], rem
     try:
         if path.is_file() and not zipfile.is_zipfile(path):
             raise DataError(f"{path} is not a {kind} or is truncated; {remedy}")
+        _check_size(path)
         with path.open("rb") as file, np.load(file) as data:
             arrays = {key: data[key] for key in data.files}
     except OSError as error:
@@ -41,3 +46,14 @@ def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], rem
     if missing := sorted(set(keys) - set(arrays)):
         raise DataError(f"{path} lacks {', '.join(missing)}; {remedy}")
     return arrays
+
+
+def _check_size(path: Path) -> None:
+    """Raise DataError for an archive that would not fit in memory, before it is read."""
+    with zipfile.ZipFile(path) as archive:
+        size = sum(part.file_size for part in archive.infolist())
+    if size > ARRAYS_BYTES_MAX:
+        raise DataError(
+            f"{path} holds {size / 1e9:.0f} GB of arrays, {ARRAYS_BYTES_MAX / 1e9:.0f} GB are possible; "
+            "record fewer steps"
+        )

@@ -174,6 +174,11 @@ def _fault(log: dict[str, Array]) -> str | None:
     for key in ("robot", "wifi_count", "step_frames"):
         if key in log and log[key].dtype.kind not in "iu":
             return f"{key} of type {log[key].dtype}, whole numbers are possible"
+    if log["step"].dtype.kind not in "iu":
+        return f"step of type {log['step'].dtype}, whole numbers are possible"
+    for key in ("time_s", "odometry", "turn_rate_rad_s", "ranges_m", "wifi_rssi_dbm", "wifi_age_s", "sign_place"):
+        if key in log and log[key].dtype.kind not in "iuf":
+            return f"{key} of type {log[key].dtype}, real numbers are possible"
     frames, readings, counts, robots = len(log["robot"]), len(log["wifi_macs"]), log["wifi_count"], log["robot"]
     if robots.min() < 0 or robots.max() >= ROBOTS_MAX:
         return f"frames of robots {robots.min()} to {robots.max()}, 0 to {ROBOTS_MAX - 1} are possible"

@@ -9,6 +9,7 @@ gzipped. `sensor_frames` converts a log to frames for the engine.
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,10 +29,20 @@ NO_RETURN_M = 30.0
 TIME_BETWEEN_MIN_S = 1e-3
 """Minimum time between scans: some logs round times, so that scans seem simultaneous."""
 
+_SAME_DIRECTION_RAD = 1e-3
+_HALF_CIRCLES = (180, 360, 720)
+"""Beams of a half circle, but for one at its end."""
+_RETURNS_MIN = 0.1
+"""Share of beams with a return, below which ranges cannot be metres."""
+_LOG = logging.getLogger(__name__)
+
 TIME_TOLERANCE_S = 0.02
 """Largest difference between the time of a relation and that of its scan."""
 
 BEAMS, RANGE_MAX_M = 360, 20.0
+_BEAMS_MIN = 8
+_COARSE = 1.2
+"""Scanners whose beams are further apart than so many directions are given fewer directions."""
 SETTINGS: dict = {
     "lidar": {"beam_count": BEAMS, "range_max_m": RANGE_MAX_M},
     "slam": {
@@ -69,7 +80,11 @@ class ScanLog:
     ranges_m: Array
     """(scans, beams)."""
     beam_angles_rad: Array
-    """(beams,) direction of each beam in the robot frame, counter-clockwise."""
+    """(beams,) direction of each beam in the robot frame, counter-clockwise; (scans, beams) if it changes."""
+
+    def beams_of(self, scan: int) -> Array:
+        """(beams,) direction of each beam of a scan."""
+        return self.beam_angles_rad[scan] if self.beam_angles_rad.ndim == 2 else self.beam_angles_rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,13 +112,21 @@ def read_scan_log(path: str | Path) -> ScanLog:
     try:
         scans = json.loads(text)["map"]
         times = sorted(scans, key=float)
+        _check_equal_counts(times, [scans[t]["range"] for t in times])
         ranges_m = np.array([scans[t]["range"] for t in times], float)
         poses = [[scans[t][key] for key in ("x", "y", "theta")] for t in times]
-        return _log(np.array(times, float), np.array(poses, float), ranges_m)
+        log = _log(np.array(times, float), np.array(poses, float), ranges_m)
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise DataError(
             f"{path} is not a scan log: {_short(error)}; expected map -> time -> range, x, y, theta"
         ) from error
+    return _in_metres(log, path)
+
+
+def _check_equal_counts(times: Sequence[str], scans: Sequence[Sequence[float]]) -> None:
+    for time_s, ranges in zip(times, scans, strict=True):
+        if len(ranges) != len(scans[0]):
+            raise ValueError(f"the scan at {time_s} has {len(ranges)} beams, where the first has {len(scans[0])}")
 
 
 def read_any_log(path: str | Path) -> ScanLog:
@@ -112,25 +135,25 @@ def read_any_log(path: str | Path) -> ScanLog:
 
 
 def read_carmen_log(path: str | Path) -> ScanLog:
-    """Read the scans of a CARMEN log in the order of its lines, all of the kind of the first.
+    """Read the scans of a CARMEN log in the order of their times, all of the kind of the first.
 
     Raises DataError for anything without such scans.
     """
-    kind, scans = "", []
+    kind, scans, params = "", [], {}
     for k, line in enumerate(read_text(path, errors="replace").splitlines(), 1):
         words = line.split()
+        if len(words) > 2 and words[0] == "PARAM":
+            params[words[1]] = words[2]
         if not words or words[0] not in ((kind,) if kind else _READERS):
             continue
         kind = words[0]
         try:
             scans.append(_READERS[kind](words[1:]))
             beams, before = (len(scan.ranges_m) for scan in (scans[-1], scans[0]))
-            if beams != before:
+            if beams != before and scans[-1].directions is None:
                 raise ValueError(f"{beams} beams, where those before have {before}")
             if not all(map(math.isfinite, (*scans[-1].pose, scans[-1].time_s))):
                 raise ValueError("its pose or its time is not finite")
-            if scans[-1].directions != scans[0].directions:
-                raise ValueError("its beams point elsewhere than those before")
         except (ValueError, IndexError) as error:
             reason = "it is cut off" if isinstance(error, IndexError) else _short(error)
             raise DataError(f"{path}, line {k} is not a scan: {reason}; fix or delete it") from error
@@ -139,11 +162,73 @@ def read_carmen_log(path: str | Path) -> ScanLog:
             f"{path} is not a CARMEN log: expected lines {' or '.join(_READERS)}; what else you can read, "
             "twc_env.datasets.logs.frame_log.write_frame_log makes a log of (docs/frames.md)"
         )
-    ranges_m, poses, times_s, (directions, *_) = zip(*scans, strict=True)
+    scans = _by_time(scans, path)
+    poses, times_s = np.array([scan.pose for scan in scans]), np.array([scan.time_s for scan in scans])
     try:
-        return _log(np.array(times_s), np.array(poses), np.array(ranges_m, float), directions)
+        log = _log(times_s, poses, *_beams(scans, params, path))
     except ValueError as error:
-        raise DataError(f"{path} is not a CARMEN log: {_short(error)}") from error
+        raise DataError(f"{path} is not a CARMEN log: {_short(error)}; record it again") from error
+    return _in_metres(log, path)
+
+
+def _by_time(scans: list[_Scan], path: str | Path) -> list[_Scan]:
+    """Scans in order of time; those without times (0) in the order of their lines."""
+    times_s = [scan.time_s for scan in scans]
+    order = sorted(range(len(scans)), key=times_s.__getitem__)
+    if min(times_s) <= 0.0 or order == list(range(len(scans))):
+        return scans
+    moved = sum(k != at for k, at in enumerate(order))
+    _LOG.warning("%s: time goes back; %d of %d scans are put in order of time", path, moved, len(scans))
+    return [scans[k] for k in order]
+
+
+def _beams(scans: list[_Scan], params: dict[str, str], path: str | Path) -> tuple[Array, Array]:
+    """Ranges (scans, beams) and directions (beams,), or (scans, beams) where those of the scans differ."""
+    count = max(len(scan.ranges_m) for scan in scans)
+    told = scans[0].directions
+    if told is None:
+        return np.array([scan.ranges_m for scan in scans], float), _flaser_directions(count, params, path)
+    ranges_m = np.full((len(scans), count), np.inf)
+    directions = np.zeros((len(scans), count))
+    for k, scan in enumerate(scans):
+        beams = len(scan.ranges_m)
+        first_rad, step_rad = scan.directions or told
+        ranges_m[k, :beams] = scan.ranges_m
+        directions[k] = first_rad + step_rad * np.arange(count)
+    is_same = np.abs(directions - directions[0]).max() <= _SAME_DIRECTION_RAD
+    return ranges_m, directions[0] if is_same else directions
+
+
+def _flaser_directions(beams: int, params: dict[str, str], path: str | Path) -> Array:
+    """(beams,) as the field of view and the resolution of the log's PARAM lines say, else a half circle."""
+    try:
+        fov_deg = float(params["laser_front_laser_fov"])
+        fov_deg = fov_deg if fov_deg > 2 * math.pi else math.degrees(fov_deg)
+        step_deg = float(params.get("laser_front_laser_resolution", fov_deg / max(beams - beams % 2, 1)))
+    except (KeyError, ValueError):
+        fov_deg = step_deg = 0.0
+    if fov_deg and abs(fov_deg - 180.0) > 1.0 and 0.0 <= fov_deg - (beams - 1) * step_deg <= 1.5 * step_deg:
+        return np.deg2rad(np.arange(beams) * step_deg - fov_deg / 2)
+    if beams - beams % 2 not in _HALF_CIRCLES:
+        _LOG.warning(
+            "%s: the %d beams of a FLASER line are taken for a half circle; if they are not, tell in lines "
+            "'PARAM laser_front_laser_fov 270' and 'PARAM laser_front_laser_resolution 1.0' [degrees]",
+            path, beams,
+        )  # fmt: skip
+    return _half_circle(beams)
+
+
+def _in_metres(log: ScanLog, path: str | Path) -> ScanLog:
+    """The log; raises DataError if hardly a beam has a return, as where ranges are millimetres."""
+    is_told = (log.ranges_m > 0.0) & np.isfinite(log.ranges_m)
+    returns = int((is_told & (log.ranges_m < NO_RETURN_M)).sum())
+    far_m = float(np.median(log.ranges_m[is_told])) if is_told.any() else 0.0
+    if far_m > NO_RETURN_M and returns < _RETURNS_MIN * is_told.sum():
+        raise DataError(
+            f"{path}: {returns} of {int(is_told.sum())} beams have a return below {NO_RETURN_M:g} m, and half of them "
+            f"are above {far_m:g}; ranges must be metres: divide millimetres by 1000, centimetres by 100"
+        )
+    return log
 
 
 class _Scan(NamedTuple):
@@ -186,12 +271,10 @@ def _check_count(count: int) -> None:
         raise ValueError(f"a scan of {count} beams")
 
 
-def _log(times_s: Array, poses: Array, ranges_m: Array, directions: tuple[float, float] | None = None) -> ScanLog:
+def _log(times_s: Array, poses: Array, ranges_m: Array, angles_rad: Array | None = None) -> ScanLog:
     if ranges_m.ndim != 2 or not np.isfinite(times_s).all() or not np.isfinite(poses).all():
         raise ValueError("no scans of one length, each with a finite time and pose")
-    beams = ranges_m.shape[1]
-    angles_rad = _half_circle(beams) if directions is None else directions[0] + directions[1] * np.arange(beams)
-    return ScanLog(times_s, poses, ranges_m, angles_rad)
+    return ScanLog(times_s, poses, ranges_m, _half_circle(ranges_m.shape[1]) if angles_rad is None else angles_rad)
 
 
 def _half_circle(beams: int) -> Array:
@@ -213,6 +296,16 @@ def onto_circle(ranges_m: Array, beam_angles_rad: Array, beam_count: int, range_
     return out
 
 
+def beam_count_of(logs: Sequence[ScanLog]) -> int:
+    """Beams of a full circle in which no direction of the coarsest scanner is left out, at most BEAMS."""
+    steps_rad = [float(np.median(np.abs(np.diff(np.atleast_2d(log.beam_angles_rad)[0])))) for log in logs
+                 if log.ranges_m.shape[1] > 1]  # fmt: skip
+    coarsest_rad = max(steps_rad, default=0.0)
+    if coarsest_rad * BEAMS <= _COARSE * 2 * math.pi:
+        return BEAMS
+    return max(int(round(2 * math.pi / coarsest_rad)), _BEAMS_MIN)
+
+
 def sensor_frames(
     log: ScanLog, beam_count: int, range_max_m: float, scans: Sequence[int] | Array | None = None, robot: int = 0
 ) -> list[SensorFrame]:
@@ -228,7 +321,7 @@ def sensor_frames(
         odometry = between(log.poses[last], log.poses[k])
         elapsed_s = max(log.times_s[k] - log.times_s[last], TIME_BETWEEN_MIN_S)
         time_s += elapsed_s if step else 0.0
-        scan = onto_circle(log.ranges_m[k], log.beam_angles_rad, beam_count, range_max_m)
+        scan = onto_circle(log.ranges_m[k], log.beams_of(k), beam_count, range_max_m)
         frames.append(SensorFrame(robot, step, float(time_s), odometry, float(odometry[2] / elapsed_s), scan))
     return frames
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import gzip
+import io
 import lzma
 import zlib
 from pathlib import Path
 
 from twc_env.errors import DataError
+
+TEXT_BYTES_MAX = 1_000_000_000
+"""Maximum size of a text, unpacked: a packed file of a few megabytes can hold any number of equal bytes."""
 
 
 def read_text(path: str | Path, errors: str = "strict") -> str:
@@ -17,11 +21,16 @@ def read_text(path: str | Path, errors: str = "strict") -> str:
     """
     path = Path(path)
     try:
-        raw = path.read_bytes()
+        packed = path.read_bytes()
+        raw = packed
         if path.suffix == ".gz":
-            raw = gzip.decompress(raw)
+            with gzip.GzipFile(fileobj=io.BytesIO(packed)) as file:
+                raw = file.read(TEXT_BYTES_MAX + 1)
         elif path.suffix == ".xz":
-            raw = lzma.decompress(raw)
+            with lzma.LZMAFile(io.BytesIO(packed)) as unpacked:
+                raw = unpacked.read(TEXT_BYTES_MAX + 1)
+        if len(raw) > TEXT_BYTES_MAX:
+            raise DataError(f"{path} holds more than {TEXT_BYTES_MAX // 10**6} MB of text; cut it into parts")
         return raw.decode("utf-8-sig", errors)
     except UnicodeDecodeError as error:
         raise DataError(f"{path} is not UTF-8 text: {error}; save it as UTF-8") from error

@@ -11,6 +11,7 @@ from numpy.typing import NDArray as Array
 from twc_env.datasets.logs.text_file import read_text
 from twc_env.errors import DataError
 from twc_env.records.geometry import wrap_angle
+from twc_env.records.whole_file import whole_file
 
 FAR_M = 1000.0
 """Coordinates from here on (UTM) are written with fifteen digits instead of nine: to less than a micrometre."""
@@ -32,7 +33,8 @@ def write_tum(path: str | Path, times_s: Array, poses: Array) -> None:
     columns = [times_s, poses[:, 0], poses[:, 1], zeros, zeros, zeros, np.sin(half), np.cos(half)]
     place = "%.9g" if np.abs(poses[:, :2]).max(initial=0.0) < FAR_M else "%.15g"
     # unix times have ten digits before the point
-    np.savetxt(path, np.column_stack(columns), fmt=["%.15g", place, place] + 5 * ["%.9g"])
+    with whole_file(path) as beside:
+        np.savetxt(beside, np.column_stack(columns), fmt=["%.15g", place, place] + 5 * ["%.9g"])
 
 
 def read_tum(path: str | Path) -> tuple[Array, Array]:
@@ -46,7 +48,8 @@ def read_tum(path: str | Path) -> tuple[Array, Array]:
         if words:
             rows.append(_row(words, path, number))
     values = np.array(rows).reshape(-1, 8)
-    qx, qy, qz, qw = values[:, 4:].T
+    turns = values[:, 4:]
+    qx, qy, qz, qw = (turns / np.abs(turns).max(axis=1, initial=0.0, keepdims=True)).T  # no product overflows
     heading = np.arctan2(
         2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz
     )  # the quaternion need not be normalised

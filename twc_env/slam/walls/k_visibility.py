@@ -15,6 +15,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.records.array_validation import validated_points
+from twc_env.records.fingerprint_validation import fault_of_strengths
 from twc_env.slam.walls.k_visibility_grid import WallGrid, cell_probabilities
 from twc_env.slam.walls.k_visibility_signal import fit_signal, locate_router, typical_signal
 from twc_env.slam.walls.path_bins import bin_along_path
@@ -60,10 +61,12 @@ def map_structure(
     """Map walls from readings (n, routers) [dBm], NaN where not heard, taken in order at positions (n, 2).
 
     If router positions (routers, 2) are not given, they are estimated first. The grid is aligned so that a cell corner
-    lies at origin_m (2,). Raises DataError for inconsistent shapes, and if the grid would have more than GRID_CELLS_MAX
-    cells.
+    lies at origin_m (2,). Raises DataError for inconsistent shapes, for 100 or 0 dBm, and if the grid would have more
+    than GRID_CELLS_MAX cells.
     """
     position_m = validated_points(position_m, "positions")
+    if fault := fault_of_strengths(np.asarray(rssi_dbm, float)):
+        raise DataError(f"readings have {fault} (NaN)")
     if router_m is not None:
         router_m = validated_points(router_m, "places of routers")
     _check_grid(position_m, router_m, resolution_m)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError, did_you_mean
 from twc_env.records.json_values import table_of
+from twc_env.records.whole_file import whole_file
 from twc_env.world.building.floorplan import FORMAT, AccessPoint, Floorplan, Room, Sign, to_values
 from twc_env.world.building.floorplan_check import validate
 
@@ -59,7 +60,8 @@ def write_floorplan(plan: Floorplan, path: str | Path) -> None:
     """Write the native JSON format; `read_floorplan` returns the same plan."""
     values = to_values(plan)
     lines = [f"{json.dumps(key)}: {_json_rows(value)}" for key, value in values.items()]
-    Path(path).write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    with whole_file(path) as beside:
+        beside.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
 
 
 def floorplan_from_values(values: object, where: str) -> Floorplan:

@@ -1,0 +1,29 @@
+"""Files that are written whole or not at all: beside their place first, then moved there."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+_NAME_MAX = 100
+"""Characters kept of the file's name."""
+
+
+@contextmanager
+def whole_file(path: str | Path) -> Iterator[Path]:
+    """The path to write to, which becomes `path` at the end; after an exception `path` is as before.
+
+    Its name has the same suffix. Devices, and files in folders where none can be made, are written in place.
+    """
+    path = Path(path).resolve()
+    if (path.exists() and not path.is_file()) or not os.access(path.parent, os.W_OK):
+        yield path
+        return
+    beside = path.with_name(f".part-{os.getpid()}-{path.name[-_NAME_MAX:]}")
+    try:
+        yield beside
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
