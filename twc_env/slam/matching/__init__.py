@@ -1,0 +1,1 @@
+"""Scan matching, and verification of loop candidates by it."""

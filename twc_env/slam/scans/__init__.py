@@ -1,0 +1,1 @@
+"""What a laser scan shows: beams to leave out, walls and free floor drawn into grids."""

@@ -1,0 +1,1 @@
+"""Floor plans: generation, validation, walls and rooms."""
