@@ -216,7 +216,7 @@ class NearestFrontier:
         """Discs around near scan points on open floor."""
         if ranges_m is None or len(ranges_m) == 0:
             return []
-        near = np.flatnonzero(ranges_m < 2.5)
+        near = np.flatnonzero((ranges_m > 0.0) & (ranges_m < 2.5))
         angles = pose[2] + near * (2 * np.pi / len(ranges_m))
         points = pose[:2] + ranges_m[near, None] * np.column_stack([np.cos(angles), np.sin(angles)])
         odd = points[terrain.is_open(points)]

@@ -8,6 +8,10 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.planning import room_around_m
+from twc_env.records.messages import UNSEEN_M
+
+UNSEEN_SHARE_MAX = 0.25
+"""Share of the beams behind the robot that may be without information when it drives back."""
 
 
 def open_bearing(ranges_m: Array | None, random: np.random.Generator) -> float:
@@ -20,9 +24,13 @@ def open_bearing(ranges_m: Array | None, random: np.random.Generator) -> float:
 
 
 def is_open_behind(ranges_m: Array | None, radius_m: float) -> bool:
-    """Whether the scan (beams,) leaves a robot of this radius room to move back a little."""
+    """Whether the scan (beams,) leaves a robot of this radius room to move back a little.
+
+    It does not where more than `UNSEEN_SHARE_MAX` of the beams behind say nothing.
+    """
     if ranges_m is None or len(ranges_m) == 0:
         return False
     beams = len(ranges_m)
     behind = ranges_m[beams // 2 - beams // 6 : beams // 2 + beams // 6 + 1]
-    return bool(behind.min() > radius_m + 0.25)
+    seen = np.abs(behind[behind != UNSEEN_M])
+    return len(seen) >= (1.0 - UNSEEN_SHARE_MAX) * len(behind) and bool(seen.min(initial=np.inf) > radius_m + 0.25)

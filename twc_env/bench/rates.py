@@ -22,7 +22,11 @@ from twc_env.config import EnvConfig, override
 from twc_env.errors import ConfigError
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
+from twc_env.records.messages import UNSEEN_M
 from twc_env.world.building.floorplan import Floorplan
+
+_OPEN_M = 3.0
+"""Range that the Wanderer assumes where its scan says nothing."""
 
 
 class Wanderer:
@@ -34,8 +38,8 @@ class Wanderer:
         self._turn = 1.0
 
     def act(self, ranges_m: Array) -> Array:
-        """(2,) action from a scan (beams,) [m]."""
-        beams = len(ranges_m)
+        """(2,) action from a scan (beams,) [m]; beams without information count as open."""
+        beams, ranges_m = len(ranges_m), np.where(ranges_m == UNSEEN_M, _OPEN_M, np.abs(ranges_m))
         ahead = max(1, beams // 12)
         front = min(ranges_m[:ahead].min(), ranges_m[-ahead:].min())
         if self._turn_steps > 0:

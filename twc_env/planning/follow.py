@@ -11,6 +11,7 @@ from numpy.typing import NDArray as Array
 from twc_env.config import DynamicsConfig
 from twc_env.kernels.compiled import kernel
 from twc_env.records.geometry import points_along, travelled_m
+from twc_env.records.messages import UNSEEN_M
 
 OBSTACLE_RANGE_M = 1.6
 """Scan points further away than this are ignored."""
@@ -32,12 +33,15 @@ DETOUR_STEP_RAD = 0.2
 
 @kernel
 def _points_in_range(ranges, range_max, points):
-    """Fill points (beams, 2) with the scan points nearer than `range_max`, in the robot frame; returns their count."""
+    """Fill points (beams, 2) with the scan points nearer than `range_max`, in the robot frame; returns their count.
+
+    Negative ranges met no wall (`SensorFrame.ranges_m`) and give no point.
+    """
     beams = ranges.shape[0]
     step = 2.0 * math.pi / beams
     count = 0
     for i in range(beams):
-        if ranges[i] < range_max:
+        if 0.0 < ranges[i] < range_max:
             points[count, 0] = ranges[i] * math.cos(i * step)
             points[count, 1] = ranges[i] * math.sin(i * step)
             count += 1
@@ -213,10 +217,15 @@ def drive_to(
 
 
 def room_around_m(ranges_m: Array) -> Array:
-    """(beams,) free distance in the direction of each beam: the least of its neighbours' ranges, at most 3 m."""
+    """(beams,) free distance in the direction of each beam: the least of its neighbours' ranges, at most 3 m.
+
+    Beams without information (`UNSEEN_M`) do not count; where all neighbours are such beams, the room is 0.
+    """
     half = max(1, round(0.04 * len(ranges_m)))
-    ring = np.minimum(np.concatenate([ranges_m[-half:], ranges_m, ranges_m[:half]]), 3.0)
-    return np.lib.stride_tricks.sliding_window_view(ring, 2 * half + 1).min(axis=1)
+    ranges = np.where(ranges_m == UNSEEN_M, np.inf, np.minimum(np.abs(ranges_m), 3.0))
+    ring = np.concatenate([ranges[-half:], ranges, ranges[:half]])
+    room = np.lib.stride_tricks.sliding_window_view(ring, 2 * half + 1).min(axis=1)
+    return np.where(np.isinf(room), 0.0, room)
 
 
 def as_action(speed_m_s: float, turn_rate_rad_s: float, dynamics: DynamicsConfig) -> Array:
