@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from twc_env.agents.openings import is_open_behind
+from twc_env.agents.policy import make_policy
 
 import twc_env
-from agents.openings import is_open_behind
-from agents.policy import make_policy
 from twc_env.config import DynamicsConfig
 from twc_env.exploration.actions import velocity_space
 from twc_env.planning import drive_to, room_around_m
@@ -29,14 +29,14 @@ def blinded(monkeypatch):
     """Call it with degrees and a share of holes: every scan of the world is masked from then on."""
 
     def mask(degrees, holes=0.0):
-        sense = World.sense
+        tick = World.tick
 
-        def masked(world):
-            frames = sense(world)
+        def masked(world, commands):
+            frames = tick(world, commands)
             frames.ranges_m = np.where(seen_beams(degrees, frames.ranges_m.shape[1], holes), frames.ranges_m, UNSEEN_M)
             return frames
 
-        monkeypatch.setattr(World, "sense", masked)
+        monkeypatch.setattr(World, "tick", masked)
 
     return mask
 
@@ -83,9 +83,12 @@ def test_long_actions_are_driven_with_a_blind_sector(blinded, kind, degrees):
     blinded(degrees)
     env = twc_env.parallel_env(map="twin-01", robots=2, max_cycles=STEPS, config={"action.kind": kind})
     observations, _ = env.reset(seed=3)
-    ahead = np.array([0.8, 0.1], np.float32)
+    ahead, random = np.array([0.8, 0.1], np.float32), np.random.default_rng(0)
     while env.agents:
-        chosen = {a: ahead if kind == "waypoint" else int(np.argmax(o["action_mask"])) for a, o in observations.items()}
+        chosen = {
+            a: ahead if kind == "waypoint" else int(random.choice(np.flatnonzero(o["action_mask"])))
+            for a, o in observations.items()
+        }
         observations = env.step(chosen)[0]
         assert all(env.observation_space(a).contains(o) for a, o in observations.items())
     assert moved_and_mapped(env)[0] > 2.0
