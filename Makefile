@@ -4,7 +4,7 @@ PY := .venv/bin/python
 INSTALL := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
 PINS := pyproject.toml constraints.txt
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-bounds test-ray check clean
+.PHONY: help setup demo test test-bounds test-ray soak check clean
 
 help: ## list the commands
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1 \t/' | expand -t 20
@@ -46,6 +46,10 @@ test: .venv/installed-test ## all tests, training and OCR included (installs tor
 
 test-bounds: .venv/installed-test ## the engine's tests with numba's bounds checks (own kernel cache; slow)
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_bounds $(PY) -m pytest -q tests/slam tests/exploration
+
+soak: .venv/installed-test ## hours: 1,000,000 steps, malformed actions and maps, observation checks
+	$(PY) -m tests.soak --actions 100000 --observations 10000 --maps 10000
+	$(PY) -m tests.soak --steps 1000000
 
 .venv-ray/installed: pyproject.toml
 	$(PYTHON) -m venv .venv-ray || { rm -rf .venv-ray; exit 1; }

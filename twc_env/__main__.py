@@ -19,7 +19,6 @@ from twc_env.commands.maps import add_maps_parser
 from twc_env.commands.ocr import add_ocr_parser
 from twc_env.commands.radio_survey import add_radio_survey_parser
 from twc_env.commands.settings import add_settings_parser
-from twc_env.commands.soak import add_soak_parser
 from twc_env.commands.team_options import AGENTS
 from twc_env.commands.train import add_train_parser
 from twc_env.reproduce.runner import add_parser
@@ -54,7 +53,6 @@ def _parser() -> argparse.ArgumentParser:
         add_settings_parser,
         add_log_parsers,
         add_bench_parser,
-        add_soak_parser,
         add_ocr_parser,
         add_parser,
     ):

@@ -59,9 +59,7 @@ def test_a_folder_without_a_run_is_named(tmp_path, refusal):
     assert f"{tmp_path} is no run folder (no frames.npz): `twc-env" in refusal(main, ["replay", str(tmp_path)])
 
 
-@pytest.mark.parametrize(
-    "arguments", ["soak --steps 0", "bench --episodes 0", "bench --robots x", "record --out r --steps 0"]
-)
+@pytest.mark.parametrize("arguments", ["bench --episodes 0", "bench --robots x", "record --out r --steps 0"])
 def test_counts_below_one_are_rejected_by_the_command_line(arguments, capsys):
     with pytest.raises(SystemExit):
         main(arguments.split())

@@ -171,12 +171,6 @@ def test_check_distinguishes_valid_from_invalid_maps(tmp_path, capsys):
     assert len(head) == len(sound)
 
 
-def test_check_fuzzes_map_files(tmp_path, capsys):
-    assert run("check", "--fuzz", 40, "--json", tmp_path / "a.json") == 0
-    assert json.loads((tmp_path / "a.json").read_text())["fuzz"]["count"] == 40
-    assert "40 mutated files" in capsys.readouterr().out
-
-
 def test_schema_prints_the_schema(capsys):
     assert run("schema") == 0
     assert json.loads(capsys.readouterr().out)["title"] == "twc_env/floorplan-1"
@@ -211,8 +205,6 @@ def test_mistakes_end_with_one_line_and_status_2(arguments, message, refusal, tm
         ("generate office 300 --count 0", 1),
         ("generate office 300 --seed -1", 0),
         ("import plan.png --seed -1", 0),
-        ("check --fuzz 0", 1),
-        ("check --fuzz 2 --seed -3", 0),
     ],
 )
 def test_numbers_out_of_range_are_rejected(arguments, least, capsys):
@@ -248,10 +240,7 @@ def test_a_fault_of_a_map_is_printed_once(capsys):
     assert said.err == "error: 2 checks failed\n"
 
 
-def test_repeated_layouts_and_faults_of_mutated_files_are_printed(monkeypatch, capsys):
-    monkeypatch.setattr("twc_env.soak.map_fuzz.SECONDS_MAX", 0.0)
-    assert run("check", "--fuzz", "3") == 2
-    assert "more than 0 s" in capsys.readouterr().out
+def test_repeated_layouts_are_printed(monkeypatch, capsys):
     monkeypatch.setattr("twc_env.world.building.splits.split_layouts", lambda split: ["one layout"])
     assert run("check", "--splits") == 2
     assert "FAULT  validation/0000 repeats the layout of train/0000" in capsys.readouterr().out

@@ -8,6 +8,7 @@ import pytest
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, seed_test, state_test
 
 import twc_env
+from tests.soak.observation_check import ACTIONS, BLOCKS, random_actions
 from twc_env.exploration.episode import Episode
 from twc_env.exploration.macro_actions import MacroActions, Scout
 from twc_env.exploration.observation.observations import ObservationBuilder
@@ -15,7 +16,6 @@ from twc_env.planning.candidates import features_of, find_candidates
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
 from twc_env.slam.engine import CooperativeSlam
-from twc_env.soak.observation_check import ACTIONS, BLOCKS, random_actions
 
 ALL_BLOCKS = {f"observation.{name}": True for name in BLOCKS}
 

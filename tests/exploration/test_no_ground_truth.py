@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import twc_env
+from tests.soak.observation_check import ACTIONS, BLOCKS, random_actions
 from twc_env.exploration.episode import Episode
 from twc_env.exploration.observation.observations import ObservationBuilder
 from twc_env.records.messages import Belief, SensorFrame
 from twc_env.slam.engine import CooperativeSlam
-from twc_env.soak.observation_check import ACTIONS, BLOCKS, random_actions
 
 STEPS = 150
 MOTION = np.array([37.3, -81.9, 1.1])

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import twc_env
-from twc_env.__main__ import main
+from tests.soak import action_fuzz
+from tests.soak.__main__ import main
+from tests.soak.action_fuzz import fuzz_actions
 from twc_env.errors import ActionError
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.soak import action_fuzz
-from twc_env.soak.action_fuzz import fuzz_actions
 
 
 def test_malformed_actions_of_every_kind_are_rejected_without_side_effects():
@@ -54,9 +54,9 @@ def test_the_fuzzer_detects_side_effects_of_a_rejected_action(monkeypatch):
 
 def test_the_command_prints_the_results(tmp_path, capsys):
     path = tmp_path / "fuzz.json"
-    assert main(["soak", "--actions", "60", "--json", str(path)]) == 0
+    assert main(["--actions", "60", "--json", str(path)]) == 0
     assert "60 malformed actions" in capsys.readouterr().out
     assert json.loads(path.read_text())["actions"]["escaped"] == []
     with pytest.raises(SystemExit, match="2"):
-        main(["soak", "--actions", "0"])
+        main(["--actions", "0"])
     assert "--actions" in capsys.readouterr().err

@@ -3,16 +3,16 @@ from types import SimpleNamespace
 
 import pytest
 
-from twc_env.__main__ import main
+from tests.soak import long_runs as soaking
+from tests.soak.__main__ import main
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.running import command_line
-from twc_env.soak import long_runs as soaking
 
 
 def test_a_short_soak_changes_buildings_and_reports_memory(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(soaking, "EPISODE_STEPS", 12)
     path = tmp_path / "soak.json"
-    assert main(["soak", "--steps", "40", "--set", "lidar.beam_count=36", "--json", str(path)]) == 0
+    assert main(["--steps", "40", "--set", "lidar.beam_count=36", "--json", str(path)]) == 0
     figures = json.loads(path.read_text())
     assert figures["steps"] == 48 and figures["episodes"] == figures["buildings"] == 4
     assert 50 < figures["memory_at_end_mb"] < 5000
@@ -42,6 +42,6 @@ def test_progress_is_logged_once_per_minute(monkeypatch, capsys):
     clock = iter(range(0, 10_000, 25))
     monkeypatch.setitem(command_line._progress, "logged_s", 0.0)
     monkeypatch.setattr(command_line, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))
-    assert main(["soak", "--steps", "120", "--set", "lidar.beam_count=36"]) == 0
+    assert main(["--steps", "120", "--set", "lidar.beam_count=36"]) == 0
     lines = [line for line in capsys.readouterr().err.splitlines() if "/120 steps" in line]
     assert 2 <= len(lines) <= 5 and all("\r" not in line for line in lines)

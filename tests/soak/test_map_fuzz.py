@@ -1,8 +1,11 @@
+import json
+
 import pytest
 
+from tests.soak import map_fuzz
+from tests.soak.__main__ import main
+from tests.soak.map_fuzz import fuzz_maps
 from twc_env.errors import MapError
-from twc_env.soak import map_fuzz
-from twc_env.soak.map_fuzz import fuzz_maps
 
 
 def test_mutated_files_are_rejected_in_one_line_or_valid():
@@ -36,3 +39,12 @@ def test_the_fuzzer_detects_injected_faults(monkeypatch, error):
     monkeypatch.setattr(map_fuzz, "load_map", broken)
     report = fuzz_maps(5)
     assert len(report.escaped) == 5
+
+
+def test_the_command_counts_mutated_maps_and_says_what_is_slow(tmp_path, monkeypatch, capsys):
+    assert main(["--maps", "40", "--json", str(tmp_path / "a.json")]) == 0
+    assert json.loads((tmp_path / "a.json").read_text())["maps"]["count"] == 40
+    assert "40 mutated files" in capsys.readouterr().out
+    monkeypatch.setattr("tests.soak.map_fuzz.SECONDS_MAX", 0.0)
+    assert main(["--maps", "3"]) == 2
+    assert "more than 0 s" in capsys.readouterr().err

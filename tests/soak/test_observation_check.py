@@ -1,9 +1,9 @@
 import numpy as np
 
-from twc_env.__main__ import main
+from tests.soak import observation_check
+from tests.soak.__main__ import main
+from tests.soak.observation_check import ACTIONS, EPISODE_STEPS, check_observations
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.soak import observation_check
-from twc_env.soak.observation_check import ACTIONS, EPISODE_STEPS, check_observations
 
 
 def test_every_block_stays_in_its_space_changes_and_shares_no_memory(monkeypatch):
@@ -35,12 +35,12 @@ def test_blocks_outside_their_space_constant_or_sharing_memory_are_reported(monk
 
 def test_a_run_shorter_than_an_episode_reports_no_constant_blocks(monkeypatch, capsys):
     monkeypatch.setattr(observation_check, "ACTIONS", ACTIONS[:1])
-    assert main(["soak", "--observations", "1"]) == 0
+    assert main(["--observations", "1"]) == 0
     assert "constant blocks were not searched for: velocity, synchronous" in capsys.readouterr().out
 
 
 def test_the_command_ends_with_an_error_if_there_are_faults(monkeypatch, capsys):
     monkeypatch.setattr(observation_check, "ACTIONS", ACTIONS[:1])
     monkeypatch.setitem(observation_check._SETTINGS, "max_cycles", 2)
-    assert main(["soak", "--observations", "2"]) == 2
+    assert main(["--observations", "2"]) == 2
     assert "never changed" in capsys.readouterr().err

@@ -85,16 +85,13 @@ def add_maps_parser(commands) -> None:
     text = "check that maps are valid and every room is reachable; exit status 2 if one is not"
     more = """
 
---splits generates all 1,200 buildings of the splits and compares their layouts, including rotated and mirrored copies.
---fuzz reads mutated map files; each must load or be rejected with a one-line error."""
+--splits generates all 1,200 buildings of the splits and compares their layouts, including rotated and mirrored
+copies."""
     check = _part(parts, "check", _check, text, ["check mine.json", "check --splits"], more)
-    check.add_argument(
-        "maps", nargs="*", metavar="MAP", help="default: all bundled maps, or none with --splits or --fuzz"
-    )
+    check.add_argument("maps", nargs="*", metavar="MAP", help="default: all bundled maps, or none with --splits")
     check.add_argument(
         "--splits", action="store_true", help="check that the splits are disjoint, and print their digests"
     )
-    check.add_argument("--fuzz", type=count, metavar="COUNT", help="number of mutated map files to read")
     add_json(check)
     _seed(check)
 
@@ -203,13 +200,10 @@ def _write(plan: Floorplan, path: Path) -> None:
 def _check(options: argparse.Namespace) -> None:
     findings: dict[str, object] = {}
     faults: list[str] = []
-    is_plain = not (options.splits or options.fuzz is not None)
-    if options.maps or is_plain:
+    if options.maps or not options.splits:
         faults += _check_maps(options.maps or map_names(), options.seed, findings)
     if options.splits:
         faults += _check_splits(findings)
-    if options.fuzz is not None:
-        faults += _check_fuzz(options.fuzz, options.seed, findings)
     write_json(options.json, {**findings, "faults": faults})
     if faults:
         raise MapError("one check failed" if len(faults) == 1 else f"{len(faults)} checks failed")
@@ -254,25 +248,6 @@ def _check_splits(findings: dict[str, object]) -> list[str]:
     _tell(faults)
     findings["split_digests"] = digests
     findings["layouts"] = len(owner)
-    return faults
-
-
-def _check_fuzz(files: int, seed: int, findings: dict[str, object]) -> list[str]:
-    from twc_env.soak.map_fuzz import MEMORY_MAX_MB, SECONDS_MAX, fuzz_maps
-
-    report = fuzz_maps(files, seed)
-    print(
-        f"{report.count} mutated files: {report.refused} refused, {report.loaded} still sound, "
-        f"{len(report.escaped)} raised something else; slowest {report.slowest_s:.3f} s ({report.slowest}); "
-        f"peak memory grew by {report.grown_mb:.0f} MB"
-    )
-    findings["fuzz"] = {name: getattr(report, name) for name in report.__slots__}
-    faults = list(report.escaped)
-    if report.slowest_s > SECONDS_MAX:
-        faults.append(f"{report.slowest} took {report.slowest_s:.1f} s, more than {SECONDS_MAX:g} s")
-    if report.grown_mb > MEMORY_MAX_MB:
-        faults.append(f"memory grew by {report.grown_mb:.0f} MB, more than {MEMORY_MAX_MB:g} MB")
-    _tell(faults)
     return faults
 
 

@@ -1,24 +1,39 @@
-"""`twc-env soak`."""
+"""`make soak`: long runs with memory monitoring, malformed actions and maps, observation checks."""
 
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Sequence
 
 from twc_env.errors import TwcError
 from twc_env.records.json_values import write_json
-from twc_env.running.command_line import add_json, add_set, assignments, count, natural, show_count, show_line
+from twc_env.running.command_line import (
+    Parser,
+    add_json,
+    add_set,
+    assignments,
+    count,
+    natural,
+    run_command,
+    show_count,
+    show_line,
+)
 
 
-def add_soak_parser(commands: argparse._SubParsersAction) -> None:
-    """Arguments of the command."""
-    long = commands.add_parser(
-        "soak",
-        help="stress tests: long runs with memory monitoring, malformed actions, observation checks",
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run what the options say; the exit status is 2 if there are faults."""
+    return run_command(_parser(), arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    long = Parser(
+        prog="python -m tests.soak",
         description="Run episodes of 500 steps, each in another building of the training split, with robots driven by "
         "a reactive policy, and print the memory growth after a warm-up. An exception ends the run and names the "
-        "seed of its episode. With --actions or --observations, run these tests instead.",
-        epilog="examples:\n  twc-env soak --steps 100000 --set observation.kind=flat\n"
-        "  twc-env soak --actions 100000 --observations 10000",
+        "seed of its episode. With --actions, --observations or --maps, run these tests instead.",
+        epilog="examples:\n  python -m tests.soak --steps 100000 --set observation.kind=flat\n"
+        "  python -m tests.soak --actions 100000 --observations 10000 --maps 10000",
     )
     long.add_argument("--steps", type=count, default=1_000_000, help="total time steps, in whole episodes")
     long.add_argument(
@@ -34,18 +49,25 @@ def add_soak_parser(commands: argparse._SubParsersAction) -> None:
         help="number of random steps, with all kinds of action and all blocks, in which observations are checked: "
         "inside their spaces, no shared memory, not constant over a whole episode",
     )
+    long.add_argument(
+        "--maps",
+        type=count,
+        metavar="COUNT",
+        help="number of mutated map files; each must load or be rejected in one line",
+    )
     long.add_argument("--seed", type=natural, default=0, help="seed of the first episode")
     add_set(long)
     add_json(long)
     long.set_defaults(run=_soak)
+    return long
 
 
 def _soak(options: argparse.Namespace) -> None:
-    if options.actions is not None or options.observations is not None:
+    if (options.actions, options.observations, options.maps) != (None, None, None):
         _misuse(options)
         return
+    from tests.soak.long_runs import soak
     from twc_env.config import EnvConfig, override
-    from twc_env.soak.long_runs import soak
 
     config = override(EnvConfig(), assignments(options.set))
     figures = soak(options.steps, options.seed, config, show_line)
@@ -56,8 +78,8 @@ def _soak(options: argparse.Namespace) -> None:
 
 def _misuse(options: argparse.Namespace) -> None:
     """Run the tests of malformed actions and of observations. Raises TwcError with the faults found."""
-    from twc_env.soak.action_fuzz import fuzz_actions
-    from twc_env.soak.observation_check import check_observations
+    from tests.soak.action_fuzz import fuzz_actions
+    from tests.soak.observation_check import check_observations
 
     figures: dict[str, object] = {}
     faults: list[str] = []
@@ -77,6 +99,30 @@ def _misuse(options: argparse.Namespace) -> None:
             print(f"less than an episode, so constant blocks were not searched for: {'; '.join(seen.too_short)}")
         faults += seen.faults
         figures["observations"] = {name: getattr(seen, name) for name in seen.__slots__}
+    if options.maps is not None:
+        faults += _mutated_maps(options.maps, options.seed, figures)
     write_json(options.json, figures)
     if faults:
         raise TwcError("; ".join(faults))
+
+
+def _mutated_maps(files: int, seed: int, figures: dict[str, object]) -> list[str]:
+    from tests.soak.map_fuzz import MEMORY_MAX_MB, SECONDS_MAX, fuzz_maps
+
+    report = fuzz_maps(files, seed)
+    print(
+        f"{report.count} mutated files: {report.refused} refused, {report.loaded} still sound, "
+        f"{len(report.escaped)} raised something else; slowest {report.slowest_s:.3f} s ({report.slowest}); "
+        f"peak memory grew by {report.grown_mb:.0f} MB"
+    )
+    figures["maps"] = {name: getattr(report, name) for name in report.__slots__}
+    faults = list(report.escaped)
+    if report.slowest_s > SECONDS_MAX:
+        faults.append(f"{report.slowest} took {report.slowest_s:.1f} s, more than {SECONDS_MAX:g} s")
+    if report.grown_mb > MEMORY_MAX_MB:
+        faults.append(f"memory grew by {report.grown_mb:.0f} MB, more than {MEMORY_MAX_MB:g} MB")
+    return faults
+
+
+if __name__ == "__main__":
+    sys.exit(main())
