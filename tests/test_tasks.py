@@ -72,3 +72,9 @@ def test_a_config_that_contradicts_the_task_is_rejected():
 def test_a_task_that_is_not_a_string_is_rejected(task):
     with pytest.raises(ConfigError, match="unknown task"):
         twc_env.parallel_env(task=task)
+
+
+@pytest.mark.parametrize("task", [[1], 7, {}])
+def test_a_task_that_is_no_text_is_refused_in_one_line(task):
+    with pytest.raises(ConfigError, match=r"unknown task .*; known are twc/Explore-v0"):
+        twc_env.parallel_env(task=task)

@@ -42,6 +42,7 @@ def task_config(task: str) -> EnvConfig:
     from twc_env.config import EnvConfig, override
     from twc_env.errors import ConfigError, did_you_mean
 
-    if task not in TASKS:
-        raise ConfigError(f"unknown task {task!r}; known are {', '.join(TASKS)}{did_you_mean(task, TASKS)}")
+    if not isinstance(task, str) or task not in TASKS:
+        near = did_you_mean(str(task), TASKS)
+        raise ConfigError(f"unknown task {task!r}; known are {', '.join(TASKS)}{near}")
     return override(EnvConfig(), TASKS[task])

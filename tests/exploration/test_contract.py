@@ -299,3 +299,10 @@ def test_np_random_follows_the_seed_and_does_not_affect_the_episode(same):
     env.np_random.random(100)
     action = {"robot_0": np.array([0.5, 0.5])}
     assert same(env.step(action)[0]["robot_0"], other.step(action)[0]["robot_0"])
+
+
+@pytest.mark.parametrize("space", ["observation_space", "action_space"])
+def test_the_space_of_an_unknown_agent_is_refused_with_the_known_ones(space):
+    env = twc_env.parallel_env(robots=2)
+    with pytest.raises(twc_env.ConfigError, match="agents are robot_0, robot_1; got 'robot_7'"):
+        getattr(env, space)("robot_7")

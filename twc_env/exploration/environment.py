@@ -173,12 +173,17 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._seed: int | None = None
 
     def observation_space(self, agent: str) -> spaces.Space:
-        """The same object for every agent, at every call."""
-        return self.observation_spaces[agent]
+        """The same object for every agent, at every call. Raises ConfigError for an unknown agent."""
+        return self._space_of(agent, self.observation_spaces)
 
     def action_space(self, agent: str) -> spaces.Space:
-        """The same object for every agent, at every call."""
-        return self.action_spaces[agent]
+        """The same object for every agent, at every call. Raises ConfigError for an unknown agent."""
+        return self._space_of(agent, self.action_spaces)
+
+    def _space_of(self, agent: str, known: Mapping[str, spaces.Space]) -> spaces.Space:
+        if agent not in self.possible_agents:
+            raise ConfigError(f"agents are {', '.join(self.possible_agents)}; got {agent!r}")
+        return known[agent]
 
     def reset(self, seed: int | None = None, options: dict | None = None):
         """Begin an episode. The same seed gives the same episode; the default is the previous seed + 1.

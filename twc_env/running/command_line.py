@@ -29,6 +29,8 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 SEEDS_MAX = 100_000
 """Largest range of seeds on a command line."""
+SEED_DIGITS_MAX = 20
+"""Longer numbers are no seeds of any library."""
 LOG_INTERVAL_S = 60.0
 LINE_WIDTH = 110
 _progress = {"logged_s": time.monotonic(), "is_open": False}
@@ -293,9 +295,13 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     seeds: list[int] = []
     for part in text.split(","):
         first, dash, last = part.strip().partition("-")
-        if not first.isdecimal() or (dash and not last.isdecimal()) or (dash and int(last) < int(first)):
+        if not first.isdecimal() or (dash and not last.isdecimal()):
             raise ConfigError(f"seeds must be numbers and ranges such as 0-9 or 1,4,7-9; got {text!r}")
+        if max(len(first), len(last)) > SEED_DIGITS_MAX:
+            raise ConfigError(f"a seed has at most {SEED_DIGITS_MAX} digits; got one of {max(len(first), len(last))}")
         begin, end = int(first), int(last if dash else first) + 1
+        if end <= begin:
+            raise ConfigError(f"seeds must be numbers and ranges such as 0-9 or 1,4,7-9; got {text!r}")
         if end - begin > SEEDS_MAX:
             raise ConfigError(f"a range holds at most {SEEDS_MAX} seeds; got {part.strip()}")
         seeds += range(begin, end)
