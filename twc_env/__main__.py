@@ -1,28 +1,43 @@
 # PYTHON_ARGCOMPLETE_OK
-"""The command `twc-env`; `twc-env` is the same."""
+"""The command `twc-env`; `python -m twc_env` is the same."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from collections.abc import Sequence
+from functools import partial
+from importlib import import_module
 
 import argcomplete
 
-from twc_env.commands.bench import add_bench_parser
-from twc_env.commands.benchmark import add_benchmark_parser
-from twc_env.commands.compare import add_compare_parser
-from twc_env.commands.evaluate import add_evaluate_parser
-from twc_env.commands.explore import add_explore_parser
-from twc_env.commands.logs import add_log_parsers
-from twc_env.commands.maps import add_maps_parser
-from twc_env.commands.ocr import add_ocr_parser
-from twc_env.commands.radio_survey import add_radio_survey_parser
-from twc_env.commands.settings import add_settings_parser
-from twc_env.commands.team_options import AGENTS
-from twc_env.commands.train import add_train_parser
-from twc_env.reproduce.runner import add_parser
 from twc_env.running.command_line import Parser, add_version, run_command
+
+COMMANDS = {
+    "explore": "run one episode and write a run folder",
+    "compare": "compare several agents in the same buildings",
+    "benchmark": "run one agent on many seeds and maps, and count the episodes that pass",
+    "train": "train a policy (needs the extra `train`)",
+    "evaluate": "compare a trained policy with random and scripted teams in held-out buildings",
+    "radio-survey": "wall maps from WiFi alone, by path length",
+    "maps": "list, draw, generate, import, export and check floor plans",
+    "settings": "print every setting with its meaning, range and value, as a TOML file to start from",
+    "record": "record the sensor frames of an episode, and the ground truth in a separate file",
+    "replay": "run the SLAM engine on a recorded log, or export a run as a web page or Rerun recording",
+    "bench": "measure steps per second, with and without SLAM",
+    "ocr": "measure how a real OCR misreads signs, or show the measured table",
+    "reproduce": "reproduce tables of the three papers and our own, beside published values",
+}
+"""Each has a module of its name in `twc_env.commands`, imported when it is asked for."""
+
+_EXAMPLES = """\
+examples:
+  twc-env explore --map twin-01 --out runs/mine
+  twc-env compare --buildings 20 --jobs 2
+  twc-env maps show twin-01
+  twc-env settings > mine.toml
+
+"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,31 +48,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    from twc_env.commands.team_options import AGENTS
+
     parser = Parser(
         prog="twc-env",
         description="Teams of robots that explore buildings while a cooperative SLAM engine maps them. Each command "
         "has its own --help.",
-        epilog="examples:\n  twc-env explore --map twin-01 --out runs/mine\n  twc-env compare --buildings 20 --jobs 2\n"
-        "  twc-env maps show twin-01\n  twc-env settings > mine.toml\n\n" + AGENTS,
+        epilog=_EXAMPLES + AGENTS,
     )
     add_version(parser)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for add in (
-        add_explore_parser,
-        add_compare_parser,
-        add_benchmark_parser,
-        add_train_parser,
-        add_evaluate_parser,
-        add_radio_survey_parser,
-        add_maps_parser,
-        add_settings_parser,
-        add_log_parsers,
-        add_bench_parser,
-        add_ocr_parser,
-        add_parser,
-    ):
-        add(commands)
+    for name, text in COMMANDS.items():
+        commands.add_parser(name, help=text, fill=partial(_fill, name))
     return parser
+
+
+def _fill(name: str, parser: argparse.ArgumentParser) -> None:
+    import_module(f"twc_env.commands.{name.replace('-', '_')}").add_arguments(parser)
 
 
 if __name__ == "__main__":

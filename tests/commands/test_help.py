@@ -1,7 +1,10 @@
 """Help texts of all commands: the meaning of each option, its default, and examples that can be parsed."""
 
 import argparse
+import os
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +14,18 @@ import twc_env.__main__
 from twc_env.running.command_line import Paragraphs
 
 PROGRAMS = {"twc-env": twc_env.__main__}
+HELP_MAX_S = 0.7
+"""CPU time of a start with --help, which hardly depends on the load of the machine; most of it is numpy's."""
+HEAVY = ("numba", "scipy", "pymunk", "matplotlib", "torch")
+ALL_HELPS = f"""
+import contextlib, io, sys
+from twc_env.__main__ import COMMANDS, main
+for name in ("", *COMMANDS):
+    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
+        main([*name.split(), "--help"])
+    if found := [part for part in {HEAVY!r} if part in sys.modules]:
+        sys.exit(f"twc-env {{name}} --help imports {{found}}")
+"""
 
 
 def parsers(parser):
@@ -117,3 +132,37 @@ def test_every_program_prints_its_version(name, capsys):
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
 def test_the_help_of_set_names_the_settings_command(parser):
     assert all("twc-env settings" in a.help for a in options(parser) if a.option_strings == ["--set"])
+
+
+def test_no_help_imports_what_only_the_command_needs():
+    subprocess.run([sys.executable, "-c", ALL_HELPS], check=True)
+
+
+def test_help_starts_within_its_limit():
+    import resource  # not on Windows
+
+    def start_s() -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-m", "twc_env", "explore", "--help"], check=True, capture_output=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    assert min(start_s() for _ in range(3)) < HELP_MAX_S
+
+
+def test_every_command_has_a_module_and_every_module_of_commands_a_command():
+    modules = {path.stem for path in Path(twc_env.__file__).parent.glob("commands/*.py")}
+    commands = {name.replace("-", "_") for name in twc_env.__main__.COMMANDS}
+    assert commands == modules - {"__init__", "team_options"}
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [("twc-env exp", "explore"), ("twc-env maps generate --co", "--count"), ("twc-env train ppo --wor", "--workers")],
+)
+def test_words_are_completed_also_those_of_commands_that_are_not_imported_yet(tmp_path, typed, offered):
+    words = tmp_path / "words"
+    asked = {"_ARGCOMPLETE": "1", "COMP_LINE": typed, "COMP_POINT": str(len(typed))}
+    env = os.environ | asked | {"_ARGCOMPLETE_STDOUT_FILENAME": str(words)}
+    subprocess.run([sys.executable, "-m", "twc_env"], env=env, check=True)
+    assert words.read_text().strip() == offered

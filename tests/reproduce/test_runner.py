@@ -40,6 +40,10 @@ def test_more_seeds_take_the_parts_that_are_there_again(tmp_path):
     assert done == [(0, 1.0), (1, 1.0), (2, 1.0), (1, 2.0)]
 
 
+def test_the_list_of_tables_says_which_need_real_data():
+    assert [n for n, table in TABLES.items() if hasattr(table_module(n), "data_folder") != table.needs_data] == ["ocr"]
+
+
 @pytest.mark.parametrize("name", TABLES)
 def test_options_that_choose_parts_are_options_of_the_table(name):
     module, parser = table_module(name), argparse.ArgumentParser()

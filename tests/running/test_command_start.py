@@ -33,6 +33,41 @@ def test_ctrl_c_during_import_prints_one_line(tmp_path, module):
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 
+SCRIPT = "import sys\nfrom twc_env.__main__ import main\nsys.exit(main())\n"
+"""What pip writes as the command `twc-env`."""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent by a signal of POSIX")
+@pytest.mark.parametrize(
+    ("module", "arguments"),
+    [
+        ("gymnasium", "--help"),
+        ("argcomplete", "--help"),
+        ("twc_env.running.command_line", "--help"),
+        ("twc_env.commands.maps", "maps list"),
+        ("numba", "maps list"),
+    ],
+)
+def test_ctrl_c_while_the_installed_command_imports_prints_one_line(tmp_path, module, arguments):
+    (tmp_path / "twc-env").write_text(SCRIPT)
+    done = interrupted(tmp_path, module, str(tmp_path / "twc-env"), *arguments.split())
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent by a signal of POSIX")
+def test_a_worker_process_of_the_installed_command_raises_the_interrupt(tmp_path):
+    (tmp_path / "twc-env").write_text(
+        "import multiprocessing\nfrom twc_env.__main__ import main\nif __name__ == '__main__':\n    import work\n"
+        "    worker = multiprocessing.get_context('spawn').Process(target=work.do)\n"
+        "    worker.start()\n    worker.join()\n"
+    )
+    (tmp_path / "work.py").write_text(
+        "def do():\n    try:\n        import colorsys\n    except KeyboardInterrupt:\n        print('tidied up')\n"
+    )
+    done = interrupted(tmp_path, "colorsys", str(tmp_path / "twc-env"))
+    assert (done.stdout, done.stderr) == ("tidied up\n", "")
+
+
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent by a signal of POSIX")
 def test_other_programs_get_a_keyboard_interrupt(tmp_path):
     (tmp_path / "stranger").mkdir()

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
+from twc_env import maps
 from twc_env.errors import DataError
-from twc_env.running import finished_parts
 from twc_env.running.finished_parts import FinishedParts, code_digest
 
 
@@ -68,7 +68,7 @@ def test_other_files_than_python_do_not_change_the_digest(package):
 def test_the_digest_of_the_code_includes_bundled_maps(tmp_path, package, monkeypatch):
     before = code_digest()
     (tmp_path / "maps").mkdir()
-    monkeypatch.setattr(finished_parts, "bundled_folder", lambda: tmp_path / "maps")
+    monkeypatch.setattr(maps, "bundled_folder", lambda: tmp_path / "maps")
     code_digest.cache_clear()
     assert code_digest() != before
 

@@ -13,18 +13,18 @@ if TYPE_CHECKING:
     from twc_env.config import EnvConfig
 
 
-def add_bench_parser(commands: argparse._SubParsersAction) -> None:
-    """Arguments of the command."""
-    speed = commands.add_parser(
-        "bench",
-        help="measure steps per second, with and without SLAM",
-        description="Measure steps per second over whole episodes of robots driven by a reactive policy (median over "
-        "episodes). Compare only values from the same machine and run.",
-        epilog="examples:\n  twc-env bench --json runs/bench.json\n"
+def add_arguments(speed: argparse.ArgumentParser) -> None:
+    """Fill the command's parser."""
+    speed.description = (
+        "Measure steps per second over whole episodes of robots driven by a reactive policy (median over "
+        "episodes). Compare only values from the same machine and run."
+    )
+    speed.epilog = (
+        "examples:\n  twc-env bench --json runs/bench.json\n"
         "  twc-env bench --map gen:office:800:7 --robots 5 --set link.range_max_m=10\n"
         "  twc-env bench --parts\n"
         "  twc-env bench --vector --map twin-02 --steps 1000\n"
-        "  twc-env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer",
+        "  twc-env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer"
     )
     speed.add_argument("--map", default="twin-01", help="bundled name, generated name or file")
     speed.add_argument("--robots", type=count, default=3, help="number of robots")

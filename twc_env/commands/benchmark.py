@@ -6,7 +6,6 @@ import argparse
 import sys
 from typing import Any
 
-from twc_env import load_map
 from twc_env.commands.team_options import add_agent, add_team, folder_names, paragraphs, team_config
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
 from twc_env.running.command_line import add_folder, count, parse_seeds
@@ -22,13 +21,9 @@ examples:
 """
 
 
-def add_benchmark_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "benchmark",
-        help="run one agent on many seeds and maps, and count the episodes that pass",
-        **paragraphs(_BENCHMARK_HELP),
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Fill the command's parser."""
+    parser.description, parser.epilog = paragraphs(_BENCHMARK_HELP)
     parser.add_argument(
         "--maps", nargs="+", default=["twin-01", "twin-02"], metavar="MAP", help="names or files (default: both twins)"
     )
@@ -41,6 +36,7 @@ def add_benchmark_parser(commands: Any) -> None:
 
 
 def _benchmark(options: argparse.Namespace) -> int:
+    from twc_env import load_map
     from twc_env.agents import benchmark, make_policy, picture
 
     if not options.no_pictures:

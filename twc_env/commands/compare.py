@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import Any
 
-from twc_env import load_map
-from twc_env.commands.team_options import TEAMS, add_team, paragraphs, team_config
+from twc_env.commands.team_options import AGENT_NAMES, TEAMS, add_team, paragraphs, team_config
 from twc_env.records.json_values import TERMINAL, write_json
 from twc_env.running.command_line import add_folder, count
 
@@ -22,19 +20,15 @@ examples:
 """
 
 
-def add_compare_parser(commands: Any) -> None:
-    """Add the command."""
-    from twc_env.agents import policy_names
-
-    parser = commands.add_parser(
-        "compare", help="compare several agents in the same buildings", **paragraphs(_COMPARE_HELP)
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Fill the command's parser."""
+    parser.description, parser.epilog = paragraphs(_COMPARE_HELP)
     parser.add_argument(
         "--agents",
         nargs="+",
         default=list(TEAMS),
         metavar="AGENT",
-        help=f"any of {', '.join(policy_names())}, or FILE.py:CLASS; the first is the baseline "
+        help=f"any of {', '.join(AGENT_NAMES)}, or FILE.py:CLASS; the first is the baseline "
         f"(default: {', '.join(TEAMS)})",
     )
     parser.add_argument(
@@ -48,6 +42,7 @@ def add_compare_parser(commands: Any) -> None:
 
 
 def _compare(options: argparse.Namespace) -> int:
+    from twc_env import load_map
     from twc_env.agents import compare
 
     config = team_config(options, None, options.steps)

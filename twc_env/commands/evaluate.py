@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from twc_env.commands.train import SEEDS, learning_libraries
 from twc_env.errors import DataError
@@ -12,15 +11,13 @@ from twc_env.records.json_values import write_json
 from twc_env.running.command_line import parse_seeds
 
 
-def add_evaluate_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "evaluate",
-        help="compare a trained policy with random and scripted teams in held-out buildings",
-        description="Run one episode per held-out building with the trained policy, a random one, the nearest frontier "
-        "and the scripted nearest-frontier team; print means with 95 % confidence intervals.",
-        epilog="example:\n  twc-env evaluate --model runs/ppo/model.zip --seeds 0-4 --films runs/ppo/films",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Fill the command's parser."""
+    parser.description = (
+        "Run one episode per held-out building with the trained policy, a random one, the nearest frontier "
+        "and the scripted nearest-frontier team; print means with 95 % confidence intervals."
     )
+    parser.epilog = "example:\n  twc-env evaluate --model runs/ppo/model.zip --seeds 0-4 --films runs/ppo/films"
     parser.add_argument(
         "--model",
         metavar="MODEL",

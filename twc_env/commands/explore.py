@@ -5,11 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
 
-from twc_env import EnvConfig, map_names
 from twc_env.commands.team_options import add_agent, add_team, folder_name, paragraphs, team_config
-from twc_env.config import digest, override
+from twc_env.config import EnvConfig, digest, override
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
 from twc_env.running.command_line import end_line, natural, show_count
 
@@ -29,11 +27,13 @@ examples:
 """
 
 
-def add_explore_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser("explore", help="run one episode and write a run folder", **paragraphs(_EXPLORE_HELP))
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Fill the command's parser."""
+    parser.description, parser.epilog = paragraphs(_EXPLORE_HELP)
     parser.add_argument(
-        "--map", help=f"{', '.join(map_names())}; generated: gen:office:800:7, test/0003; or a file (default: twin-01)"
+        "--map",
+        help="a bundled map (list: twc-env maps list), a generated one such as gen:office:800:7 or test/0003, or a "
+        "file (default: twin-01)",
     )
     parser.add_argument("--seed", type=natural, default=0, help="of start poses, noise and generated signs")
     parser.add_argument(

@@ -8,12 +8,14 @@ import re
 import sys
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from twc_env.errors import MapError
-from twc_env.maps import load_map, map_names, schema
 from twc_env.records.json_values import check_writable, write_json
-from twc_env.running.command_line import add_json, count, natural
-from twc_env.world.building.floorplan import Floorplan
+from twc_env.running.command_line import Fill, add_json, count, natural
+
+if TYPE_CHECKING:
+    from twc_env.world.building.floorplan import Floorplan
 
 _NAMES = """\
 A MAP is
@@ -26,14 +28,10 @@ A MAP is
 """
 
 
-def add_maps_parser(commands) -> None:
-    """Add the `maps` command and its own commands to a parser's subcommands."""
-    maps = commands.add_parser(
-        "maps",
-        help="list, draw, generate, import, export and check floor plans",
-        description="Floor plans: list, draw, generate, import, export and check them.",
-        epilog="examples:\n  twc-env maps list\n  twc-env maps show gen:ward:600:2\n\n" + _NAMES,
-    )
+def add_arguments(maps: argparse.ArgumentParser) -> None:
+    """Fill the parser of the command, which has commands of its own."""
+    maps.description = "Floor plans: list, draw, generate, import, export and check them."
+    maps.epilog = "examples:\n  twc-env maps list\n  twc-env maps show gen:ward:600:2\n\n" + _NAMES
     maps.set_defaults(run=_list, maps=[])
     parts = maps.add_subparsers(metavar="COMMAND")
 
@@ -50,16 +48,8 @@ def add_maps_parser(commands) -> None:
 
     text = "generate buildings of a kind, area and seed, and write them as native JSON"
     more = "\nThe same building can be used without a file, as the map gen:office:800:7."
-    make = _part(parts, "generate", _generate, text, ["generate office 800 --seed 7 --out office.json"], more)
-    from twc_env.world.building.generate import AREA_MAX_M2, AREA_MIN_M2
-    from twc_env.world.building.layouts import KINDS
-
-    make.add_argument("kind", metavar="KIND", help=f"one of {', '.join(KINDS)}")
-    make.add_argument("area", type=float, metavar="AREA", help=f"gross floor area, {AREA_MIN_M2} to {AREA_MAX_M2} m2")
-    make.add_argument("--seed", type=natural, default=0, help="seed of the building")
-    make.add_argument("--count", type=count, default=1, help="number of buildings, with consecutive seeds")
-    make.add_argument(
-        "--out", type=Path, metavar="FILE.json", help="default: KIND-AREA-SEED.json in the current folder"
+    _part(
+        parts, "generate", _generate, text, ["generate office 800 --seed 7 --out office.json"], more, fill=_add_building
     )
 
     text = "convert a file of another format to native JSON, after checking it"
@@ -99,13 +89,31 @@ copies."""
     _part(parts, "schema", _schema, text, ["schema > floorplan.schema.json"])
 
 
-def _part(parts, name: str, run, text: str, examples: list[str], more: str = "") -> argparse.ArgumentParser:
+def _add_building(make: argparse.ArgumentParser) -> None:
+    from twc_env.world.building.generate import AREA_MAX_M2, AREA_MIN_M2
+    from twc_env.world.building.layouts import KINDS
+
+    make.add_argument("kind", metavar="KIND", help=f"one of {', '.join(KINDS)}")
+    make.add_argument("area", type=float, metavar="AREA", help=f"gross floor area, {AREA_MIN_M2} to {AREA_MAX_M2} m2")
+    make.add_argument("--seed", type=natural, default=0, help="seed of the building")
+    make.add_argument("--count", type=count, default=1, help="number of buildings, with consecutive seeds")
+    make.add_argument(
+        "--out", type=Path, metavar="FILE.json", help="default: KIND-AREA-SEED.json in the current folder"
+    )
+
+
+def _part(
+    parts, name: str, run, text: str, examples: list[str], more: str = "", fill: Fill = lambda _: None
+) -> argparse.ArgumentParser:
     lines = "".join(f"\n  twc-env maps {example}" for example in examples)
     names = "" if name in ("generate", "schema") else f"\n\n{_NAMES}"
     epilog = f"example{'s' if len(examples) > 1 else ''}:{lines}{more}{names}"
-    parser = parts.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=epilog)
-    parser.set_defaults(run=run)
-    return parser
+
+    def complete(parser: argparse.ArgumentParser) -> None:
+        parser.set_defaults(run=run)
+        fill(parser)
+
+    return parts.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=epilog, fill=complete)
 
 
 def _seed(parser: argparse.ArgumentParser) -> None:
@@ -115,6 +123,8 @@ def _seed(parser: argparse.ArgumentParser) -> None:
 
 
 def _list(options: argparse.Namespace) -> None:
+    from twc_env.maps import load_map, map_names
+
     print(_HEAD)
     for name in options.maps or map_names():
         print(_row(load_map(name)))
@@ -138,6 +148,7 @@ def _row(plan: Floorplan) -> str:
 
 
 def _show(options: argparse.Namespace) -> None:
+    from twc_env.maps import load_map
     from twc_env.pictures.map_picture import draw_plan
 
     plan = load_map(options.map, options.seed)
@@ -159,6 +170,8 @@ def _generate(options: argparse.Namespace) -> None:
 
 
 def _import(options: argparse.Namespace) -> None:
+    from twc_env.maps import load_map
+
     if options.resolution is not None:
         plan = _picture(Path(options.map), options.seed, options.resolution)
     else:
@@ -178,6 +191,7 @@ def _picture(path: Path, seed: int, resolution_m: float) -> Floorplan:
 
 def _export(options: argparse.Namespace) -> None:
     from twc_env.datasets.buildings.map_export import EXPORT_RESOLUTION_M, export_map, lost_in_export
+    from twc_env.maps import load_map
 
     resolution_m = EXPORT_RESOLUTION_M if options.resolution is None else options.resolution
     if options.resolution is not None and options.out.suffix.lower() == ".json":
@@ -198,6 +212,8 @@ def _write(plan: Floorplan, path: Path) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
+    from twc_env.maps import map_names
+
     findings: dict[str, object] = {}
     faults: list[str] = []
     if options.maps or not options.splits:
@@ -210,6 +226,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _check_maps(names: Iterable[str], seed: int, findings: dict[str, object]) -> list[str]:
+    from twc_env.maps import load_map
     from twc_env.world.building.generate import check_reachable
 
     faults: list[str] = []
@@ -257,6 +274,8 @@ def _tell(faults: Iterable[str]) -> None:
 
 
 def _schema(options: argparse.Namespace) -> None:
+    from twc_env.maps import schema
+
     json.dump(schema(), sys.stdout, indent=2)
     print()
 

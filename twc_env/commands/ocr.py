@@ -8,14 +8,10 @@ from pathlib import Path
 from twc_env.running.command_line import add_folder, count, natural
 
 
-def add_ocr_parser(commands) -> None:
-    """The `ocr` command."""
-    parser = commands.add_parser(
-        "ocr",
-        help="measure how a real OCR misreads signs, or show the measured table",
-        description="Measure how a real OCR misreads signs, or show the measured table (docs/ocr.md).",
-        epilog="example:\n  twc-env ocr show --out runs/ocr.png",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Fill the command's parser."""
+    parser.description = "Measure how a real OCR misreads signs, or show the measured table (docs/ocr.md)."
+    parser.epilog = "example:\n  twc-env ocr show --out runs/ocr.png"
     actions = parser.add_subparsers(required=True, metavar="ACTION")
 
     make = actions.add_parser(

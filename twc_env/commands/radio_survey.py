@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import Any
 
-from twc_env import load_map
 from twc_env.commands.team_options import paragraphs
 from twc_env.running.command_line import add_folder, count, parse_seeds
 
@@ -20,11 +18,9 @@ examples:
 """
 
 
-def add_radio_survey_parser(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "radio-survey", help="wall maps from WiFi alone, by path length", **paragraphs(_SURVEY_HELP)
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Fill the command's parser."""
+    parser.description, parser.epilog = paragraphs(_SURVEY_HELP)
     parser.add_argument(
         "--maps",
         nargs="+",
@@ -39,6 +35,7 @@ def add_radio_survey_parser(commands: Any) -> None:
 
 
 def _radio_survey(options: argparse.Namespace) -> int:
+    from twc_env import load_map
     from twc_env.agents import radio_survey
 
     seeds = parse_seeds(options.seeds)

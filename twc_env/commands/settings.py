@@ -7,15 +7,14 @@ import argparse
 from twc_env.running.command_line import add_config, add_set, assignments, config_of
 
 
-def add_settings_parser(commands: argparse._SubParsersAction) -> None:
-    """Arguments of the command."""
-    parser = commands.add_parser(
-        "settings",
-        help="print every setting with its meaning, range and value, as a TOML file to start from",
-        description="Print settings as commented TOML; values that differ from the default are marked. The output is "
-        "a config file: save it, edit it, and pass it to --config or twc_env.config.load.",
-        epilog="examples:\n  twc-env settings lidar slam.keyframe\n"
-        "  twc-env settings --config twc/ExploreHard-v0 > hard.toml",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Fill the command's parser."""
+    parser.description = (
+        "Print settings as commented TOML; values that differ from the default are marked. The output is "
+        "a config file: save it, edit it, and pass it to --config or twc_env.config.load."
+    )
+    parser.epilog = (
+        "examples:\n  twc-env settings lidar slam.keyframe\n  twc-env settings --config twc/ExploreHard-v0 > hard.toml"
     )
     parser.add_argument("sections", nargs="*", metavar="SECTION", help="print only these, e.g. radio or slam.merging")
     add_config(parser)

@@ -7,7 +7,6 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from twc_env.config import EnvConfig, override
 from twc_env.running.command_line import add_config, add_json, add_set, assignments, config_of, count
@@ -24,6 +23,8 @@ An AGENT is
   wall-follower       follows walls
   FILE.py:CLASS       your own class, derived from agents.Policy (docs/library.md)
 """
+AGENT_NAMES = tuple(line.split()[0] for line in AGENTS.splitlines()[1:-1])
+"""What `twc_env.agents.policy_names` gives, without its imports, so that help starts quickly."""
 TEAMS = ("nearest-frontier", "cost-utility", "assignment", "voronoi", "random")
 
 
@@ -50,17 +51,15 @@ def folder_names(maps: Sequence[str]) -> dict[str, str]:
     }
 
 
-def paragraphs(text: str) -> dict[str, Any]:
-    """The first paragraph as description, the rest (examples) as epilog."""
+def paragraphs(text: str) -> tuple[str, str]:
+    """The first paragraph, as a description, and the rest (examples), as an epilog."""
     description, _, examples = text.partition("\n\n")
-    return {"description": description, "epilog": examples}
+    return description, examples
 
 
 def add_agent(parser: argparse.ArgumentParser) -> None:
     """Options of commands that run one team."""
-    from twc_env.agents import policy_names
-
-    names = f"one of {', '.join(policy_names())}, or FILE.py:CLASS"
+    names = f"one of {', '.join(AGENT_NAMES)}, or FILE.py:CLASS"
     parser.add_argument("--agent", default="nearest-frontier", help=names)
     parser.add_argument("--no-pictures", action="store_true", help="write neither map.png nor episode.gif")
 

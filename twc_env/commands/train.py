@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from twc_env.errors import DataError
 from twc_env.records.json_values import check_folder
@@ -26,14 +25,12 @@ def learning_libraries() -> Iterator[None]:
         raise DataError(f"training needs {error.name}; install it with: pip install 'twc_env[train]'") from None
 
 
-def add_train_parser(commands: Any) -> None:
-    """Add the command, with one command per algorithm."""
-    parser = commands.add_parser(
-        "train",
-        help="train a policy (needs the extra `train`)",
-        description="Train an exploration policy shared by all robots of a team. Each algorithm has its own --help.",
-        epilog="example:\n  twc-env train ppo --steps 60000 --out runs/ppo",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Fill the parser of the command, which has one command per algorithm."""
+    parser.description = (
+        "Train an exploration policy shared by all robots of a team. Each algorithm has its own --help."
     )
+    parser.epilog = "example:\n  twc-env train ppo --steps 60000 --out runs/ppo"
     algorithms = parser.add_subparsers(required=True, metavar="ALGORITHM")
     ppo = algorithms.add_parser(
         "ppo",

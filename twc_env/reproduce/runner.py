@@ -12,27 +12,72 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 from twc_env.errors import ConfigError, DataError
 from twc_env.records.json_values import TERMINAL, check_folder, plain, write_json
-from twc_env.running.command_line import add_folder, add_json, aligned, count, end_line, parse_seeds, show_line
+from twc_env.running.command_line import aligned, count, end_line, parse_seeds, show_line
 from twc_env.running.finished_parts import FinishedParts
 from twc_env.running.worker_processes import in_processes
 
-TABLES = (
-    "matching", "ble-lidar", "intel", "merging", "odometry", "ocr", "radio-model", "twc-table1", "twc-table2",
-    "real-places", "robustness", "solver", "stress", "bare-places", "sfw-table1", "sfw-routers", "sfw-authors",
-    "sfw-ble", "sfw-houseexpo", "radio-table1", "radio-scale", "building-axes", "real-radio",
-)  # fmt: skip
-"""Names on the command line; with _ instead of - the modules of this package."""
 
-_EPILOG = """\
-example:
-  twc-env reproduce {name} --json runs/{name}.json
+class Table(NamedTuple):
+    """A table in the list of tables."""
 
-An interrupted command continues where it stopped; with more seeds, places or buildings it reuses finished parts.
-Tables of real data read the folder in the environment variable TWC_DATA (docs/real_data.md).
-"""
+    summary: str
+    needs_data: bool = False
+    """Whether it reads TWC_DATA."""
+
+
+TABLES = {
+    "matching": Table("time and success rate of verifying one loop candidate, with an initial guess and without"),
+    "ble-lidar": Table("radio and LiDAR on real drives through a flat: trajectory and map", needs_data=True),
+    "intel": Table(
+        "the Intel Lab log from raw odometry to a map: one robot, and split into three that merge by geometry",
+        needs_data=True,
+    ),
+    "merging": Table("map merging from unknown start frames in 100 unseen generated buildings"),
+    "odometry": Table(
+        "raw odometry of the Intel Lab log against the simulated platform, at the same relations", needs_data=True
+    ),
+    "ocr": Table("misread signs: the fast model against a real OCR on held-out signs"),
+    "radio-model": Table(
+        "path loss, walls, detection, noise and similarity of the radio model against real surveys", needs_data=True
+    ),
+    "twc-table1": Table("TWC-SLAM Table I: precision and recall of text, WiFi, both, laser and all cues fused"),
+    "twc-table2": Table(
+        "TWC-SLAM Table II: errors of the maps by text, WiFi, both, laser and all cues fused, by back end"
+    ),
+    "real-places": Table(
+        "same place within 5 m on two real floors: text, WiFi, both, and all cues fused", needs_data=True
+    ),
+    "robustness": Table("back ends against false closures on public pose graphs", needs_data=True),
+    "solver": Table("our pose-graph solver against gtsam's, on public graphs from odometry", needs_data=True),
+    "stress": Table(
+        "the engine without signs, WiFi, link or a robot; odd receiver, repeated sign texts, worse or no laser"
+    ),
+    "bare-places": Table(
+        "merging in scenes with little geometry: bare corridors, and a hall larger than the laser range"
+    ),
+    "sfw-table1": Table(
+        "inverse k-visibility Table I: number of walls crossed, and maps of six plans, from signal strength"
+    ),
+    "sfw-routers": Table("router positions estimated from signal strength alone, in the k-visibility twins"),
+    "sfw-authors": Table("inverse k-visibility on the authors' own logs, with the registration fit", needs_data=True),
+    "sfw-ble": Table("number of walls crossed in a real flat with six BLE transmitters", needs_data=True),
+    "sfw-houseexpo": Table(
+        "structure from WiFi on HouseExpo plans, route along all walls, with a reliability diagram", needs_data=True
+    ),
+    "radio-table1": Table("radio SLAM in twins of its three environments: WiFi, LTE, WiFi with laser"),
+    "radio-scale": Table("radio SLAM over ten kilometres: memory and time per scan; search among 100,000 fingerprints"),
+    "building-axes": Table(
+        "how closely paths follow the directions of walls: five laser logs and the walks of radio-table1",
+        needs_data=True,
+    ),
+    "real-radio": Table("real phone walks joined by WiFi alone, and a robot's floor with added drift", needs_data=True),
+}
+"""By the name on the command line; with _ instead of - a module in one of the rooms of this package, imported only if
+it is asked for."""
 
 
 class Runner:
@@ -125,31 +170,6 @@ def table_module(name: str) -> ModuleType:
     """The module of one of TABLES, in whichever room it stands."""
     (path,) = Path(__file__).parent.glob(f"*/{name.replace('-', '_')}.py")
     return import_module(f"twc_env.reproduce.{path.parent.name}.{path.stem}")
-
-
-def add_parser(commands) -> None:
-    """The `reproduce` command of `twc-env`."""
-    parser = commands.add_parser(
-        "reproduce",
-        help="reproduce tables of the three papers and our own, beside published values",
-        description="Reproduce a table and print it beside the published values. docs/papers.md goes through the "
-        "papers item by item. Each table has its own --help.",
-        epilog=_EPILOG.format(name="sfw-routers"),
-    )
-    tables = parser.add_subparsers(required=True, metavar="TABLE")
-    for name in TABLES:
-        module = table_module(name)
-        needs_data = " (needs TWC_DATA)" if hasattr(module, "data_folder") and name != "ocr" else ""
-        table = tables.add_parser(
-            name,
-            help=module.SUMMARY + needs_data,
-            description=module.__doc__,
-            epilog=_EPILOG.format(name=name),
-        )
-        module.add_arguments(table)
-        add_json(table, ", and pictures beside it" if hasattr(module, "draw") else "")
-        add_folder(table, "--cache", "runs/reproduce", "folder of finished parts")
-        table.set_defaults(run=lambda options, name=name, module=module: main(name, module, options))
 
 
 def main(name: str, module, options: argparse.Namespace) -> None:

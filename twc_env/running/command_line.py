@@ -131,11 +131,30 @@ class Paragraphs(argparse.HelpFormatter):
         return "\n".join(lines)
 
 
+Fill = Callable[[argparse.ArgumentParser], None]
+"""Adds description and arguments to a parser."""
+
+
 class Parser(argparse.ArgumentParser):
     """Parser of a program and of all its commands, with help as in `Paragraphs`."""
 
-    def __init__(self, **settings: Any):
+    def __init__(self, *, fill: Fill | None = None, **settings: Any):
+        """fill: called when the arguments are first needed, so that a program imports only what its command needs."""
+        self._fill: Fill | None = None
         super().__init__(**{"formatter_class": Paragraphs, **settings})
+        self._fill = fill
+
+    @property
+    def _actions(self) -> list[argparse.Action]:
+        """The arguments: argparse and argcomplete read them before anything else that `fill` adds."""
+        fill, self._fill = self._fill, None
+        if fill is not None:
+            fill(self)
+        return self._filled_actions
+
+    @_actions.setter
+    def _actions(self, actions: list[argparse.Action]) -> None:
+        self._filled_actions = actions
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """Unknown arguments are rejected by the command itself, which shows its own usage."""

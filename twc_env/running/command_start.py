@@ -9,6 +9,8 @@ import threading
 from types import FrameType
 
 _COMMANDS = ("twc_env.__main__",)
+_SCRIPTS = ("twc-env", "twc-env.exe", "twc-env-script.py")
+"""Names of the file that pip writes for our command, on all systems."""
 
 
 def end_when_interrupted() -> None:
@@ -26,9 +28,13 @@ def begin_work() -> None:
 
 
 def is_loading() -> bool:
-    """Whether `python -m` is starting a package or runs one of our commands."""
+    """Whether `python -m` is starting a package, or one of our commands runs in this process (not in its parent)."""
     name = getattr(getattr(sys.modules.get("__main__"), "__spec__", None), "name", None)
-    return sys.argv[:1] == ["-m"] or name in _COMMANDS
+    if sys.argv[:1] == ["-m"] or name in _COMMANDS:
+        return True
+    processes = sys.modules.get("multiprocessing.process")
+    is_worker = processes is not None and processes.parent_process() is not None
+    return not is_worker and os.path.basename(sys.argv[0] if sys.argv else "") in _SCRIPTS
 
 
 def _end(number: int, frame: FrameType | None) -> None:

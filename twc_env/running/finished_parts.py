@@ -16,7 +16,6 @@ from typing import Any
 
 from twc_env._version import __version__
 from twc_env.errors import DataError
-from twc_env.maps import bundled_folder
 from twc_env.records.json_values import check_folder, plain
 
 SUFFIXES = (".py", ".json")
@@ -26,6 +25,8 @@ SUFFIXES = (".py", ".json")
 @cache
 def code_digest(*packages: str) -> str:
     """Digest (eight hex digits) of all code and bundled data of twc_env and of the given packages."""
+    from twc_env.maps import bundled_folder  # slow to import
+
     folders = [Path(place) for name in ("twc_env", *packages) for place in _places(name)]
     content = hashlib.sha256()
     for folder in [*folders, bundled_folder()]:

@@ -38,7 +38,6 @@ from twc_env.slam.matching.scan_matching import LineField, scan_points
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid
 from twc_env.world.building.floorplan import Floorplan
 
-SUMMARY = "radio and LiDAR on real drives through a flat: trajectory and map"
 CHOOSES = ("runs",)
 
 BEAMS, RANGE_MAX_M = 360, 12.0

@@ -18,7 +18,6 @@ from twc_env.reproduce.radio.radio_twins import PLACES, true_path
 from twc_env.reproduce.runner import Runner, add_seeds, data_folder
 from twc_env.slam.radio.building_axes import LENGTH_M, BuildingAxes
 
-SUMMARY = "how closely paths follow the directions of walls: five laser logs and the walks of radio-table1"
 CHOOSES = ("seeds",)
 
 LOGS = ("aces", "freiburg-079", "freiburg-101", "intel", "orebro")

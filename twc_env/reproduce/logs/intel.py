@@ -44,7 +44,6 @@ from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.front_end.particle_filter import ParticleFilterSettings, map_frames
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid
 
-SUMMARY = "the Intel Lab log from raw odometry to a map: one robot, and split into three that merge by geometry"
 CHOOSES = ("robots", "seeds")
 
 SAME_SCAN_S = 1e-6

@@ -20,7 +20,6 @@ from twc_env.reproduce.runner import Runner, add_seeds, data_folder
 from twc_env.running.command_line import number
 from twc_env.world.sensors.odometry import PRESETS, Odometry
 
-SUMMARY = "raw odometry of the Intel Lab log against the simulated platform, at the same relations"
 CHOOSES = ("seeds",)
 
 _BANDS_M = ((0.0, 0.5), (5.0, 200.0), (200.0, 1000.0))

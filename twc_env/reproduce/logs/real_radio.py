@@ -65,7 +65,6 @@ from twc_env.running.command_line import count
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.radio import radio_slam, trace_joining
 
-SUMMARY = "real phone walks joined by WiFi alone, and a robot's floor with added drift"
 CHOOSES = ("floors",)
 FLOORS, ROBOT_FLOOR = ("site1_B1", "site2_F6"), "uw_floor"
 WEIGHTINGS = ("paper", "ours")

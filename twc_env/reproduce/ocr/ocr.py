@@ -29,7 +29,6 @@ from twc_env.world.sensors.ocr_table import SHIPPED, load_table
 from twc_env.world.sensors.sign_picture import View, draw_plate
 from twc_env.world.sensors.sign_readers import hidden_part
 
-SUMMARY = "misread signs: the fast model against a real OCR on held-out signs"
 DISTANCES_M = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 TURN_RATE_STD_RAD_S = 0.4
 DRAWS = 10

@@ -21,7 +21,6 @@ from twc_env.reproduce.places.place_pairs import average_precision, precision_re
 from twc_env.reproduce.places.surveyed_places import Floor, draw_places, read_floor
 from twc_env.reproduce.runner import Runner, add_seeds, data_folder
 
-SUMMARY = "same place within 5 m on two real floors: text, WiFi, both, and all cues fused"
 CHOOSES = ("seeds",)
 
 FLOORS = {"B1": "site1_B1", "F6": "site2_F6"}

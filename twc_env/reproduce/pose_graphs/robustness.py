@@ -32,7 +32,6 @@ from twc_env.running.command_line import count
 from twc_env.slam.pose_graph import robust_back_end as robust_backend
 from twc_env.slam.pose_graph.solver import Graph
 
-SUMMARY = "back ends against false closures on public pose graphs"
 CHOOSES = ("seeds", "other_seeds", "datasets", "shares", "methods")
 DATASETS = {"intel": "intel", "MIT": "MIT", "M3500": "manhattan", "ringCity": "ringCity"}
 METHODS = ("plain", "cauchy", "dcs", "gnc", "pcm", "ours")

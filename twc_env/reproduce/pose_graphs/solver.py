@@ -23,7 +23,6 @@ from twc_env.running.command_line import count
 from twc_env.slam.pose_graph import solver as pose_graph
 from twc_env.slam.pose_graph.solver import Graph
 
-SUMMARY = "our pose-graph solver against gtsam's, on public graphs from odometry"
 CHOOSES = ("datasets",)
 
 

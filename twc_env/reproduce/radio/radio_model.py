@@ -31,7 +31,6 @@ from twc_env.reproduce.radio.radio_surveys import FLATS, LIBRARIES
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.running.command_line import count
 
-SUMMARY = "path loss, walls, detection, noise and similarity of the radio model against real surveys"
 CHOOSES = ("seeds", "only")
 
 _EVIDENCE, _SPREAD, _REAL = -3, -2, -1

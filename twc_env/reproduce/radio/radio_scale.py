@@ -26,7 +26,6 @@ from twc_env.running.command_line import count, number
 from twc_env.slam.radio.radio_similarity import FingerprintStore, all_similarities, feature_rows
 from twc_env.slam.radio.radio_trail import RadioTrail
 
-SUMMARY = "radio SLAM over ten kilometres: memory and time per scan; search among 100,000 fingerprints"
 CHOOSES = ("seeds",)
 PLACE = PLACES["semi-indoor"]
 HEARD = 44

@@ -27,7 +27,6 @@ from twc_env.reproduce.radio.radio_twins import PLACES
 from twc_env.reproduce.runner import Runner, add_seeds, chosen
 from twc_env.running.command_line import count, number
 
-SUMMARY = "radio SLAM in twins of its three environments: WiFi, LTE, WiFi with laser"
 CHOOSES = ("seeds", "places")
 SURVEY_PRINTED_S = 8619.2
 """Published duration of a laser survey in small loops (Fig. 5)."""

@@ -26,7 +26,6 @@ from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.running.command_line import count
 from twc_env.world.building.floorplan import AccessPoint, Floorplan, Sign
 
-SUMMARY = "merging in scenes with little geometry: bare corridors, and a hall larger than the laser range"
 CHOOSES = ("seeds", "scenes")
 WORDS = (
     "OPTICS LAB", "CERAMICS", "LIBRARY", "SERVER ROOM", "KITCHEN", "WORKSHOP", "ARCHIVE", "MEETING", "STORE", "EXIT",

@@ -33,7 +33,6 @@ from twc_env.slam.matching.target_walls import FIELD_CELL_M, REFINE_ITERATIONS, 
 from twc_env.world.sensors.lidar import Lidar
 from twc_env.world.starts import start_places
 
-SUMMARY = "time and success rate of verifying one loop candidate, with an initial guess and without"
 CHOOSES = ("buildings",)
 APART_M = 1.5
 GUESS_OFF = np.array([0.25, 0.25, 0.12])

@@ -34,7 +34,6 @@ from twc_env.slam.exchange import KINDS
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.splits import split_names
 
-SUMMARY = "map merging from unknown start frames in 100 unseen generated buildings"
 CHOOSES = ("buildings",)
 ROOMS_MAX = 4
 """Maximum number of rooms of its own strip that a robot tours."""

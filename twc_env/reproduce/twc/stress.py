@@ -34,7 +34,6 @@ from twc_env.reproduce.twc.merging import STEPS_PER_M, begin_episode, first_buil
 from twc_env.running.command_line import count, natural
 from twc_env.world.building.floorplan import Floorplan
 
-SUMMARY = "the engine without signs, WiFi, link or a robot; odd receiver, repeated sign texts, worse or no laser"
 CHOOSES = ("buildings", "conditions")
 CONDITIONS = (
     "normal", "no signs", "no WiFi", "link cut", "robot lost", "odd device", "repeated names", "60 beams",

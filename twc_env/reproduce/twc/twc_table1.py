@@ -35,7 +35,6 @@ from twc_env.reproduce.twc.twc_scenes import AS_DRAWN, DEPARTMENTS, add_scenes, 
 from twc_env.slam.places.rssi_similarity import BY_DISTANCE, COSINES
 
 RSSI_MODES = (*BY_DISTANCE, *COSINES, "paper")
-SUMMARY = "TWC-SLAM Table I: precision and recall of text, WiFi, both, laser and all cues fused"
 CHOOSES = ("seeds", "scenes")
 
 EQ7_AS_PRINTED, AS_PRINTED = "eq7", "as printed"

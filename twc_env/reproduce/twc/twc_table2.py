@@ -49,7 +49,6 @@ from twc_env.reproduce.twc.published import over_known
 from twc_env.reproduce.twc.twc_scenes import SCENES, SIGNS, add_scenes, scene_config, walk_scene
 from twc_env.slam.team import TeamMapper
 
-SUMMARY = "TWC-SLAM Table II: errors of the maps by text, WiFi, both, laser and all cues fused, by back end"
 CHOOSES = ("seeds", "scenes")
 
 METHODS: dict[str, dict[str, object]] = {

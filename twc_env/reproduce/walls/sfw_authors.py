@@ -34,7 +34,6 @@ from twc_env.running.command_line import add_folder
 from twc_env.world.building.floor_cells import Cells
 
 AS_COVERED = "ours, as covered"
-SUMMARY = "inverse k-visibility on the authors' own logs, with the registration fit"
 _PRINTED = {1: (3, 85.32, 0.8321), 2: (5, 95.73, 0.8364)}
 _MARGIN_CELLS = 10
 _GAP_CELLS = 5.0

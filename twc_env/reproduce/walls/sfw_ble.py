@@ -27,7 +27,6 @@ from twc_env.slam.walls.k_clusters import k_means, predict_walls, sliding_window
 from twc_env.slam.walls.k_visibility_signal import fit_identical_routers
 from twc_env.slam.walls.path_bins import bin_along_path
 
-SUMMARY = "number of walls crossed in a real flat with six BLE transmitters"
 _WINDOW = 7
 TEST = "calibration, first two drives"
 _TEST_WALKS = (0, 1)

@@ -26,7 +26,6 @@ from twc_env.reproduce.walls.sfw_walks import read_walk, resampled, wall_followi
 from twc_env.running.command_line import add_folder, count
 from twc_env.world.building.floorplan import Floorplan
 
-SUMMARY = "structure from WiFi on HouseExpo plans, route along all walls, with a reliability diagram"
 CHOOSES = ("plans",)
 _READINGS_PER_M = 40.0
 _WALL_LOSS_SCALE = 1.6

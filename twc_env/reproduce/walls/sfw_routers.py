@@ -17,7 +17,6 @@ from twc_env.reproduce.walls.sfw_walks import read_walk, resampled, wall_followi
 from twc_env.slam.walls.k_visibility_signal import locate_router
 from twc_env.slam.walls.path_bins import bin_along_path
 
-SUMMARY = "router positions estimated from signal strength alone, in the k-visibility twins"
 CHOOSES = ("seeds",)
 
 

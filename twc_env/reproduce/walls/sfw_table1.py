@@ -32,7 +32,6 @@ _UPDATE_SIGNAL = (-29.0, 1.25, 8.0, 4.0)
 """Power [dBm], exponent, wall loss [dB] and noise [dB]."""
 WITH_SLAM = "ours, SLAM"
 METHODS = ("paper", scoring.COMPENSATED, "ours", WITH_SLAM)
-SUMMARY = "inverse k-visibility Table I: number of walls crossed, and maps of six plans, from signal strength"
 CHOOSES = ("seeds", "experiments", "flats")
 POINTS = {1: 3159, 2: 4713, 3: 6001, 4: 1803, 5: 492, 6: 393}
 _PRINTED_ACCURACY = {1: 84.93, 2: 82.79, 3: 85.32, 4: 94.18, 5: 95.73, 6: 96.44}

@@ -1,4 +1,4 @@
-"""`twc-env record` and `replay`."""
+"""`twc-env replay`: the SLAM engine on recorded logs, and exports of runs."""
 
 from __future__ import annotations
 
@@ -17,11 +17,8 @@ from twc_env.records.json_values import check_folder, write_json
 from twc_env.running.command_line import (
     add_json,
     add_set,
-    alone_in,
     assignments,
-    count,
     make_folder,
-    natural,
     show_count,
 )
 
@@ -32,38 +29,22 @@ if TYPE_CHECKING:
     from twc_env.slam.team import TeamMapper
 
 
-def add_log_parsers(commands: argparse._SubParsersAction) -> None:
-    """Arguments of the two commands."""
-    record = commands.add_parser(
-        "record",
-        help="record the sensor frames of an episode, and the ground truth in a separate file",
-        description="Record an episode of robots driven by a reactive policy. Writes frames.npz (sensor frames and "
-        "settings, no ground truth) and truth.npz (true poses); see docs/frames.md. `twc-env explore` records "
-        "frames too.",
-        epilog="example:\n  twc-env record --map twin-02 --steps 900 --out runs/log",
-    )
-    record.add_argument("--map", default="twin-01", help="bundled name, generated name or file")
-    record.add_argument("--robots", type=count, default=3, help="number of robots")
-    record.add_argument("--steps", type=count, default=600, help="time steps of 0.1 s")
-    record.add_argument("--seed", type=natural, default=0, help="of start poses, noise and generated signs")
-    add_set(record)
-    record.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="output folder")
-    record.set_defaults(run=_record)
-
-    replay = commands.add_parser(
-        "replay",
-        help="run the SLAM engine on a recorded log, or export a run as a web page or Rerun recording",
-        description="Run the SLAM engine on the frames of a log and print the result, which is deterministic. LOG is "
+def add_arguments(replay: argparse.ArgumentParser) -> None:
+    """Fill the command's parser."""
+    replay.description = (
+        "Run the SLAM engine on the frames of a log and print the result, which is deterministic. LOG is "
         "frames.npz of a run folder, or a laser log of one robot (CARMEN FLASER or ROBOTLASER1 lines, or the Freiburg "
         "benchmark's JSON). Several laser logs are a team of one robot each that starts at the same time; their maps "
         "are merged where scans fit. The engine uses nothing but the logs. --html and --rerun run nothing: they "
         "convert the run folder's trace.npz and report.json to a web page with a time slider, or to a recording for "
-        "the Rerun viewer (`rerun RUN/replay.rrd`).",
-        epilog="examples:\n  twc-env replay runs/log/frames.npz --truth runs/log/truth.npz\n"
+        "the Rerun viewer (`rerun RUN/replay.rrd`)."
+    )
+    replay.epilog = (
+        "examples:\n  twc-env replay runs/log/frames.npz --truth runs/log/truth.npz\n"
         "  twc-env replay runs/demo --set slam.place_recognition.recogniser=text --out runs/text\n"
         "  twc-env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel\n"
         "  twc-env replay monday.log tuesday.log --out runs/both\n"
-        "  twc-env replay runs/demo --html",
+        "  twc-env replay runs/demo --html"
     )
     replay.add_argument(
         "logs",
@@ -105,28 +86,6 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
     )
     add_json(replay)
     replay.set_defaults(run=_replay)
-
-
-def _record(options: argparse.Namespace) -> None:
-    from twc_env.bench.rates import wander
-    from twc_env.config import EnvConfig, override
-    from twc_env.datasets.logs.frame_log import write_frame_log, write_truth_log
-    from twc_env.exploration.environment import ExplorationEnv
-
-    check_folder(options.out)
-    settings = {"map": options.map, "robots": options.robots, "max_cycles": options.steps}
-    env = ExplorationEnv(config=override(EnvConfig(), {**settings, **assignments(options.set)}))
-    env.reset(seed=options.seed)
-    steps, contacts = [env.frames], [env.contacts]
-    for actions in wander(env, options.seed):
-        env.step(actions)
-        steps.append(env.frames)
-        contacts.append(env.contacts)
-        show_count(len(steps) - 1, env.config.max_cycles, " steps", every=50)
-    with alone_in(options.out):
-        write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
-        write_truth_log(options.out / "truth.npz", options.seed, env.config.map, env.result().true_poses)
-    print(f"{len(steps) - 1} steps of {env.config.robots} robots\nwritten: {options.out}")
 
 
 def _replay(options: argparse.Namespace) -> None:

@@ -1,0 +1,47 @@
+"""`twc-env record`: the sensor frames of an episode."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from twc_env.records.json_values import check_folder
+from twc_env.running.command_line import add_set, alone_in, assignments, count, natural, show_count
+
+
+def add_arguments(record: argparse.ArgumentParser) -> None:
+    """Fill the command's parser."""
+    record.description = (
+        "Record an episode of robots driven by a reactive policy. Writes frames.npz (sensor frames and settings, no "
+        "ground truth) and truth.npz (true poses); see docs/frames.md. `twc-env explore` records frames too."
+    )
+    record.epilog = "example:\n  twc-env record --map twin-02 --steps 900 --out runs/log"
+    record.add_argument("--map", default="twin-01", help="bundled name, generated name or file")
+    record.add_argument("--robots", type=count, default=3, help="number of robots")
+    record.add_argument("--steps", type=count, default=600, help="time steps of 0.1 s")
+    record.add_argument("--seed", type=natural, default=0, help="of start poses, noise and generated signs")
+    add_set(record)
+    record.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="output folder")
+    record.set_defaults(run=_record)
+
+
+def _record(options: argparse.Namespace) -> None:
+    from twc_env.bench.rates import wander
+    from twc_env.config import EnvConfig, override
+    from twc_env.datasets.logs.frame_log import write_frame_log, write_truth_log
+    from twc_env.exploration.environment import ExplorationEnv
+
+    check_folder(options.out)
+    settings = {"map": options.map, "robots": options.robots, "max_cycles": options.steps}
+    env = ExplorationEnv(config=override(EnvConfig(), {**settings, **assignments(options.set)}))
+    env.reset(seed=options.seed)
+    steps, contacts = [env.frames], [env.contacts]
+    for actions in wander(env, options.seed):
+        env.step(actions)
+        steps.append(env.frames)
+        contacts.append(env.contacts)
+        show_count(len(steps) - 1, env.config.max_cycles, " steps", every=50)
+    with alone_in(options.out):
+        write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
+        write_truth_log(options.out / "truth.npz", options.seed, env.config.map, env.result().true_poses)
+    print(f"{len(steps) - 1} steps of {env.config.robots} robots\nwritten: {options.out}")
