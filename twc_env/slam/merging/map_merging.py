@@ -3,7 +3,7 @@
 An inter-group closure measures the transform between two maps. One closure is not enough, because rooms look alike and
 sign texts repeat. A merge needs several closures that agree on one transform, no walls of one map in the free space of
 the other, radio fingerprints as similar as the robots' own paths predict for one place, and signs that mostly read the
-same where the maps overlap (`signs_in_place`). Without any fingerprint, one sign must have a name read nowhere else.
+same where the maps overlap (`sign_consistency`). Without any fingerprint, one sign must have a name read nowhere else.
 Where the robots saw each other often enough as a closure by a sign implies (`mutual_observations`), it alone is enough.
 """
 
