@@ -53,6 +53,10 @@ ALLOWED = {
     | {"twc_env.tasks", "twc_env.running.threads", "twc_env.running.file_lock"},
     "twc_env": {"twc_env"},  # the top: commands, bench, vector, pictures, reproduce
 }
+USERS = {"twc_env.agents", "twc_env.training"}
+"""In a clone, they stand beside the package, as `agents` and `training`."""
+PEOPLE = ("twc_env.commands",)
+"""Modules that may import them."""
 WITHOUT_RANDOM = ("twc_env.slam", "twc_env.metrics", "twc_env.planning")
 COMPUTED = "<a name computed at run time>"
 PUBLIC_MODULES = {
@@ -71,6 +75,11 @@ PUBLIC_MODULES = {
 
 def is_below(module: str, prefix: str) -> bool:
     return module == prefix or module.startswith(prefix + ".")
+
+
+def in_clone(module: str) -> str:
+    """The place of a module in a clone: `twc_env.agents` is `agents`."""
+    return module.removeprefix("twc_env.") if any(is_below(module, user) for user in USERS) else module
 
 
 def known_modules() -> dict[str, Path]:
@@ -115,6 +124,10 @@ def wrong_arrows(source: str, module: str, is_package: bool = False) -> list[str
         if base == COMPUTED and rule == "twc_env":
             continue  # the lazy names of __init__
         target = f"{base}.{name}" if name and f"{base}.{name}" in MODULES else base
+        if in_clone(target) != target and any(is_below(module, people) for people in PEOPLE):
+            continue
+        if in_clone(f"{base}.{name}") != f"{base}.{name}":
+            wrong.append(in_clone(f"{base}.{name}"))
         is_ours = is_below(target, "twc_env") or target.split(".")[0] in ("agents", "training", "tests")
         needs_seed = target in RANDOM and any(is_below(module, p) for p in WITHOUT_RANDOM)
         if needs_seed or target == COMPUTED or (is_ours and not any(is_below(target, p) for p in ALLOWED[rule] | own)):
@@ -130,8 +143,11 @@ def private_uses(source: str, module: str, may_import: tuple[str, ...] = ()) -> 
         texts = {node.value for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Constant)}
         names = {text.split(":")[0] for text in texts if isinstance(text, str) and re.fullmatch(r"[\w.]+(:\w+)?", text)}
         imported = (imported - {(COMPUTED, "")}) | {(name, "") for name in names if "." in name}
+    others = {f"twc_env.{user}" for user in {"agents", "training"} - set(may_import)}
     for base, name in imported:
-        if base == "twc_env" and name:
+        if any(is_below(target, other) for target in (base, f"{base}.{name}") for other in others):
+            public = False
+        elif base == "twc_env" and name:
             public = name in twc_env.__all__ or f"twc_env.{name}" in PUBLIC_MODULES
         elif is_below(base, "twc_env"):
             public = base == "twc_env" or any(is_below(base, p) for p in PUBLIC_MODULES)
@@ -171,6 +187,7 @@ def test_no_modules_import_each_other_in_a_circle():
     arrows = {}
     for module, path in MODULES.items():
         named = imports_of(path.read_text(), module, module in packages)
+        named = {(in_clone(base), name) for base, name in named}
         targets = {f"{base}.{name}" if f"{base}.{name}" in MODULES else base for base, name in named}
         arrows[module] = (targets & set(MODULES)) - packages - {module}
     TopologicalSorter(arrows).prepare()  # raises CycleError, which names the circle
@@ -215,6 +232,10 @@ def test_notebooks_use_public_names_only(path):
         ("twc_env.records.geometry", "from twc_env import slam"),
         ("twc_env.datasets.logs.tum", "from twc_env.world import world"),
         ("twc_env.exploration.environment", "import agents"),
+        ("twc_env.slam.team", "from twc_env.agents import Policy"),
+        ("twc_env.bench.rates", "from twc_env.agents.policy import make_policy"),
+        ("twc_env.vector.sb3", "from twc_env import training"),
+        ("twc_env.maps", "def late():\n    import twc_env.training.ppo"),
     ],
 )
 def test_the_checker_finds_a_forbidden_import(module, source):
@@ -228,6 +249,7 @@ def test_the_checker_accepts_allowed_imports():
         )
         == []
     )
+    assert wrong_arrows("from twc_env.agents.explore import explore", "twc_env.commands.explore") == []
     assert (
         wrong_arrows("from twc_env.world import world\nimport twc_env.slam.team", "twc_env.exploration.environment")
         == []
@@ -243,6 +265,9 @@ def test_the_checker_accepts_allowed_imports():
         "from twc_env import world",
         "from twc_env.config import _number",
         "import training.ppo",
+        "from twc_env.training import ppo",
+        "import twc_env.training.ppo",
+        "from twc_env import training",
         "import importlib\nTABLE = {'x': 'twc_env.world.world:World'}\nimportlib.import_module(TABLE['x'])",
     ],
 )
