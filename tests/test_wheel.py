@@ -1,4 +1,5 @@
 import os
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -62,22 +63,76 @@ def test_the_wheel_has_the_command_the_teams_and_the_learners(installed):
         assert names == {path.name for path in (installed / "twc_env" / folder).glob("*.py")}
 
 
+def environment(folder: Path) -> Path:
+    """The Python of a fresh virtual environment, which also finds the libraries that this one finds."""
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True)
+    python = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    (site,) = (Path(path) for path in printed(python, "import sysconfig; print(sysconfig.get_path('purelib'))"))
+    libraries = [path for path in sys.path if path.endswith("site-packages")]
+    (site / "libraries.pth").write_text("\n".join(libraries))  # not their own .pth files, which may name a clone
+    return python
+
+
+def printed(python: Path, code: str, **settings) -> list[str]:
+    done = subprocess.run([str(python), "-c", code], check=True, capture_output=True, text=True, **settings)
+    return done.stdout.splitlines()
+
+
+def install(python: Path, *what: str) -> None:
+    """Install by pip, from this machine alone."""
+    pytest.importorskip("pip")
+    offline = ["--no-index", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--quiet"]
+    command = [sys.executable, "-m", "pip", "--python", str(python), "install", *offline, *what]
+    subprocess.run(command, check=True, capture_output=True)
+
+
+STRANGERS = """
+from importlib.util import find_spec
+import twc_env
+from twc_env.agents import Policy
+specs = [find_spec(name) for name in ("agents", "training", "tests")]
+print(twc_env.__file__)
+for spec in filter(None, specs):
+    print(spec.origin, *spec.submodule_search_locations or ())
+"""
+"""Where the package is, and packages that it must not bring."""
+
+
+@pytest.mark.parametrize("kind", ["ordinary", "editable"])
+def test_an_install_by_pip_brings_one_package(installed, tmp_path, kind):
+    python = environment(tmp_path / "env")
+    install(python, *(["-e", str(ROOT)] if kind == "editable" else map(str, installed.parent.glob("*.whl"))))
+    (tmp_path / "empty").mkdir()
+    file, *others = printed(python, STRANGERS, cwd=tmp_path / "empty")
+    assert Path(file).is_relative_to(ROOT if kind == "editable" else tmp_path / "env")
+    assert [other for other in others if str(ROOT) in other or str(tmp_path) in other] == []
+
+
 @pytest.mark.slow
-def test_an_installed_wheel_explores_and_compares_in_any_folder(installed, tmp_path):
-    env = {**os.environ, "PYTHONPATH": str(installed), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    code = "from twc_env.agents import Policy; import twc_env.agents; print(twc_env.agents.__file__)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env=env, check=True, capture_output=True, text=True
-    )
-    assert Path(done.stdout.strip()).is_relative_to(installed)
+def test_an_installed_wheel_works_without_home_in_an_empty_folder_if_the_package_cannot_be_written(installed, tmp_path):
+    python = environment(tmp_path / "env")
+    install(python, *map(str, installed.parent.glob("*.whl")))
+    (empty := tmp_path / "empty").mkdir()
+    package = Path(printed(python, "import twc_env; print(twc_env.__file__)", cwd=empty)[0]).parent
+    for folder in [package, *(path for path in package.rglob("*") if path.is_dir() and path.name != "__pycache__")]:
+        shutil.rmtree(folder / "__pycache__", ignore_errors=True)
+        (folder / "__pycache__").write_text("")  # a file: not even root can make the folder
+        folder.chmod(0o555)
+    before = sorted(package.rglob("*"))
+    env = {key: os.environ[key] for key in ("PATH", "SYSTEMROOT") if key in os.environ}
+    env["NUMBA_CACHE_DIR"] = str(tmp_path / "cache")
     for arguments in (
-        ["explore", "--map", "twin-01", "--steps", "20", "--no-pictures", "--out", "run"],
+        ["explore", "--map", "twin-01", "--steps", "20", "--out", "run"],
         ["compare", "--agents", "nearest-frontier", "random", "--buildings", "2", "--steps", "20"],
     ):
-        command = [sys.executable, "-m", "twc_env", *arguments]
-        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
+        command = [str(python.with_name("twc-env")), *arguments]
+        done = subprocess.run(command, cwd=empty, env=env, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
-    assert (tmp_path / "run" / "report.json").exists()
+    assert {path.name for path in empty.iterdir()} == {"run", "runs"}
+    assert {"report.json", "map.png", "episode.gif"} <= {path.name for path in (empty / "run").iterdir()}
+    assert sorted(package.rglob("*")) == before
+    for folder in [package, *(path for path in package.rglob("*") if path.is_dir())]:
+        folder.chmod(0o755)  # so that it can be removed
 
 
 def test_an_editable_install_puts_no_other_package_on_the_path(tmp_path):
