@@ -6,7 +6,7 @@ from twc_env.maps import load_map
 from twc_env.metrics import path_length_m
 from twc_env.metrics.k_visibility import score_structure
 from twc_env.reproduce.runner import Runner, table_module
-from twc_env.reproduce.walls import sfw_authors, sfw_ble, sfw_table1
+from twc_env.reproduce.walls import sfw_authors, sfw_ble, sfw_routers, sfw_table1
 from twc_env.reproduce.walls.sfw_flats import flat
 from twc_env.reproduce.walls.sfw_registration import register
 from twc_env.reproduce.walls.sfw_scoring import Mapped, at_coverage
@@ -29,7 +29,11 @@ def test_the_route_follows_every_wall_at_its_distance(name):
 def test_the_table_has_a_row_per_experiment_and_method_and_ours_beats_the_paper(rows_of, tmp_path, monkeypatch):
     monkeypatch.setitem(sfw_table1.POINTS, 1, 600)
     rows = rows_of(sfw_table1, "--seeds", "1", "--experiments", "1", "--out", str(tmp_path))
-    assert [row["method"] for row in rows] == ["paper", "paper, distance", "ours", "ours, SLAM"]
+    methods = [row["method"] for row in rows]
+    assert methods[:4] == ["paper", "paper, distance", "ours", "ours, SLAM"]
+    assert methods[4:] == ["paper, K by silhouette", "paper, Algorithm 1", "paper, k given everywhere"]
+    assert rows[4]["k_accuracy"] <= rows[0]["k_accuracy"] == rows[5]["k_accuracy"]  # chosen in hindsight
+    assert rows[6]["iou_wall"] > 0.9 > rows[5]["iou_free"] > 0.5
     assert rows[3]["iou_free"] > 0.9
     assert list(rows[0]) == [
         "experiment", "routers", "points", "method", "k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier",
@@ -57,7 +61,7 @@ def test_the_surest_cells_are_told_first_up_to_a_coverage():
 def test_flats_are_measured_in_the_same_columns(rows_of, tmp_path, monkeypatch):
     monkeypatch.setattr(sfw_table1, "_READINGS_PER_M", 10.0)
     rows = rows_of(sfw_table1, "--flats", "1", "--out", str(tmp_path))
-    assert [(row["experiment"], row["routers"]) for row in rows] == [("1 flats", n) for n in (1, 2) for _ in range(4)]
+    assert [(row["experiment"], row["routers"]) for row in rows] == [("1 flats", n) for n in (1, 2) for _ in range(7)]
     assert rows[2]["k_accuracy"] > 0.9
     assert rows[0]["paper_iou"] is None
     assert not any("printed" in text for text in sfw_table1.remarks(rows))
@@ -73,6 +77,13 @@ def test_a_picture_is_laid_back_on_a_path_drawn_to_another_scale():
     fit = register((path - [20.0, 10.0]) / 0.8, free)
     assert fit.scale == pytest.approx(0.8, abs=0.03)
     assert np.linalg.norm(fit.apply((path - [20.0, 10.0]) / 0.8) - path, axis=1).mean() < 6.0
+
+
+def test_routers_placed_for_line_of_sight_see_more_floor_than_those_of_the_experiments(rows_of, monkeypatch):
+    monkeypatch.setattr(sfw_routers, "POINTS", {4: 300, 6: 200})
+    rows = rows_of(sfw_routers, "--seeds", "1")
+    assert [row["experiment"] for row in rows] == [4, 6, "all"]
+    assert all(row["floor_in_sight"] <= row["floor_in_sight_if_placed"] <= 1.0 for row in rows)
 
 
 def test_flats_are_drawn_by_seed_and_all_their_rooms_can_be_walked():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,13 +15,14 @@ from twc_env.config import EnvConfig, LidarConfig, RadioSlamConfig
 from twc_env.maps import load_map
 from twc_env.metrics.trajectory import absolute_trajectory_error_m
 from twc_env.records.geometry import compose
-from twc_env.records.messages import GridMap, SensorFrame, WifiScan
+from twc_env.records.messages import Fingerprint, GridMap, SensorFrame, WifiScan
 from twc_env.reproduce.radio import radio_walks
 from twc_env.reproduce.radio.radio_twins import Place, record, true_path
 from twc_env.reproduce.radio.radio_walks import RecordedWalk
 from twc_env.slam.front_end.particle_filter import ParticleFilterSettings, map_frames
 from twc_env.slam.pose_graph.distance_factor import Distances
 from twc_env.slam.radio import radio_lidar, radio_slam
+from twc_env.slam.radio.radio_map import GaussianProcessMap, RadioMap
 from twc_env.slam.radio.similarity_model import SimilarityModel
 from twc_env.slam.robot import FrontEnds
 
@@ -31,6 +33,8 @@ FALSE_DISTANCE_M, FALSE_VARIANCE_M2 = 3.0, 4.0
 """Distance and variance of a false closure, similar to those of true ones."""
 PARTICLE_STRIDE, PARTICLE_CELL_M = 2, 0.2
 """The particle filter uses every second beam and this cell size, because it holds twenty maps of a whole campus."""
+MAP_PLACES_MAX = 300
+"""Places of a radio map for localisation: a Gaussian process takes time by their cube."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +48,8 @@ class Outcome:
     model: SimilarityModel | None = None
     closures: int = 0
     grid: GridMap | None = None
+    fingerprints: Sequence[Fingerprint] = ()
+    """At the poses; empty for methods that make no radio map."""
 
     def errors(self) -> dict[str, float]:
         """Mean and standard deviation of position errors, and root mean square after one rigid alignment [m]."""
@@ -93,7 +99,25 @@ def _solved(walk: RecordedWalk, weighting: str, false_closures: Distances | None
     log = radio_slam.RadioLog(walk.motions, walk.turned_rad, walk.fingerprints)
     result = radio_slam.solve(log, RadioSlamConfig(weighting=weighting), false_closures=false_closures)
     model = next(iter(result.models.values()), None)
-    return Outcome(walk.true_poses, compose(walk.true_poses[0], result.poses), model, len(result.closures))
+    poses = compose(walk.true_poses[0], result.poses)
+    return Outcome(walk.true_poses, poses, model, len(result.closures), fingerprints=walk.fingerprints)
+
+
+def location_errors_m(outcome: Outcome) -> dict[str, float]:
+    """Mean error of places found for other scans in the radio map of an outcome (papers.md R10), by method [m].
+
+    At most `MAP_PLACES_MAX` scans of the walk make the map, at their estimated poses; scans between them are located.
+    """
+    every = max(2, math.ceil(len(outcome.poses) / MAP_PLACES_MAX))
+    kept, asked = slice(0, None, every), slice(every // 2, None, every)
+    radio_map = RadioMap(outcome.poses[kept, :2], outcome.fingerprints[kept])
+    process = GaussianProcessMap(radio_map)
+    scans, true_m = outcome.fingerprints[asked], outcome.truth[asked, :2]
+    found_m = {
+        "nearest neighbours": [radio_map.nearest(scan) for scan in scans],
+        "Gaussian process": [process.locate(scan)[0] for scan in scans],
+    }
+    return {name: float(np.linalg.norm(own - true_m, axis=1).mean()) for name, own in found_m.items()}
 
 
 def _false_closures(walk: RecordedWalk, count: int, seed: int) -> Distances:

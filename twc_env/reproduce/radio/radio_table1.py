@@ -10,6 +10,8 @@ With the first pose given, the error has two components that hardly affect `ate_
 of the map, which comes from odometry (off by up to 6 % semi-indoor), nor its rotation relative to the first heading,
 which only odometry and the building's axes maintain (off by 2 degrees semi-indoor). The paper does not describe its
 alignment.
+
+With `wifi`, the radio map of a walk is also used: how far from the truth it locates the walk's other scans.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ import numpy as np
 
 from twc_env.reproduce.drawing import new_figure
 from twc_env.reproduce.radio import radio_figures, radio_sweep
-from twc_env.reproduce.radio.radio_methods import METHODS, means, outcomes
+from twc_env.reproduce.radio.radio_methods import METHODS, location_errors_m, means, outcomes
 from twc_env.reproduce.radio.radio_twins import PLACES
 from twc_env.reproduce.runner import Runner, add_seeds, chosen
 from twc_env.running.command_line import count, number
@@ -62,6 +64,11 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
         walks = [walk["errors"] for walk in found]
         table += [_row(name, method, walks) for method in methods if method in walks[0]]
         _note_worse(runner, name, walks)
+        for way in found[0]["located_m"]:
+            error_m = np.mean([walk["located_m"][way] for walk in found])
+            runner.notes.append(
+                f"{name}, wifi: other scans of the walk are located to {error_m:.2f} m by its map, {way}"
+            )
         if options.out:
             runner.notes += map(str, radio_figures.draw(options.out, name, PLACES[name].twin, found[0]["drawn"]))
     _note_survey(runner, table)
@@ -92,7 +99,8 @@ def _measured(name: str, seed: int, share: float, methods: list[str]) -> dict[st
     """The errors of one walk by method, and the content of its pictures."""
     found = outcomes(PLACES[name].shortened(share), seed, methods)
     errors = {method: outcome.errors() for method, outcome in found.items()}
-    return {"errors": errors, "drawn": radio_figures.content_of(found)}
+    located_m = location_errors_m(found["wifi"]) if "wifi" in found else {}
+    return {"errors": errors, "drawn": radio_figures.content_of(found), "located_m": located_m}
 
 
 def _row(name: str, method: str, walks: list[dict]) -> dict:

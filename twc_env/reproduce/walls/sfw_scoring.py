@@ -8,18 +8,26 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.metrics.k_visibility import StructureScore, calibration_error, score_structure, truth_map
+from twc_env.metrics.k_visibility import (
+    StructureScore,
+    calibration_error,
+    score_structure,
+    truth_map,
+    walls_crossed_map,
+)
 from twc_env.reproduce.drawing import can_draw, new_figure
 from twc_env.reproduce.walls.sfw_walks import WalkReadings
 from twc_env.slam.walls import k_visibility_rules as published
-from twc_env.slam.walls.k_clusters import compensate_distance, k_means, predict_walls, sliding_window
+from twc_env.slam.walls.k_clusters import compensate_distance, k_means, predict_walls, silhouette_k, sliding_window
 from twc_env.slam.walls.k_visibility import Structure, map_structure
-from twc_env.slam.walls.k_visibility_grid import FREE_BELOW, UNKNOWN, WALL, WALL_ABOVE
+from twc_env.slam.walls.k_visibility_grid import FREE, FREE_BELOW, UNKNOWN, WALL, WALL_ABOVE
 from twc_env.world.building.floor_cells import Cells
 
 METHODS = ("paper", "ours")
 COMPENSATED = "paper, distance"
 """The published method on readings compensated for the distance from the router."""
+BY_SILHOUETTE, ALGORITHM_1, DENSE = "paper, K by silhouette", "paper, Algorithm 1", "paper, k given everywhere"
+"""The published method without the truth; with its Algorithm 1; and its dense inverse, an oracle."""
 FIGURES = ("k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier")
 RESOLUTION_M = 0.1
 _FREE_SPACE_EXPONENT = 2.0
@@ -53,12 +61,43 @@ def focus_of(walk: WalkReadings) -> tuple[Array, Array]:
     return rows, np.argmax(np.nan_to_num(walk.rssi_dbm[rows], nan=-200.0), axis=1)
 
 
-def by_paper(walk: WalkReadings, cells: Cells, is_compensated: bool = False) -> Mapped:
+def by_paper(walk: WalkReadings, cells: Cells, is_compensated: bool = False, k_by_silhouette: bool = False) -> Mapped:
     """Sorted k-means on the strongest router's readings, sliding window, rules 1-5 with Eq. 4 and 5 as printed.
 
-    The paper does not state its number of clusters: the best one in hindsight is used. `is_compensated`: the free-space
-    path loss is added to the readings before clustering.
+    The paper does not state its number of clusters: the best one in hindsight is used, or with `k_by_silhouette` one
+    that needs no truth. `is_compensated`: the free-space path loss is added to the readings before clustering.
     """
+    return by_rules(walk, cells, _clustered(walk, is_compensated, k_by_silhouette))
+
+
+def by_algorithm_1(walk: WalkReadings, cells: Cells) -> Mapped:
+    """The published Algorithm 1 instead of its rules, from the same number of walls at each reading (papers.md K13)."""
+    rows, focus = focus_of(walk)
+    walls = _clustered(walk)
+    levels = published.map_by_algorithm_1(
+        _cells_of(walk.position_m[rows], cells), walls, walk.rssi_dbm[rows], _routers_in(walk, cells), cells.free.shape
+    )
+    classes = np.select([levels > UNKNOWN, levels < UNKNOWN], [FREE, WALL], UNKNOWN).astype(np.uint8)
+    probability = np.where(classes == UNKNOWN, np.nan, 1.0 - levels / FREE)
+    accuracy = float(np.mean(walls == walk.walls[rows, focus]))
+    return _scores(accuracy, classes, probability, truth_map(cells.free, cells.wall))
+
+
+def by_dense_inverse(walk: WalkReadings, cells: Cells) -> Mapped:
+    """Walls from the true number of walls in every free cell: what a perfect predictor would give (papers.md K2, K3).
+
+    An oracle: all free cells are given, so only walls say something.
+    """
+    walls = np.zeros(cells.free.shape, bool)
+    for router in _routers_in(walk, cells):
+        walls |= published.walls_from_k_map(walls_crossed_map(cells.wall, cells.free, router), router)
+    classes = np.select([cells.free, walls], [FREE, WALL], UNKNOWN).astype(np.uint8)
+    probability = np.where(classes == UNKNOWN, np.nan, (classes == WALL).astype(float))
+    return _scores(1.0, classes, probability, truth_map(cells.free, cells.wall))
+
+
+def _clustered(walk: WalkReadings, is_compensated: bool = False, k_by_silhouette: bool = False) -> Array:
+    """The number of walls (heard readings,) to the strongest router of each reading (Eq. 1 to 3), see `by_paper`."""
     rows, focus = focus_of(walk)
     rssi = walk.rssi_dbm
     if is_compensated:
@@ -70,19 +109,29 @@ def by_paper(walk: WalkReadings, cells: Cells, is_compensated: bool = False) -> 
         mine = focus == router
         if mine.any():
             smooth[mine] = sliding_window(rssi[rows[mine], router], width)
+    if k_by_silhouette:
+        return predict_walls(smooth, k_means(smooth, silhouette_k(smooth) + 1))
     true = walk.walls[rows, focus]
     tries = [predict_walls(smooth, k_means(smooth, k + 1)) for k in range(1, max(int(true.max()), 1) + 1)]
-    k = max(tries, key=lambda guess: float(np.mean(guess == true)))
-    return by_rules(walk, cells, k)
+    return max(tries, key=lambda guess: float(np.mean(guess == true)))
+
+
+def _cells_of(position_m: Array, cells: Cells) -> Array:
+    """(n, 2) row and column of positions (n, 2)."""
+    return np.floor((position_m - cells.origin_m) / cells.resolution_m).astype(np.int64)[:, ::-1]
+
+
+def _routers_in(walk: WalkReadings, cells: Cells) -> Array:
+    """(routers, 2) row and column of the routers, in fractional cells."""
+    return ((walk.router_m - cells.origin_m) / cells.resolution_m)[:, ::-1]
 
 
 def by_rules(walk: WalkReadings, cells: Cells, walls: Array) -> Mapped:
     """The published map, from the number of walls (heard readings,) to the strongest router of each reading."""
     rows, focus = focus_of(walk)
-    at = np.floor((walk.position_m[rows] - cells.origin_m) / cells.resolution_m).astype(np.int64)[:, ::-1]
-    routers = ((walk.router_m - cells.origin_m) / cells.resolution_m)[:, ::-1]
     settings = published.RuleSettings(equation_4="literal")
-    classes, _ = published.map_by_rules(at, walls, focus, routers, cells.free.shape, settings)
+    places, routers = _cells_of(walk.position_m[rows], cells), _routers_in(walk, cells)
+    classes, _ = published.map_by_rules(places, walls, focus, routers, cells.free.shape, settings)
     probability = np.where(classes == UNKNOWN, np.nan, (classes == WALL).astype(float))
     return _scores(
         float(np.mean(walls == walk.walls[rows, focus])), classes, probability, truth_map(cells.free, cells.wall)

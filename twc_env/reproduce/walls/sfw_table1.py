@@ -2,9 +2,11 @@
 
 Plans, routers, numbers of readings and areas follow the paper (papers.md K20); the radio preset is `sfw`. `paper` uses
 the number of clusters that is best in hindsight; `paper, distance` does the same on readings compensated for distance.
-`ours, SLAM` uses the robot positions estimated by the engine from odometry and scans. Coverage is printed with every
-IoU, because the paper's IoU ignores unknown cells. Settings are chosen on other, randomly generated flats with other
-noise: `--flats 16` evaluates those instead.
+`ours, SLAM` uses the robot positions estimated by the engine from odometry and scans. Three more rows are of parts of
+the paper: `paper, K by silhouette` chooses the number of clusters without the truth, `paper, Algorithm 1` draws by
+Algorithm 1 instead of the rules, and `paper, k given everywhere` is the dense inverse of true numbers of walls, an
+oracle that is given the free cells. Coverage is printed with every IoU, because the paper's IoU ignores unknown cells.
+Settings are chosen on other, randomly generated flats with other noise: `--flats 16` evaluates those instead.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ from twc_env.world.building.floorplan import Floorplan
 _UPDATE_SIGNAL = (-29.0, 1.25, 8.0, 4.0)
 """Power [dBm], exponent, wall loss [dB] and noise [dB]."""
 WITH_SLAM = "ours, SLAM"
-METHODS = ("paper", scoring.COMPENSATED, "ours", WITH_SLAM)
+DRAWN = ("paper", scoring.COMPENSATED, "ours", WITH_SLAM)
+METHODS = (*DRAWN, scoring.BY_SILHOUETTE, scoring.ALGORITHM_1, scoring.DENSE)
 CHOOSES = ("seeds", "experiments", "flats")
 POINTS = {1: 3159, 2: 4713, 3: 6001, 4: 1803, 5: 492, 6: 393}
 _PRINTED_ACCURACY = {1: 84.93, 2: 82.79, 3: 85.32, 4: 94.18, 5: 95.73, 6: 96.44}
@@ -158,7 +161,10 @@ def _measured(plan: Floorplan, points: int, seed: int, picture: Path | None) -> 
     driven = dataclasses.replace(read_walk(plan, radio_preset("sfw"), true_m, seed), position_m=believed_m)
     maps[WITH_SLAM] = scoring.by_ours(driven, cells, seed)
     if picture is not None:
-        scoring.draw_maps(picture, picture.stem, walk, cells, maps)
+        scoring.draw_maps(picture, picture.stem, walk, cells, {name: maps[name] for name in DRAWN})
+    maps[scoring.BY_SILHOUETTE] = scoring.by_paper(walk, cells, k_by_silhouette=True)
+    maps[scoring.ALGORITHM_1] = scoring.by_algorithm_1(walk, cells)
+    maps[scoring.DENSE] = scoring.by_dense_inverse(walk, cells)
     return {name: made.figures for name, made in maps.items()}
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray as Array
 
@@ -18,29 +16,15 @@ _WALL_FACTOR = 0.3
 """Factor on the utility per wall."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Placement:
-    """Router positions for one plan."""
-
-    position_m: Array
-    """(routers, 2), the most useful first."""
-    line_of_sight_share: Array
-    """(routers,) share of the floor that sees at least one of the first routers."""
-    dead_share: float
-    """Share of the floor with three or more walls to every router."""
-
-
-def place_routers(plan: Floorplan, count: int, clearance_m: float = 0.3) -> Placement:
-    """Greedy placement: each router takes the position that adds most to the summed utility of the floor.
+def place_routers(plan: Floorplan, count: int, clearance_m: float = 0.3) -> Array:
+    """(routers, 2) positions, the most useful first: each adds most to the summed utility of the floor.
 
     The utility of floor with k walls to the nearest router is 0.3^k. Raises MapError for a count below one or a plan
     without floor at `clearance_m` from walls.
     """
     if count < 1:
         raise MapError(f"place_routers needs at least one router; got {count}")
-    cells = plan.cells()
-    floor = cells.centre_of(np.argwhere(cells.free))
-    floor = floor[:: max(len(floor) // _FLOOR_MAX, 1)]
+    floor = _floor(plan)
     places = floor[plan.wall_index.distance_m(floor, 2 * clearance_m) >= clearance_m]
     if len(places) == 0:
         raise MapError(f"map {plan.name!r} has no floor {clearance_m} m clear of walls; use a smaller clearance")
@@ -49,11 +33,22 @@ def place_routers(plan: Floorplan, count: int, clearance_m: float = 0.3) -> Plac
     utility = _WALL_FACTOR ** walls.astype(float)
     chosen: list[int] = []
     best = np.zeros(len(floor))
-    shares = []
     for _ in range(min(count, len(places))):
         gain = np.maximum(utility - best, 0.0) + _OVERLAP * np.minimum(utility, best)
         chosen.append(int(np.argmax(gain.sum(axis=1))))
         best = np.maximum(best, utility[chosen[-1]])
-        shares.append(float((walls[chosen].min(axis=0) == 0).mean()))
-    dead = float((walls[chosen].min(axis=0) >= 3).mean())
-    return Placement(places[chosen], np.array(shares), dead)
+    return places[chosen]
+
+
+def share_in_sight(plan: Floorplan, position_m: Array) -> float:
+    """Share of the floor with line of sight to one of the positions (n, 2)."""
+    floor = _floor(plan)
+    walls = np.array([plan.wall_index.crossing(place, floor)[0] for place in position_m])
+    return float((walls.min(axis=0) == 0).mean())
+
+
+def _floor(plan: Floorplan) -> Array:
+    """(n, 2) at most about `_FLOOR_MAX` positions on the floor."""
+    cells = plan.cells()
+    floor = cells.centre_of(np.argwhere(cells.free))
+    return floor[:: max(len(floor) // _FLOOR_MAX, 1)]
