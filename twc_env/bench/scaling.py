@@ -23,12 +23,12 @@ BEAMS = (90, 180, 360, 720)
 ROBOT_COUNTS = (1, 3, 6, 12)
 AREAS_M2 = (250, 1000, 4000, 10_000)
 LARGE_MAP = "gen:office:10000:1"
-_RESETS = 3
+_STEPS, _RESETS = 500, 3
 _PLAYS = 5
 """Repetitions of the same episode; the fastest run of each step counts, to reduce the influence of other load."""
 
 
-def bench_scaling(steps: int = 500, report: Callable[[str], None] = lambda _line: None) -> list[dict[str, Any]]:
+def bench_scaling(report: Callable[[str], None] = lambda _line: None) -> list[dict[str, Any]]:
     """Rows {what, value, walls, access_points, us_per_env_step}: SLAM off, whole steps through the PettingZoo API."""
     plan = world_plan()
     cases: list[tuple[str, int, Floorplan, dict[str, Any]]] = [
@@ -39,7 +39,7 @@ def bench_scaling(steps: int = 500, report: Callable[[str], None] = lambda _line
     cases += [("area_m2", area, load_map(f"gen:office:{area}:1"), {}) for area in AREAS_M2]
     rows = []
     for what, value, building, settings in cases:
-        rows.append(_row(what, value, building, settings, steps))
+        rows.append(_row(what, value, building, settings, _STEPS))
         report(f"{what} {value}: {rows[-1]['us_per_env_step']:.1f} us per environment step")
     return rows
 

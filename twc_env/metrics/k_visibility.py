@@ -70,9 +70,9 @@ def reliability(probability: Array, is_wall: Array, bins: int = 10) -> tuple[Arr
     return mean, share, count
 
 
-def calibration_error(probability: Array, is_wall: Array, bins: int = 10) -> float:
+def calibration_error(probability: Array, is_wall: Array) -> float:
     """Expected calibration error: mean difference of probability and share of walls, weighted by count."""
-    mean, share, count = reliability(probability, is_wall, bins)
+    mean, share, count = reliability(probability, is_wall)
     told = count > 0
     return float((np.abs(mean - share)[told] * count[told]).sum() / max(count.sum(), 1))
 

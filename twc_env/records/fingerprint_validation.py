@@ -15,9 +15,9 @@ _RSSI_MAX_DBM = 30.0
 """No receiver hears more."""
 
 
-def validated_fingerprints(fingerprints: Sequence[Fingerprint], name: str = "fingerprint") -> tuple[Fingerprint, ...]:
+def validated_fingerprints(fingerprints: Sequence[Fingerprint]) -> tuple[Fingerprint, ...]:
     """The fingerprints, with arrays as fields. Raises DataError for invalid ones."""
-    return tuple(validated_fingerprint(each, f"{name} {k}") for k, each in enumerate(fingerprints))
+    return tuple(validated_fingerprint(each, f"fingerprint {k}") for k, each in enumerate(fingerprints))
 
 
 def validated_fingerprint(fingerprint: Fingerprint, name: str = "the fingerprint") -> Fingerprint:

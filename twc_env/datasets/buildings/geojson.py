@@ -22,18 +22,19 @@ from twc_env.world.building.floorplan_file import load_json
 ACCESS_POINT_AREA_M2 = 150.0
 
 
-def read_geojson(path: str | Path, seed: int = 0, level: str | None = None) -> Floorplan:
-    """One floor of a GeoJSON file (.geojson or .json, also .gz). Place names become signs.
-
-    `level` picks the floor of an OpenStreetMap or IMDF building, by default "0" or the only one. Access points are
-    placed by seed. Raises MapError for files of no such kind, for unknown levels and for floors without free space.
-    """
+def read_geojson(path: str | Path, seed: int = 0) -> Floorplan:
+    """One floor of a GeoJSON file (.geojson or .json, also .gz), see `geojson_plan`."""
     path = Path(path)
-    return geojson_plan(load_json(path), path, seed, level)
+    return geojson_plan(load_json(path), path, seed)
 
 
 def geojson_plan(values: object, path: Path, seed: int = 0, level: str | None = None) -> Floorplan:
-    """Build a plan from the values of a GeoJSON file at `path`; a competition floor needs floor_info.json beside it."""
+    """Build a plan from the values of a GeoJSON file at `path`; a competition floor needs floor_info.json beside it.
+
+    Place names become signs. `level` picks the floor of an OpenStreetMap or IMDF building, by default "0" or the only
+    one. Access points are placed by seed. Raises MapError for values of no such kind, for unknown levels and for floors
+    without free space.
+    """
     table = values if isinstance(values, dict) else {}
     features = table.get("features")
     if not isinstance(features, list) or not all(isinstance(f, dict) for f in features) or not features:

@@ -30,14 +30,17 @@ ROOM_FREE_SHARE_MIN = 0.3
 _FILL_RESOLUTION_M = 0.05
 
 
-def read_house_expo(path: str | Path, seed: int = 0) -> Floorplan:
-    """Read one HouseExpo JSON file; signs and access points are placed by seed."""
+def read_house_expo(path: str | Path) -> Floorplan:
+    """Read one HouseExpo JSON file, see `house_expo_plan`."""
     path = Path(path)
-    return house_expo_plan(load_json(path), path.name, seed)
+    return house_expo_plan(load_json(path), path.name)
 
 
 def house_expo_plan(values: object, where: str, seed: int = 0) -> Floorplan:
-    """Build a plan from the values of a HouseExpo file; `where` names the file in errors."""
+    """Build a plan from the values of a HouseExpo file; `where` names the file in errors.
+
+    Signs and access points are placed by seed.
+    """
     if not isinstance(values, dict):
         raise MapError(f"{where} must be a JSON object with 'verts'; got {type(values).__name__}")
     contour = simplified_ring(_contour(values, where), SIMPLIFY_M)

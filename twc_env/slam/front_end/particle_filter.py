@@ -222,8 +222,6 @@ class ParticleFilter:
         """Bounding box (y, x) of all particle positions so far."""
         self._past: list[Array] = []
         self._parents: list[Array] = []
-        self.resamplings = 0
-        """Number of resamplings."""
 
     def update(self, frame: SensorFrame) -> None:
         """Process the next frame."""
@@ -259,7 +257,6 @@ class ParticleFilter:
             for maps in (self._hits, self._visits, self._ends):
                 maps[new][drawn] = maps[parents[new]][drawn]
         self._log_weights[:] = 0.0
-        self.resamplings += 1
         return parents
 
     def _mapped_area(self) -> tuple[slice, slice]:

@@ -17,6 +17,8 @@ from twc_env.slam.walls.k_visibility_grid import FREE, UNKNOWN, WALL
 
 LITERAL, MIXTURE = 0, 1
 _EQUATIONS = {"literal": LITERAL, "mixture": MIXTURE}
+ALGORITHM_1_STEP = 8
+"""Sigma of Algorithm 1: change of a cell's grey level by one reading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +31,6 @@ class RuleSettings:
     """Least mu of a wall; cells below it stay unknown. None: all cells seen only through walls are walls (rule 3)."""
     with_outer_box: bool = True
     """Draw the bounding box of all free cells as outer wall (K8)."""
-    step: int = 8
-    """Sigma of Algorithm 1: change of a cell's grey level by one reading."""
 
 
 def walls_from_k_map(k_map: Array, router_cell: Array) -> Array:
@@ -75,14 +75,12 @@ def map_by_rules(
 
 
 def map_by_algorithm_1(
-    cells: Array, walls: Array, rssi_dbm: Array, router_cells: Array, shape: tuple[int, int],
-    settings: RuleSettings | None = None,
+    cells: Array, walls: Array, rssi_dbm: Array, router_cells: Array, shape: tuple[int, int]
 ) -> Array:  # fmt: skip
     """Algorithm 1 with its misprints corrected (K13): (rows, columns) grey levels, P(free) = level / 255.
 
     Uses the router with the strongest RSSI at each reading (n, routers); k is known only in cells of the path.
     """
-    settings = settings or RuleSettings()
     levels = np.full(shape, UNKNOWN, np.int64)
     focus = np.argmax(np.nan_to_num(rssi_dbm, nan=-200.0), axis=1)
     known_k = np.full((len(router_cells), *shape), -1, np.int64)
@@ -90,7 +88,7 @@ def map_by_algorithm_1(
         _put_medians(known_k[router], cells[focus == router], walls[focus == router])
     places = np.asarray(cells, np.int64)
     room = _room(router_cells, places)
-    _algorithm_1(places, focus, np.asarray(router_cells, float), known_k, settings.step, levels, room)
+    _algorithm_1(places, focus, np.asarray(router_cells, float), known_k, ALGORITHM_1_STEP, levels, room)
     return levels.astype(np.uint8)
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray as Array
 from twc_env.errors import MapError
 from twc_env.world.building.floorplan import Floorplan
 
+CLEARANCE_M = 0.3
 _CANDIDATES_MAX, _FLOOR_MAX = 400, 2000
 """Limits of candidate positions and floor samples."""
 _OVERLAP = 0.1
@@ -16,18 +17,18 @@ _WALL_FACTOR = 0.3
 """Factor on the utility per wall."""
 
 
-def place_routers(plan: Floorplan, count: int, clearance_m: float = 0.3) -> Array:
+def place_routers(plan: Floorplan, count: int) -> Array:
     """(routers, 2) positions, the most useful first: each adds most to the summed utility of the floor.
 
     The utility of floor with k walls to the nearest router is 0.3^k. Raises MapError for a count below one or a plan
-    without floor at `clearance_m` from walls.
+    without floor at `CLEARANCE_M` from walls.
     """
     if count < 1:
         raise MapError(f"place_routers needs at least one router; got {count}")
     floor = _floor(plan)
-    places = floor[plan.wall_index.distance_m(floor, 2 * clearance_m) >= clearance_m]
+    places = floor[plan.wall_index.distance_m(floor, 2 * CLEARANCE_M) >= CLEARANCE_M]
     if len(places) == 0:
-        raise MapError(f"map {plan.name!r} has no floor {clearance_m} m clear of walls; use a smaller clearance")
+        raise MapError(f"map {plan.name!r} has no floor {CLEARANCE_M} m clear of walls to put a router on")
     places = places[:: max(len(places) // _CANDIDATES_MAX, 1)]
     walls = np.array([plan.wall_index.crossing(place, floor)[0] for place in places])  # (places, floor)
     utility = _WALL_FACTOR ** walls.astype(float)
