@@ -66,6 +66,16 @@ def test_scenes_are_named_without_the_sign_that_begins_a_comment_in_a_shell(scen
     assert parsed(table_module("twc-table1"), "--scenes", *scenes).scenes == ["#01"]
 
 
+def test_names_are_words_or_a_list_with_commas(parsed):
+    solver, bare = table_module("solver"), table_module("bare-places")
+    for words in (["intel", "MIT"], ["intel,MIT"], ["intel, MIT"], ["intel,", "MIT,intel"]):
+        assert parsed(solver, "--datasets", *words).datasets == ["intel", "MIT"]
+    assert (
+        parsed(solver).datasets == ["intel", "MIT", "M3500", "ringCity"] == parsed(solver, "--datasets", ",").datasets
+    )
+    assert parsed(bare, "--scenes", "corridor 2 m, numbers", "hall").scenes == ["corridor 2 m, numbers", "hall"]
+
+
 def test_a_missing_data_folder_is_named(monkeypatch):
     monkeypatch.delenv("TWC_DATA", raising=False)
     with pytest.raises(DataError, match=r"set the environment variable TWC_DATA .*it is not set.*real_data\.md"):
@@ -110,9 +120,16 @@ def test_no_seeds_at_all_are_refused(text):
         ("ocr --hidden 2", "must be a number from 0 to 0.95; got '2'"),
         ("odometry --drift wide", "must be a number from 0 to 10; got 'wide'"),
         ("matching --points many", "must be a whole number of at least 1; got 'many'"),
+        ("real-radio --floors uw_floor,B1", "unknown choice 'B1'; choose from site1_B1, site2_F6, uw_floor"),
+        ("radio-table1 --methods ours", "unknown choice 'ours'; choose from odometry"),
+        ("sfw-table1 --experiments E9", "unknown choice 'E9'; choose from 1, 2, 3, 4, 5, 6"),
+        ("solver --datasets intel,x", "unknown choice 'x'; choose from intel, MIT, M3500, ringCity"),
+        ("robustness --methods best", "unknown choice 'best'; choose from plain"),
+        ("twc-table1 --scenes #03", "unknown choice '#03'; choose from #01, #02"),
+        ("stress --conditions nomral", "; did you mean 'normal'?"),
     ],
 )
-def test_numbers_that_make_no_table_are_refused_by_the_command_line(arguments, message, capsys):
+def test_numbers_and_names_that_make_no_table_are_refused_by_the_command_line(arguments, message, capsys):
     with pytest.raises(SystemExit):
         command(["reproduce", *arguments.split()])
     assert message in capsys.readouterr().err
@@ -125,12 +142,6 @@ def test_numbers_that_make_no_table_are_refused_by_the_command_line(arguments, m
         ("merging --set robotz=3", "there is no setting robotz; did you mean 'robots'?"),
         ("merging --cache {file}", "file is a file; choose another folder"),
         ("sfw-table1 --out {file}", "file is a file; choose another folder"),
-        ("real-radio --floors uw_floor,B1", "unknown choice 'B1'; choose from site1_B1,site2_F6,uw_floor"),
-        ("radio-table1 --places ,", "unknown choice ','; choose from indoor,semi-indoor,outdoor"),
-        ("radio-table1 --methods ours", "unknown choice 'ours'; choose from odometry"),
-        ("sfw-table1 --experiments E9", "unknown choice 'E9'; choose from 1,2,3,4,5,6"),
-        ("solver --datasets intel,x", "unknown choice 'x'; choose from intel,MIT,M3500,ringCity"),
-        ("robustness --methods best", "unknown choice 'best'; choose from plain"),
         ("robustness --shares 0,1", "a share of false closures lies in 0..1 (without 1); got 1"),
         ("robustness --shares ,", "--shares takes numbers like 0,0.5; got ','"),
         ("merging --buildings 101", "the test split holds 100 buildings; got 101"),

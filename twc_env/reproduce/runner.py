@@ -12,9 +12,9 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from twc_env.errors import ConfigError, DataError
+from twc_env.errors import ConfigError, DataError, did_you_mean
 from twc_env.records.json_values import TERMINAL, check_folder, plain, write_json
 from twc_env.running.command_line import aligned, count, end_line, parse_seeds, show_line
 from twc_env.running.finished_parts import FinishedParts
@@ -157,13 +157,29 @@ def add_seeds(parser: argparse.ArgumentParser, default: str, what: str) -> None:
     parser.add_argument("--seeds", type=seeds_argument, default=default, help=help)
 
 
-def chosen(text: str, known: Iterable[str]) -> list[str]:
-    """The names in a list like "intel,MIT". Raises ConfigError for an unknown name or an empty list."""
-    known, names = list(known), [name.strip() for name in text.split(",") if name.strip()]
-    for name in names or [text]:
-        if name not in known:
-            raise ConfigError(f"unknown choice {name!r}; choose from {','.join(known)}")
-    return names
+class _Some(argparse.Action):
+    """Known names, as words or in lists like "intel,MIT"; a leading #, which begins a comment in a shell, may lack."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, *_: Any) -> None:
+        """Store the names. Raises ArgumentError for an unknown one."""
+        known = {name.removeprefix("#"): name for name in self.default} | {name: name for name in self.default}
+        words = [word.strip() for value in values for word in ([value] if value in known else value.split(","))]
+        for word in filter(None, words):
+            if word not in known:
+                among = f"choose from {', '.join(self.default)}{did_you_mean(word, known)}"
+                raise argparse.ArgumentError(self, f"unknown choice {word!r}; {among}")
+        names = list(dict.fromkeys(known[word] for word in words if word)) or self.default
+        setattr(namespace, self.dest, names)
+
+
+def add_some(parser: argparse.ArgumentParser, option: str, known: Iterable[str], what: str) -> None:
+    """An option that takes some of the known names; all if it is not given."""
+    names = list(known)
+    shown = f"{what}: any of {'; '.join(names)}; one with spaces in quotes (default: all)"
+    if not any(" " in name for name in names):
+        shown = f"{what}: any of {', '.join(names)} (default: all)"
+    text = shown.replace("%", "%%")
+    parser.add_argument(option, nargs="+", action=_Some, default=names, metavar="NAME", help=text)
 
 
 def table_module(name: str) -> ModuleType:

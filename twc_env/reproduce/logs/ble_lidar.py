@@ -31,7 +31,7 @@ from twc_env.records.messages import SensorFrame
 from twc_env.reproduce.drawing import draw_grid, new_figure
 from twc_env.reproduce.logs.intel import place_frames
 from twc_env.reproduce.radio_places import flat
-from twc_env.reproduce.runner import Runner, data_folder
+from twc_env.reproduce.runner import Runner, add_some, data_folder
 from twc_env.running.command_line import count
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.matching.scan_matching import LineField, scan_points
@@ -73,7 +73,7 @@ SETTINGS: dict = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    parser.add_argument("--runs", nargs="+", choices=DRIVES, default=list(DRIVES), help="drives (default: all)")
+    add_some(parser, "--runs", DRIVES, "drives")
     parser.add_argument("--frames", type=count, default=10_000, help="only the first frames of a drive (default: all)")
 
 

@@ -60,7 +60,7 @@ from twc_env.records.messages import Fingerprint
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.logs import real_radio_oracle
 from twc_env.reproduce.logs.intel import place_frames
-from twc_env.reproduce.runner import Runner, chosen, data_folder
+from twc_env.reproduce.runner import Runner, add_some, data_folder
 from twc_env.running.command_line import count
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.radio import radio_slam, trace_joining
@@ -77,7 +77,7 @@ ENGINE: EnvConfig = from_dict(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twc-env reproduce real-radio`."""
-    parser.add_argument("--floors", default=",".join((*FLOORS, ROBOT_FLOOR)), help="floors")
+    add_some(parser, "--floors", (*FLOORS, ROBOT_FLOOR), "floors")
     parser.add_argument("--seeds", type=count, default=5, metavar="N", help="number of simulated drifts for uw_floor")
     parser.add_argument("--traces", type=count, metavar="N", help="only the first N walks of a mall")
 
@@ -85,10 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """{floor, method, traces_joined, traces, error_mean_m, error_std_m}; `traces` are all that were recorded."""
     folder = data_folder()
-    found = runner.each(
-        chosen(options.floors, (*FLOORS, ROBOT_FLOOR)),
-        lambda floor: _floor(folder, floor, options.seeds, options.traces),
-    )
+    found = runner.each(options.floors, lambda floor: _floor(folder, floor, options.seeds, options.traces))
     table = [dict(row) for part in found for row in part]
     for row in table:
         half_m = row.pop("error_median_m")

@@ -27,7 +27,7 @@ from twc_env.datasets.logs.g2o import read_g2o
 from twc_env.errors import ConfigError, DataError
 from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.records.geometry import between, compose, inverse, poses_along
-from twc_env.reproduce.runner import Runner, add_seeds, chosen, data_folder, seeds_argument
+from twc_env.reproduce.runner import Runner, add_seeds, add_some, data_folder, seeds_argument
 from twc_env.running.command_line import count
 from twc_env.slam.pose_graph import robust_back_end as robust_backend
 from twc_env.slam.pose_graph.solver import Graph
@@ -65,21 +65,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twc-env reproduce robustness`."""
     add_seeds(parser, "6", "seeds for `ours`")
     parser.add_argument("--other-seeds", type=seeds_argument, default="1", help="seeds for the other methods")
-    parser.add_argument("--datasets", default=",".join(DATASETS), help="pose graphs")
+    add_some(parser, "--datasets", DATASETS, "pose graphs")
     parser.add_argument("--shares", default="0,0.2,0.5,0.8", help="shares of false closures")
     parser.add_argument("--jobs", type=count, default=2, help="parallel processes")
-    parser.add_argument("--methods", default=",".join(METHODS), help="methods")
+    add_some(parser, "--methods", METHODS, "methods")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per set, kind, share and method; means over the seeds, and the worst error."""
-    datasets, methods = chosen(options.datasets, DATASETS), chosen(options.methods, METHODS)
-    shares = _shares(options.shares)
+    shares, methods = _shares(options.shares), options.methods
     folder = data_folder() / "posegraph"
     seeds = dict.fromkeys(methods, options.other_seeds) | {"ours": options.seeds}
     cases = [
         Case(dataset, kind, share, method, seed)
-        for dataset in datasets
+        for dataset in options.datasets
         for share in shares
         for kind in (KINDS if share else ("none",))
         for method in methods

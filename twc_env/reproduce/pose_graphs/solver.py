@@ -18,7 +18,7 @@ from twc_env.config import PoseGraphConfig
 from twc_env.errors import ConfigError
 from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.reproduce.pose_graphs.robustness import DATASETS, dead_reckoning, read_graph
-from twc_env.reproduce.runner import Runner, chosen, data_folder
+from twc_env.reproduce.runner import Runner, add_some, data_folder
 from twc_env.running.command_line import count
 from twc_env.slam.pose_graph import solver as pose_graph
 from twc_env.slam.pose_graph.solver import Graph
@@ -28,14 +28,14 @@ CHOOSES = ("datasets",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twc-env reproduce solver`."""
-    parser.add_argument("--datasets", default=",".join(DATASETS), help="pose graphs")
+    add_some(parser, "--datasets", DATASETS, "pose graphs")
     parser.add_argument("--repeats", type=count, default=5, help="alternating runs of each solver")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """Two rows per set: ours and gtsam's."""
-    names = chosen(options.datasets, DATASETS)
-    return [row for pair in runner.each(names, lambda name: compare(name, options.repeats)) for row in pair]
+    pairs = runner.each(options.datasets, lambda name: compare(name, options.repeats))
+    return [row for pair in pairs for row in pair]
 
 
 def compare(dataset: str, repeats: int) -> list[dict]:

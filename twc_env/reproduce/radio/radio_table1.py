@@ -26,7 +26,7 @@ from twc_env.reproduce.drawing import new_figure
 from twc_env.reproduce.radio import radio_figures, radio_sweep
 from twc_env.reproduce.radio.radio_methods import METHODS, location_errors_m, means, outcomes
 from twc_env.reproduce.radio.radio_twins import PLACES
-from twc_env.reproduce.runner import Runner, add_seeds, chosen
+from twc_env.reproduce.runner import Runner, add_seeds, add_some
 from twc_env.running.command_line import count, number
 
 CHOOSES = ("seeds", "places")
@@ -37,8 +37,8 @@ SURVEY_PRINTED_S = 8619.2
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twc-env reproduce radio-table1`."""
     add_seeds(parser, "4-9", "walks, of which 0-3 were used for calibration")
-    parser.add_argument("--places", default=",".join(PLACES), help="places")
-    parser.add_argument("--methods", default=",".join(METHODS), help="methods")
+    add_some(parser, "--places", PLACES, "places")
+    add_some(parser, "--methods", METHODS, "methods")
     parser.add_argument("--jobs", type=count, default=2, help="parallel processes")
     parser.add_argument(
         "--share", type=number(0.01, 1.0), default=1.0, help="share of the published length, for a quick look"
@@ -53,16 +53,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per environment and method; means over seeds."""
-    chosen(options.places, PLACES)  # an unknown place fails before the first walk
     if options.sweep:
         return radio_sweep.rows(options.seeds, runner, options.share, options.jobs)
     if options.out:
         new_figure(1, 1)  # without matplotlib this fails before the first walk
-    methods = chosen(options.methods, METHODS)
     table = []
     for name, found in _walks(options, runner, options.seeds).items():
         walks = [walk["errors"] for walk in found]
-        table += [_row(name, method, walks) for method in methods if method in walks[0]]
+        table += [_row(name, method, walks) for method in options.methods if method in walks[0]]
         _note_worse(runner, name, walks)
         for way in found[0]["located_m"]:
             error_m = np.mean([walk["located_m"][way] for walk in found])
@@ -91,8 +89,8 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
 
 def _walks(options: argparse.Namespace, runner: Runner, seeds: list[int]) -> dict[str, list[dict]]:
     """Place -> results of `_measured` for each seed."""
-    work = functools.partial(_measured, share=options.share, methods=chosen(options.methods, METHODS))
-    return runner.grid(chosen(options.places, PLACES), seeds, work, options.jobs)
+    work = functools.partial(_measured, share=options.share, methods=options.methods)
+    return runner.grid(options.places, seeds, work, options.jobs)
 
 
 def _measured(name: str, seed: int, share: float, methods: list[str]) -> dict[str, dict]:

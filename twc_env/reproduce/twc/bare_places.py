@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.reproduce.runner import Runner, add_seeds
+from twc_env.reproduce.runner import Runner, add_seeds, add_some
 from twc_env.running.command_line import count
 from twc_env.world.building.floorplan import AccessPoint, Floorplan, Sign
 
@@ -87,14 +87,7 @@ SCENES: dict[str, Corridor | Hall] = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
     add_seeds(parser, "10", "seeds of the episodes of each scene")
-    parser.add_argument(
-        "--scenes",
-        nargs="+",
-        choices=SCENES,
-        default=list(SCENES),
-        metavar="SCENE",
-        help=f"any of {'; '.join(SCENES)} (default: all)",
-    )
+    add_some(parser, "--scenes", SCENES, "scenes")
     parser.add_argument("--robots", type=count, default=3, help="number of robots")
     parser.add_argument("--steps", type=count, default=2000, help="maximum steps per episode")
 

@@ -29,7 +29,7 @@ from twc_env.maps import load_map
 from twc_env.metrics import path_length_m
 from twc_env.metrics.consistency import errors_since_closure
 from twc_env.records.random_streams import random_stream
-from twc_env.reproduce.runner import Runner
+from twc_env.reproduce.runner import Runner, add_some
 from twc_env.reproduce.twc.merging import STEPS_PER_M, begin_episode, first_buildings, overlapping_ways, step_walkers
 from twc_env.running.command_line import count, natural
 from twc_env.world.building.floorplan import Floorplan
@@ -52,14 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--buildings", type=count, default=10, help="number of test-split buildings")
     parser.add_argument("--robots", type=count, default=3, help="number of robots")
     parser.add_argument("--seed", type=natural, default=0, help="noise seed")
-    parser.add_argument(
-        "--conditions",
-        nargs="+",
-        choices=CONDITIONS,
-        default=list(CONDITIONS),
-        metavar="CONDITION",
-        help=f"any of {', '.join(CONDITIONS)}; quote names of two words (default: all)",
-    )
+    add_some(parser, "--conditions", CONDITIONS, "conditions")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

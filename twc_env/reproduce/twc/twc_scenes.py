@@ -18,7 +18,6 @@ dissimilar, which is harder for text alone and easier for text and radio togethe
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -44,19 +43,6 @@ WALL_LOSS_SCALE = 0.7
 STOP_SPREAD_M = 0.25
 """Standard deviation of the stops of a robot between seeds."""
 BEFORE_WALL_M = 0.2
-
-
-def add_scenes(parser: argparse.ArgumentParser) -> None:
-    """The option `--scenes`; a name may lack its #, which begins a comment in a shell."""
-    parser.add_argument(
-        "--scenes",
-        nargs="+",
-        type=lambda name: f"#{name.removeprefix('#')}",
-        choices=tuple(SCENES),
-        default=list(SCENES),
-        metavar="SCENE",
-        help="any of 01, 02 (default: both)",
-    )
 
 
 def scene_config(scene: str) -> EnvConfig:

@@ -28,10 +28,10 @@ import numpy as np
 
 from twc_env.config import EnvConfig, override
 from twc_env.reproduce.routes import Walk
-from twc_env.reproduce.runner import Runner, add_seeds
+from twc_env.reproduce.runner import Runner, add_seeds, add_some
 from twc_env.reproduce.twc.published import PRINT, over_known
 from twc_env.reproduce.twc.sign_pass_scores import COMBINED, METHODS, RECALL_LEVELS, TEXT, WIFI, score_all, score_some
-from twc_env.reproduce.twc.twc_scenes import AS_DRAWN, DEPARTMENTS, add_scenes, scene_config, walk_scene
+from twc_env.reproduce.twc.twc_scenes import AS_DRAWN, DEPARTMENTS, SCENES, scene_config, walk_scene
 from twc_env.slam.places.rssi_similarity import BY_DISTANCE, COSINES
 
 RSSI_MODES = (*BY_DISTANCE, *COSINES, "paper")
@@ -44,7 +44,7 @@ EQ7_AS_PRINTED, AS_PRINTED = "eq7", "as printed"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     add_seeds(parser, "20", "seeds of the walks")
-    add_scenes(parser)
+    add_some(parser, "--scenes", SCENES, "scenes")
     parser.add_argument(
         "--alternatives", action="store_true", help="add rows for the other interpretations of Eq. 7 and 10"
     )

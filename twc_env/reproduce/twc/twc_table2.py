@@ -32,7 +32,7 @@ from twc_env.config import EnvConfig, override
 from twc_env.maps import load_map
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.routes import Walk
-from twc_env.reproduce.runner import Runner, add_seeds
+from twc_env.reproduce.runner import Runner, add_seeds, add_some
 from twc_env.reproduce.twc.offline_mapping import (
     BACKENDS,
     Matched,
@@ -46,7 +46,7 @@ from twc_env.reproduce.twc.offline_mapping import (
 )
 from twc_env.reproduce.twc.published import PRINT as PRINT_TABLE1
 from twc_env.reproduce.twc.published import over_known
-from twc_env.reproduce.twc.twc_scenes import SCENES, SIGNS, add_scenes, scene_config, walk_scene
+from twc_env.reproduce.twc.twc_scenes import SCENES, SIGNS, scene_config, walk_scene
 from twc_env.slam.team import TeamMapper
 
 CHOOSES = ("seeds", "scenes")
@@ -74,7 +74,7 @@ PRINT = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     add_seeds(parser, "20", "seeds of the walks")
-    add_scenes(parser)
+    add_some(parser, "--scenes", SCENES, "scenes")
     parser.add_argument("--signs", choices=SIGNS, default=SIGNS[0], help="signs on the walls")
 
 

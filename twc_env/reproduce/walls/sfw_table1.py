@@ -21,7 +21,7 @@ import numpy as np
 from twc_env.config import radio_preset
 from twc_env.maps import load_map
 from twc_env.metrics import path_length_m
-from twc_env.reproduce.runner import Runner, add_seeds, chosen
+from twc_env.reproduce.runner import Runner, add_seeds, add_some
 from twc_env.reproduce.walls import sfw_scoring as scoring
 from twc_env.reproduce.walls.sfw_flats import flat
 from twc_env.reproduce.walls.sfw_slam import slam_walk
@@ -47,7 +47,7 @@ _FLAT_NOISE_SEED = 100
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-table1`."""
     add_seeds(parser, "10", "noise seeds")
-    parser.add_argument("--experiments", default="1,2,3,4,5,6", help="experiments to run")
+    add_some(parser, "--experiments", map(str, POINTS), "experiments")
     parser.add_argument(
         "--flats", type=natural, default=0, metavar="N", help="use N generated flats instead of the six plans"
     )
@@ -58,7 +58,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per experiment and method."""
     if options.flats:
         return _flat_rows(options, runner)
-    experiments = [int(number) for number in chosen(options.experiments, map(str, POINTS))]
+    experiments = [int(number) for number in options.experiments]
     parts = [(experiment, seed) for experiment in experiments for seed in options.seeds]
 
     def drawn_in(part: tuple[int, int]) -> Path | None:
