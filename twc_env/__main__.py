@@ -21,6 +21,7 @@ from twc_env.commands.radio_survey import add_radio_survey_parser
 from twc_env.commands.settings import add_settings_parser
 from twc_env.commands.team_options import AGENTS
 from twc_env.commands.train import add_train_parser
+from twc_env.commands.warm_up import add_warm_up_parser
 from twc_env.reproduce.runner import add_parser
 from twc_env.running.command_line import Parser, add_version, run_command
 
@@ -51,6 +52,7 @@ def _parser() -> argparse.ArgumentParser:
         add_radio_survey_parser,
         add_maps_parser,
         add_settings_parser,
+        add_warm_up_parser,
         add_log_parsers,
         add_bench_parser,
         add_ocr_parser,
