@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from tests.forks import ALONE, Forks
 from twc_env.errors import ConfigError
 from twc_env.records.geometry import wrap_angle
 from twc_env.world.sensors import ocr
@@ -49,15 +48,6 @@ def refusal(capsys):
         return said
 
     return refusal_of
-
-
-@pytest.fixture(scope="session")
-def kernel_forks(tmp_path_factory):
-    """Runs programs that compile kernels in forked processes; numba is loaded once for all of them."""
-    loaded = "from twc_env.kernels.compiled import kernel; kernel(lambda x: 2 * x)(1)"
-    forks = Forks(loaded, tmp_path_factory.mktemp("forks"), ALONE)
-    yield forks
-    forks.close()
 
 
 @pytest.fixture(scope="session")

@@ -120,7 +120,7 @@ def test_an_installed_wheel_works_without_home_in_an_empty_folder_if_the_package
         folder.chmod(0o555)
     before = sorted(package.rglob("*"))
     env = {key: os.environ[key] for key in ("PATH", "SYSTEMROOT") if key in os.environ}
-    env["NUMBA_CACHE_DIR"] = str(tmp_path / "cache")
+    env["XDG_CACHE_HOME"] = str(tmp_path / "cache")
     for arguments in (
         ["explore", "--map", "twin-01", "--steps", "20", "--out", "run"],
         ["compare", "--agents", "nearest-frontier", "random", "--buildings", "2", "--steps", "20"],

@@ -22,6 +22,7 @@ COMMANDS = {
     "radio-survey": "wall maps from WiFi alone, by path length",
     "maps": "list, draw, generate, import, export and check floor plans",
     "settings": "print every setting with its meaning, range and value, as a TOML file to start from",
+    "warm-up": "compile all kernels now instead of at the first episode",
     "record": "record the sensor frames of an episode, and the ground truth in a separate file",
     "replay": "run the SLAM engine on a recorded log, or export a run as a web page or Rerun recording",
     "bench": "measure steps per second, with and without SLAM",

@@ -19,13 +19,13 @@ from twc_env.config.checks import refuse_arguments, whole_number
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration.actions import velocity_space
 from twc_env.exploration.assessment import evaluation, rewards
-from twc_env.exploration.compilation import FIRST_START, announce_compilation
 from twc_env.exploration.episode import Episode
 from twc_env.exploration.macro_actions import MacroActions, frontier_space, waypoint_space
 from twc_env.exploration.observation.observation_blocks import observation_space
 from twc_env.exploration.reset_options import read_options
 from twc_env.exploration.settings import resolve
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
+from twc_env.kernels.compilation import announcer
 from twc_env.maps import load_map
 from twc_env.records.messages import Belief, Contacts, SensorFrame
 from twc_env.slam.modes import Engine
@@ -142,13 +142,12 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         refuse_arguments(unknown, ExplorationEnv)
         if not isinstance(floorplan, (Floorplan, NoneType)):
             raise ConfigError(f"floorplan must be a Floorplan; got {floorplan!r}: name a map or a file as `map`")
-        announce_compilation()
+        announcer()
         self.config = resolve(config, task, {"map": map, "robots": robots, "max_cycles": max_cycles})
         # Copies are made from the resolved values: a dict may be changed by its owner later.
         EzPickle.__init__(
             self, config=self.config, render_mode=render_mode, floorplan=floorplan, render_signal=render_signal
         )
-        FIRST_START.is_engine_wanted |= self.config.slam.mode != "off"
         self.metadata = copy.deepcopy(type(self).metadata)
         self.render_mode = render_mode
         self._viewer = _make_viewer(render_mode, self.metadata["render_fps"], render_signal)

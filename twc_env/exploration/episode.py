@@ -13,9 +13,8 @@ from twc_env.config import EnvConfig
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration.assessment import evaluation, map_scores, rewards
 from twc_env.exploration.assessment.episode_record import EpisodeRecord
-from twc_env.exploration.compilation import FIRST_START
 from twc_env.exploration.macro_actions import CandidateSearch, MacroActions
-from twc_env.exploration.observation.observations import ObservationBuilder, first_observations
+from twc_env.exploration.observation.observations import ObservationBuilder
 from twc_env.records.messages import Belief, Contacts, SensorFrame
 from twc_env.records.random_streams import random_stream
 from twc_env.records.team_messages import TeamFrames
@@ -79,8 +78,6 @@ class Episode:
         self.contacts: Contacts
         """Radio contacts between robots in the last time step."""
         frames = world.sense()
-        if FIRST_START.is_helped:  # compile the kernels of observations while the helper compiles the engine's
-            first_observations(config, frames)
         self._think(frames)
         self._bytes_evaluated = self.bytes_sent
 

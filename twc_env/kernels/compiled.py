@@ -1,24 +1,23 @@
 """Compiled kernels: loops over arrays, written in Python and as fast as in C.
 
-`twc_env.kernels.kernel_compiler` compiles them and keeps them on disk. A kernel may call kernels of other files and
-read their constants, imported by `from module import name`; a change of any of them recompiles it.
+Numba compiles them at their first call and keeps them in `twc_env.kernels.cache_folder`. A kernel may call kernels of
+other files and read their constants, imported by `from module import name`; any change of the sources compiles anew.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from types import ModuleType
 from typing import Any
 
-import numba
 from numba import njit
 
+from twc_env.kernels.cache_folder import caching_there
+from twc_env.kernels.compilation import one_process_compiles
 from twc_env.kernels.packs import Lent, kind_of, parts_of
 
 __all__ = ["BindsAnew", "Lent", "borrowing_kernel", "bound", "kernel", "parts_of", "rebound"]
-NUMBA_MIN, NUMBA_MAX = (0, 62), (0, 68)
-"""Versions of numba that `kernel_compiler` supports. With others, kernels are compiled in every process."""
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -37,24 +36,28 @@ def borrowing_kernel(function: Callable[..., Any]) -> Any:
     return _compiled(function, _nrt=False)
 
 
-def _compiled(function: Callable[..., Any], **others: bool) -> Any:
+def _compiled(function: Callable[..., Any], _nrt: bool = True) -> Any:
     for name in function.__code__.co_names:
         value = function.__globals__.get(name)
         if isinstance(value, ModuleType) and value.__name__.startswith("twc_env."):
             raise TypeError(f"kernel {function.__name__}: import names from {value.__name__}, not the module")
-    options = {"boundscheck": None, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": True, **others}
-    if not is_numba_known():
-        return njit(**options)(function)  # numba's own disk cache misses changes of imported modules
-    from twc_env.kernels.kernel_compiler import KernelDispatcher  # imports internals that another numba may lack
-
-    compiled = KernelDispatcher(function, targetoptions={"nopython": True, **options})
-    compiled.enable_caching()
-    return compiled
+    one_process_compiles()
+    own = {"no_cfunc_wrapper": True, "_nrt": _nrt} if _knows_own_options() else {}
+    with caching_there():
+        return njit(cache=True, error_model="numpy", boundscheck=None, **own)(function)
 
 
-def is_numba_known() -> bool:
-    """Whether kernels are kept on disk with this version of numba."""
-    return NUMBA_MIN <= tuple(int(part) for part in numba.__version__.split(".")[:2]) <= NUMBA_MAX
+@cache
+def _knows_own_options() -> bool:
+    """Whether this numba knows two options of njit that it does not document; without them everything works as well.
+
+    With reference counting in borrowing kernels a step of the environment takes a sixth longer.
+    """
+    try:
+        njit(no_cfunc_wrapper=True, _nrt=False)(lambda: None)
+    except (KeyError, TypeError, ValueError):
+        return False
+    return True
 
 
 _ENTRIES: dict[Any, Callable[..., Any]] = {}

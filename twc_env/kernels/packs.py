@@ -11,8 +11,7 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba.core import types
-from numba.core.imputils import impl_ret_borrowed
+from numba import types
 from numba.extending import NativeValue, intrinsic, models, register_model, typeof_impl, unbox
 
 _NUMBERS: dict[Any, str] = {bool: "?", int: "q", float: "d"}
@@ -121,7 +120,6 @@ def parts_of(_context, lent):
         kind_in_memory = context.get_value_type(lent.parts)
         if context.get_abi_sizeof(kind_in_memory) != lent.size:
             raise TypeError(f"this numba lays out {lent.parts} in another way")
-        found = builder.load(builder.bitcast(arguments[0], kind_in_memory.as_pointer()))
-        return impl_ret_borrowed(context, builder, lent.parts, found)
+        return builder.load(builder.bitcast(arguments[0], kind_in_memory.as_pointer()))  # its arrays have no owners
 
     return lent.parts(lent), generate

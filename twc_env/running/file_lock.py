@@ -44,14 +44,18 @@ class FileLock:
             os.close(descriptor)  # its holder has deleted the file in between: try again with a new one
         return None
 
-    @contextlib.contextmanager
-    def held(self, patience_s: float) -> Iterator[bool | None]:
-        """Wait for the lock at most `patience_s`; yields the last result of `take`, and releases the lock."""
+    def await_it(self, patience_s: float) -> bool | None:
+        """Wait for the lock at most `patience_s`; the last result of `take`."""
         end = time.monotonic() + patience_s
         while (is_taken := self.take()) is False and time.monotonic() < end:
             time.sleep(_LOOK_AGAIN_S)
+        return is_taken
+
+    @contextlib.contextmanager
+    def held(self, patience_s: float) -> Iterator[bool | None]:
+        """`await_it`; yields its result, and releases the lock."""
         try:
-            yield is_taken
+            yield self.await_it(patience_s)
         finally:
             self.release()
 

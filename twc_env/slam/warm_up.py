@@ -1,6 +1,6 @@
 """Runs the engine briefly on synthetic frames, so that its kernels are compiled and cached on disk.
 
-The helper process of the first start begins with this (`twc_env.exploration.warm_up`).
+`twc_env.exploration.warm_up` begins with this.
 """
 
 from __future__ import annotations

@@ -17,7 +17,6 @@ from twc_env.exploration.observation.small_blocks import SMALL, SmallBlocks
 from twc_env.planning.candidates import NOTHING, Candidates, features_of
 from twc_env.records.messages import Belief, GridMap, SensorFrame
 from twc_env.records.team_messages import TeamBeliefs, TeamFrames
-from twc_env.slam.dead_reckoning import DeadReckoning
 
 _USUAL = "lidar", "map", "pose", "wifi", "signs", "team"
 """The blocks that are enabled by default."""
@@ -140,11 +139,3 @@ def _usual(rows: Sequence[tuple[Array, ...]], maps: Array) -> list[dict[str, Arr
         lidar, pose, wifi, signs, team = row
         seen.append({"lidar": lidar, "map": around, "pose": pose, "wifi": wifi, "signs": signs, "team": team})
     return seen
-
-
-def first_observations(config: EnvConfig, frames: TeamFrames) -> list[dict[str, Array]] | list[Array]:
-    """Observations after the first frames, with empty maps; compiles the kernels of observations."""
-    engine, builder = DeadReckoning(config, len(frames)), ObservationBuilder(config)
-    engine.track(frames)
-    builder.notice(frames, engine.beliefs())
-    return builder.build()

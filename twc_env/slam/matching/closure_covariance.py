@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba.core import types
+from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray as Array
 

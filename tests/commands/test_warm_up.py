@@ -1,0 +1,23 @@
+"""`twc-env warm-up`."""
+
+import pytest
+
+from twc_env.__main__ import main
+from twc_env.exploration import warm_up as episode
+from twc_env.kernels import cache_folder
+
+
+@pytest.mark.parametrize("count, expected", [(12, "12 functions compiled"), (0, "nothing to compile")])
+@pytest.mark.parametrize("kept", [True, False])
+def test_it_says_what_was_compiled_and_where_it_is_kept(monkeypatch, capsys, count, expected, kept):
+    monkeypatch.setattr(episode, "compile_all", lambda: count)
+    monkeypatch.setattr(cache_folder, "is_kept", lambda: kept)
+    assert main(["warm-up"]) == 0
+    said = capsys.readouterr().out
+    assert expected in said
+    assert (str(cache_folder.cache_folder()) if kept else "NUMBA_CACHE_DIR") in said
+
+
+def test_it_runs_a_whole_episode(monkeypatch):
+    monkeypatch.setattr(episode, "STEPS", 20)
+    assert episode.compile_all() >= 0

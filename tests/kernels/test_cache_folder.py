@@ -1,0 +1,145 @@
+"""Where compiled kernels are kept: staleness, places that cannot be written, processes that start together."""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from twc_env.kernels import cache_folder as places
+
+ROOT = Path(__file__).parents[2]
+KERNELS = """from twc_env.kernels.compiled import kernel
+
+
+@kernel
+def doubled(x):
+    if x < 0:
+        raise ValueError("negative")
+    return 2 * x
+
+
+@kernel
+def total(x, count):
+    found = 0
+    for i in range(count):
+        found += doubled(x + i)
+    return found
+"""
+CALL = """
+import kernels
+from twc_env.kernels.cache_folder import cache_folder, is_kept
+assert kernels.total(3, 2) == 14
+print(len(kernels.total.stats.cache_hits), is_kept(), cache_folder(), kernels.total.stats.cache_path)
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with a module of two kernels, one of which calls the other."""
+    (tmp_path / "kernels.py").write_text(KERNELS)
+    return tmp_path
+
+
+def begin(folder, code=CALL, **environment):
+    kept = {name: os.environ[name] for name in ("PATH", "SYSTEMROOT") if name in os.environ}
+    return subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        env={**kept, "PYTHONPATH": str(ROOT), **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def said(process):
+    text, errors = process.communicate()
+    assert process.returncode == 0, errors
+    hits, kept, folder, used = text.split()
+    return int(hits), kept == "True", Path(folder), Path(used)
+
+
+def test_a_second_process_reads_what_the_first_has_compiled(folder):
+    cache = folder / "cache"
+    first = said(begin(folder, NUMBA_CACHE_DIR=str(cache)))
+    assert first[:2] == (0, True) and cache in first[2].parents and first[2] in first[3].parents
+    assert said(begin(folder, NUMBA_CACHE_DIR=str(cache)))[0] == 1
+    assert not list(cache.rglob("*.lock"))
+
+
+def test_another_state_of_the_sources_has_another_folder(monkeypatch, tmp_path):
+    before = places.source_digest()
+    assert places.source_digest() == before and len(before) == 16
+    copy = tmp_path / "twc_env"
+    shutil.copytree(ROOT / "twc_env", copy, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(places, "__file__", str(copy / "kernels" / "cache_folder.py"))
+    assert places.source_digest() == before
+    with (copy / "records" / "geometry.py").open("a") as file:
+        file.write("\n")
+    assert places.source_digest() != before
+
+
+def test_a_folder_that_can_only_be_read_is_copied(folder):
+    """As in an image whose kernels were compiled when it was built; also for root, who may write anywhere."""
+    cache = folder / "cache"
+    said(begin(folder, NUMBA_CACHE_DIR=str(cache)))
+    refusing = (
+        "import tempfile\nmake = tempfile.TemporaryFile\n"
+        "def refuse(*a, dir=None, **k):\n"
+        f"    if str(dir).startswith({str(cache)!r}):\n        raise PermissionError\n"
+        "    return make(*a, dir=dir, **k)\n"
+        "tempfile.TemporaryFile = refuse\n"
+    )
+    files = sorted(cache.rglob("*"))
+    hits, kept, used, _ = said(begin(folder, refusing + CALL, NUMBA_CACHE_DIR=str(cache)))
+    assert (hits, kept) == (1, False)
+    assert cache not in used.parents and not used.exists()  # deleted at the end of the process
+    assert sorted(cache.rglob("*")) == files
+
+
+@pytest.mark.parametrize("environment", [{"HOME": "/proc/nowhere", "XDG_CACHE_HOME": "/proc/nowhere"}, {}])
+def test_without_a_home_kernels_are_compiled_all_the_same(folder, environment):
+    place = folder / "user"
+    hits, kept, used, _ = said(begin(folder, **(environment or {"XDG_CACHE_HOME": str(place)})))
+    assert hits == 0
+    assert kept == (not environment) and used.exists() == kept
+
+
+def test_of_processes_that_start_together_one_compiles_and_none_fails(folder):
+    cache = folder / "cache"
+    processes = [begin(folder, NUMBA_CACHE_DIR=str(cache)) for _ in range(4)]
+    hits = sorted(said(process)[0] for process in processes)
+    assert hits == [0, 1, 1, 1]
+
+
+def test_a_process_killed_while_it_compiles_leaves_nothing_in_the_way(folder):
+    cache = folder / "cache"
+    nap = (
+        "import time\nfrom numba.core import event\nclass Nap(event.Listener):\n"
+        "    def on_start(self, event):\n        print('compiling', flush=True)\n        time.sleep(600)\n"
+        "    def on_end(self, event):\n        pass\n"
+        "event.register('numba:compile', Nap())\n"
+    )
+    process = begin(folder, nap + CALL, NUMBA_CACHE_DIR=str(cache))
+    assert process.stdout.readline() == "compiling\n"
+    process.kill()
+    process.communicate()
+    begun = time.monotonic()
+    assert said(begin(folder, NUMBA_CACHE_DIR=str(cache)))[0] == 0
+    assert time.monotonic() - begun < 60.0
+
+
+def test_folders_that_nobody_used_for_long_are_deleted(tmp_path):
+    mine, old, recent, other = (tmp_path / f"{name}" for name in ("twc_env-1", "twc_env-2", "twc_env-3", "other"))
+    for each in (mine, old, recent, other):
+        each.mkdir()
+        (each / "file").write_text("")
+    long_ago = time.time() - (places.UNUSED_DAYS + 1) * 86400
+    for each in (mine, old, other):
+        os.utime(each, (long_ago, long_ago))
+    places._delete_unused(mine)
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["other", "twc_env-1", "twc_env-3"]

@@ -1,0 +1,124 @@
+"""What happens while kernels are compiled: one process at a time, without garbage collection, and the user sees it.
+
+Numba reports its work as events (`numba.core.event`): taking its lock before it looks for a function on disk, and the
+compilation of each function.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import sys
+import threading
+import time
+from functools import cache
+from typing import Any
+
+from numba.core import event
+from tqdm import tqdm
+
+from twc_env.kernels.cache_folder import cache_folder, is_kept
+from twc_env.running.file_lock import FileLock
+
+_LOG = logging.getLogger("twc_env")
+WAIT_MAX_S = 300.0
+"""Longest wait for another process that compiles; then this one compiles too."""
+FIRST_STEP, EPISODE = 180, 300
+"""Functions compiled until the first step of the default environment, and by `twc-env warm-up`: lengths of the bars."""
+
+
+class OneProcess(event.Listener):
+    """Holds a lock file while this process looks for a kernel on disk and, if it is not there, compiles it.
+
+    So of several processes that start together one compiles each kernel, and the others wait and read it. The lock ends
+    with the process that holds it.
+    """
+
+    def __init__(self) -> None:
+        self._threads, self._depth = threading.RLock(), 0
+        self._lock: FileLock | None = None
+
+    def on_start(self, event: Any) -> None:
+        """Called by numba before it takes its lock, which may be nested."""
+        self._threads.acquire()
+        self._depth += 1
+        if self._depth == 1:
+            self._lock = FileLock(cache_folder() / "compiling.lock")
+            self._lock.await_it(WAIT_MAX_S)
+
+    def on_end(self, event: Any) -> None:
+        """Called by numba after it has released its lock."""
+        self._depth -= 1
+        if self._depth == 0 and self._lock is not None:
+            self._lock.release()
+        self._threads.release()
+
+
+class Announcer(event.Listener):
+    """Says at the first compilation of a kernel of this package that it takes a while, and shows a bar on a terminal.
+
+    Kernels that are read from disk are no compilation. Garbage collection is off meanwhile: numba creates many small
+    objects, nearly all of which survive it.
+    """
+
+    def __init__(self) -> None:
+        self.total = FIRST_STEP
+        """Expected number of compilations."""
+        self.count = 0
+        """Functions compiled so far."""
+        self._is_said, self._depth, self._collects = False, 0, False
+        self._begin_s = time.time()
+        self._bar: tqdm | None = None
+
+    def on_start(self, event: Any) -> None:
+        """Called by numba at the start of a compilation, which may be nested in another."""
+        if self._depth == 0:
+            self._collects = gc.isenabled()
+            gc.disable()
+        self._depth += 1
+        module = event.data["dispatcher"].py_func.__module__ or ""  # None for functions that numba generates
+        if not self._is_said and module.startswith("twc_env."):
+            self._is_said = True
+            _LOG.warning("compiling kernels for first use, half a minute or more; %s", _of_later_starts())
+            self._begin_s = time.time()
+        if self._is_said and self._bar is None and sys.stderr.isatty():
+            self._bar = tqdm(total=self.total, initial=self.count, desc="compiling", unit="kernel", leave=False)
+            self._bar.start_t = self._begin_s
+
+    def on_end(self, event: Any) -> None:
+        """Called by numba at the end of a compilation, also after an error."""
+        self._depth -= 1
+        self.count += 1
+        if self._bar is not None:
+            self._bar.total = self.total = max(self.total, self.count)
+            self._bar.update()
+        if self._depth > 0:
+            return
+        if self._bar is not None:  # the next compilation may be long in coming: leave the line to others
+            self._bar.close()
+            self._bar = None
+        if self._collects:
+            if gc.get_freeze_count() == 0:
+                gc.freeze()
+                gc.unfreeze()  # moves all objects to the oldest generation, which is not collected at once
+            gc.enable()
+
+
+def _of_later_starts() -> str:
+    if is_kept():
+        return f"later starts read them from {cache_folder()}"
+    return "later starts too, as they can be kept nowhere: name a folder that can be written in NUMBA_CACHE_DIR"
+
+
+@cache
+def announcer() -> Announcer:
+    """From now on the first compilation of this process is announced."""
+    found = Announcer()
+    event.register("numba:compile", found)
+    return found
+
+
+@cache
+def one_process_compiles() -> None:
+    """From now on this process and others compile in turn."""
+    event.register("numba:compiler_lock", OneProcess())
