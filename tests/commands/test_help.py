@@ -139,7 +139,7 @@ def test_no_help_imports_what_only_the_command_needs():
 
 
 def test_help_starts_within_its_limit():
-    import resource  # not on Windows
+    resource = pytest.importorskip("resource")  # not on Windows
 
     def start_s() -> float:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)

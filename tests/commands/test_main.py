@@ -238,7 +238,7 @@ def test_ctrl_c_ends_a_command_with_one_line(monkeypatch, capsys):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("twc_env.commands.maps.load_map", interrupt)
+    monkeypatch.setattr("twc_env.maps.load_map", interrupt)
     assert main(["maps", "list"]) == 130
     assert capsys.readouterr().err == "interrupted\n"
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray as Array
 from scipy.linalg import cho_factor, cho_solve
 
 from twc_env.errors import DataError
+from twc_env.records.array_validation import validated_points
 from twc_env.records.fingerprint_validation import validated_fingerprint, validated_fingerprints
 from twc_env.records.messages import Fingerprint
 from twc_env.slam.radio.radio_similarity import FingerprintStore, features
@@ -27,14 +28,12 @@ class RadioMap:
     """Fingerprints at places (n, 2)."""
 
     def __init__(self, positions_m: Array, fingerprints: Sequence[Fingerprint], mode: str = "shifted"):
-        self.positions_m = np.array(positions_m, float)
-        if self.positions_m.shape != (len(fingerprints), 2) or not len(fingerprints):
+        self.positions_m = validated_points(positions_m, "the positions of a radio map").copy()
+        if len(self.positions_m) != len(fingerprints) or not len(fingerprints):
             raise DataError(
-                f"a radio map needs one position (n, 2) per fingerprint, at least one; got {self.positions_m.shape} "
-                f"for {len(fingerprints)}"
+                "a radio map needs one position (n, 2) per fingerprint, at least one; "
+                f"got {len(self.positions_m)} for {len(fingerprints)}"
             )
-        if not np.isfinite(self.positions_m).all():
-            raise DataError("the positions of a radio map must be finite")
         self.fingerprints = validated_fingerprints(fingerprints)
         self._store = FingerprintStore(mode)
         for fingerprint in self.fingerprints:
