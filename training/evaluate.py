@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from stable_baselines3 import PPO
 from twc_env.agents.policy import make_policy
 
 import twc_env
 from twc_env.config import override
 from twc_env.pictures.video import RecordEpisodes
 
-from .model_file import load_model
+from .model_file import load_policy
 from .ppo import ChoicePolicy
 from .progress import progress_bar
 from .run_folder import Task, model_in, read_settings, task_of
@@ -107,7 +106,7 @@ def evaluate(
     model_path = model_in(model_path)
     task = task_of(read_settings(model_path.parent))
     env = twc_env.parallel_env(config=task.config)
-    model = load_model(
+    model = load_policy(
         model_path, ChoicePolicy, TeamNotes.space(env.observation_space("robot_0")), env.action_space("robot_0")
     )
     episodes: dict[str, list[Episode]] = {name: [] for name in POLICIES}
@@ -123,7 +122,7 @@ def evaluate(
     return Evaluation(tuple(seeds), {name: tuple(values) for name, values in episodes.items()})
 
 
-def _trained(model: PPO, task: Task, seed: int) -> Choose:
+def _trained(model: ChoicePolicy, task: Task, seed: int) -> Choose:
     """Samples as in training: two robots that always take their most likely choice may wait for each other forever."""
     torch.manual_seed(seed)
     notes = TeamNotes(1, task.config.robots, task.max_cycles)
