@@ -26,7 +26,8 @@ from twc_env.running.command_line import Parser, add_version, run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; the exit status is 0 when done, 2 after bad input (one line on stderr), 130 when interrupted."""
+    """Run one command; the exit status is 0 when done, 2 after bad input (one line on stderr), 130 when interrupted by
+    Ctrl-C and 143 by SIGTERM."""
     parser = _parser()
     argcomplete.autocomplete(parser)
     return run_command(parser, arguments)

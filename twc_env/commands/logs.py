@@ -15,11 +15,13 @@ import numpy as np
 from twc_env.errors import DataError
 from twc_env.records.json_values import check_folder, write_json
 from twc_env.running.command_line import (
+    INTERRUPTED,
     add_json,
     add_set,
     alone_in,
     assignments,
     count,
+    end_line,
     make_folder,
     natural,
     show_count,
@@ -38,8 +40,8 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         "record",
         help="record the sensor frames of an episode, and the ground truth in a separate file",
         description="Record an episode of robots driven by a reactive policy. Writes frames.npz (sensor frames and "
-        "settings, no ground truth) and truth.npz (true poses); see docs/frames.md. `twc-env explore` records "
-        "frames too.",
+        "settings, no ground truth) and truth.npz (true poses); see docs/frames.md. Ctrl-C or SIGTERM ends the "
+        "recording early, and what there is of it is written. `twc-env explore` records frames too.",
         epilog="example:\n  twc-env record --map twin-02 --steps 900 --out runs/log",
     )
     record.add_argument("--map", default="twin-01", help="bundled name, generated name or file")
@@ -107,7 +109,7 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
     replay.set_defaults(run=_replay)
 
 
-def _record(options: argparse.Namespace) -> None:
+def _record(options: argparse.Namespace) -> int:
     from twc_env.bench.rates import wander
     from twc_env.config import EnvConfig, override
     from twc_env.datasets.logs.frame_log import write_frame_log, write_truth_log
@@ -117,16 +119,24 @@ def _record(options: argparse.Namespace) -> None:
     settings = {"map": options.map, "robots": options.robots, "max_cycles": options.steps}
     env = ExplorationEnv(config=override(EnvConfig(), {**settings, **assignments(options.set)}))
     env.reset(seed=options.seed)
-    steps, contacts = [env.frames], [env.contacts]
-    for actions in wander(env, options.seed):
-        env.step(actions)
-        steps.append(env.frames)
-        contacts.append(env.contacts)
-        show_count(len(steps) - 1, env.config.max_cycles, " steps", every=50)
+    log, was_interrupted = [(env.frames, env.contacts)], False
+    try:
+        for actions in wander(env, options.seed):
+            env.step(actions)
+            log.append((env.frames, env.contacts))
+            show_count(len(log) - 1, env.config.max_cycles, " steps", every=50)
+    except KeyboardInterrupt:
+        was_interrupted = True
+        end_line()
+    steps, contacts = zip(*log, strict=True)
+    true_poses = env.episode.record.true_poses[: len(steps)]
     with alone_in(options.out):
         write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
-        write_truth_log(options.out / "truth.npz", options.seed, env.config.map, env.result().true_poses)
+        write_truth_log(options.out / "truth.npz", options.seed, env.config.map, true_poses)
     print(f"{len(steps) - 1} steps of {env.config.robots} robots\nwritten: {options.out}")
+    if was_interrupted:
+        print(f"interrupted after {len(steps) - 1} steps; the log holds these", file=sys.stderr)
+    return INTERRUPTED if was_interrupted else 0
 
 
 def _replay(options: argparse.Namespace) -> None:

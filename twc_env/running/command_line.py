@@ -18,7 +18,13 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from twc_env._version import __version__
 from twc_env.errors import ConfigError, DataError, TwcError, did_you_mean
 from twc_env.records.json_values import check_writable
-from twc_env.running.command_start import begin_work, end_when_interrupted, is_loading
+from twc_env.running.command_start import (
+    begin_work,
+    end_when_interrupted,
+    end_work,
+    interrupted_status,
+    is_loading,
+)
 from twc_env.running.file_lock import FileLock
 
 if TYPE_CHECKING:
@@ -31,6 +37,8 @@ SEEDS_MAX = 100_000
 """Largest range of seeds on a command line."""
 SEED_DIGITS_MAX = 20
 """Longer numbers are no seeds of any library."""
+INTERRUPTED = 130
+"""Status of a command that was interrupted and has saved what it had."""
 LOG_INTERVAL_S = 60.0
 LINE_WIDTH = 110
 _progress = {"logged_s": time.monotonic(), "is_open": False}
@@ -38,7 +46,7 @@ _progress = {"logged_s": time.monotonic(), "is_open": False}
 
 
 def exit_status(command: Callable[[], int | None], remark: str = "interrupted") -> int:
-    """Run a command. Returns 0 or its own status when done, 130 when interrupted.
+    """Run a command. Returns 0 or its own status when done, 130 when interrupted by Ctrl-C, 143 by SIGTERM.
 
     2 after bad input, or when output cannot be written (one line on stderr). A reader such as `head` may close the
     output early, and characters that a terminal cannot show are escaped. `remark` is printed on interruption.
@@ -55,7 +63,7 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
         finally:
             end_line()
         sys.stdout.flush()
-        return status or 0
+        return interrupted_status() if status == INTERRUPTED else status or 0
     except TwcError as error:
         sys.stderr.write(f"error: {error}\n")
         return 2
@@ -73,8 +81,9 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
         return 2
     except KeyboardInterrupt:
         sys.stderr.write(f"{remark}\n")
-        return 130
+        return interrupted_status()
     finally:
+        end_work()
         if is_loading():
             end_when_interrupted()
 
