@@ -14,6 +14,7 @@ from twc_env.agents.policy import make_policy
 import twc_env
 from twc_env.config import override
 from twc_env.pictures.video import RecordEpisodes
+from twc_env.running.command_line import refuse_code
 
 from .model_file import load_policy
 from .ppo import ChoicePolicy
@@ -94,17 +95,25 @@ def _with_spread(mean: float, half_width: float, sign: str = "") -> str:
 
 
 def evaluate(
-    model_path: Path, seeds: Sequence[int], show_progress: bool = True, films: Path | None = None
+    model_path: Path,
+    seeds: Sequence[int],
+    show_progress: bool = True,
+    films: Path | None = None,
+    allow_code: bool = False,
 ) -> Evaluation:
     """One episode per seed and policy, each seed in its own held-out building; optionally with films of the trained
     team.
 
-    model_path: a model file or a run folder. Raises DataError if the model or the settings of its run cannot be read,
-    or films cannot be written.
+    model_path: a model file or a run folder. allow_code: whether its settings may name Python files to execute.
+
+    Raises DataError if the model or the settings of its run cannot be read, or films cannot be written, ConfigError for
+    settings that name code which is not allowed.
     """
     torch.set_num_threads(1)
     model_path = model_in(model_path)
     task = task_of(read_settings(model_path.parent))
+    if not allow_code:
+        refuse_code(task.config, model_path.parent / "config.json")
     env = twc_env.parallel_env(config=task.config)
     model = load_policy(
         model_path, ChoicePolicy, TeamNotes.space(env.observation_space("robot_0")), env.action_space("robot_0")

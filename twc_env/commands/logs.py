@@ -16,6 +16,7 @@ from twc_env.errors import DataError
 from twc_env.records.json_values import check_folder, write_json
 from twc_env.running.command_line import (
     INTERRUPTED,
+    add_allow_code,
     add_json,
     add_set,
     alone_in,
@@ -24,6 +25,7 @@ from twc_env.running.command_line import (
     end_line,
     make_folder,
     natural,
+    refuse_code,
     show_count,
 )
 
@@ -99,6 +101,7 @@ def add_log_parsers(commands: argparse._SubParsersAction) -> None:
         help="odometry filter: compiled kernel, or filterpy's EKF as a reference (default: as in the log)",
     )
     add_set(replay)
+    add_allow_code(replay)
     replay.add_argument(
         "--out",
         type=Path,
@@ -171,6 +174,8 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     check_folder(options.out)
     asked = assignments(options.set)
     config, steps, contacts, begun_s = _read_logs(logs, asked.get("lidar.beam_count"))
+    if not options.allow_code:
+        refuse_code(config, logs[0], asked)
     chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
     config = override(config, {**asked, **chosen})
     odom_poses: list[np.ndarray] = []

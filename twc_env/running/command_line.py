@@ -10,7 +10,7 @@ import os
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -199,6 +199,29 @@ def add_config(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config", metavar="FILE", help="settings: TOML, JSON, a run folder or a task such as twc/ExploreHard-v0"
     )
+
+
+def add_allow_code(parser: argparse.ArgumentParser) -> None:
+    """The option `--allow-code`, see `refuse_code`."""
+    parser.add_argument(
+        "--allow-code",
+        action="store_true",
+        help="execute the Python files that settings of a file, log or run folder name (FILE.py:CLASS), as those of "
+        "--set always are",
+    )
+
+
+def refuse_code(config: EnvConfig, source: str | Path, asked: Iterable[str] = ()) -> None:
+    """Raise ConfigError if settings read from `source` name Python files to execute, apart from the settings `asked`,
+    which the user's own command line replaces. A file that somebody else wrote must not choose what is executed."""
+    from twc_env.config import code_named_in
+
+    named = [f"{key}={name}" for key, name in code_named_in(config).items() if key not in set(asked)]
+    if named:
+        raise ConfigError(
+            f"{source} names code to execute ({', '.join(named)}): if you trust it, add --allow-code or the same by "
+            "--set; if not, choose another by --set"
+        )
 
 
 def config_of(name: str | None) -> EnvConfig:
