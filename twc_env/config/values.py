@@ -44,7 +44,7 @@ def to_dict(config: EnvConfig) -> dict:
 
 def code_named_in(config: Any) -> dict[str, str]:
     """Dotted settings that name a class in a Python file, FILE.py:CLASS, and their values."""
-    found = {}
+    found: dict[str, str] = {}
     for setting in dataclasses.fields(config):
         value = getattr(config, setting.name)
         if dataclasses.is_dataclass(value):

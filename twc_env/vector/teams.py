@@ -41,6 +41,7 @@ from twc_env.errors import ActionError, ConfigError, TwcError
 from twc_env.exploration.actions import action_array
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
+from twc_env.records.one_thread import OneThread
 from twc_env.vector.environment_group import RESET, STATE, STEP, EnvironmentGroup, Infos
 from twc_env.vector.shared_arrays import FLAT, SharedArrays
 from twc_env.vector.worker_pool import WorkerPool
@@ -88,6 +89,7 @@ class VectorTeams:
             WorkerPool(count, workers, *task) if workers > 1 else EnvironmentGroup(self._all, *task)
         )
         weakref.finalize(self, _close_unless_forked, self._runner, os.getpid()).atexit = False
+        self._alone = OneThread("VectorTeams")
         self._pending: set[int] = set()
         """Environments with a step that was not yet received."""
         self._early: deque[tuple[int, Infos | TwcError]] = deque()
@@ -198,11 +200,12 @@ class VectorTeams:
     def _running(self) -> Iterator[EnvironmentGroup | WorkerPool]:
         """The runner; it is closed if the block is interrupted, because the next call must not read old results."""
         runner = self._open()
-        try:
-            yield runner
-        except BaseException:
-            self.close()
-            raise
+        with self._alone:
+            try:
+                yield runner
+            except BaseException:
+                self.close()
+                raise
 
     def _open(self) -> EnvironmentGroup | WorkerPool:
         if self._runner is None:
