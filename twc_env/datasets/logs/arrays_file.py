@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +53,21 @@ def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], rem
     if missing := sorted(set(keys) - set(arrays)):
         raise DataError(f"{path} lacks {', '.join(missing)}; {remedy}")
     return arrays
+
+
+WHOLE, REAL, TRUTH_VALUE, TEXT = (
+    ("iu", "whole numbers"), ("iuf", "real numbers"), ("b", "true and false"), ("U", "text")
+)  # fmt: skip
+"""Kinds of numpy's data types that a column may have, and what they are called."""
+
+
+def fault_of_types(arrays: Mapping[str, Array], columns: Mapping[tuple[str, str], Iterable[str]]) -> str | None:
+    """The first of these columns, by what they may hold, that is of another type; None if there is none."""
+    for (kinds, what), names in columns.items():
+        for name in names:
+            if name in arrays and arrays[name].dtype.kind not in kinds and arrays[name].size:
+                return f"{name} of type {arrays[name].dtype}, {what} are possible"
+    return None
 
 
 def _check_size(path: Path) -> None:
