@@ -475,6 +475,17 @@ def test_actions_of_another_number_of_rows_are_refused(shape):
         TeamVecEnv(2, SMALL, seed="1")
 
 
+@pytest.mark.parametrize("actions", [None, "forward", [[0.1], [0.1, 0.2]]], ids=["None", "text", "ragged"])
+def test_rows_of_actions_that_are_no_array_of_numbers_are_named_in_one_line(actions):
+    pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+    from twc_env.vector.sb3 import TeamVecEnv
+
+    rows = TeamVecEnv(2, SMALL)
+    rows.reset()
+    with pytest.raises(ActionError, match=rf"shape \(4, 2\), one row per robot; got {type(actions).__name__}"):
+        rows.step(actions)
+
+
 @pytest.mark.parametrize("config", [SMALL, FLAT], ids=["dict", "flat"])
 def test_rows_say_that_the_time_limit_ended_an_episode_what_was_seen_last_and_what_it_paid(config):
     pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
