@@ -31,7 +31,7 @@ WARM_UP_STEPS = 10
 """Steps at the start that are excluded from the speed."""
 _WRITTEN = (
     "config.json", "frames.npz", "trace.npz", "pose_graph.g2o", "trajectories/robot_*_*.tum", "map.yaml", "map.pgm",
-    "map_[0-9]*.yaml", "map_[0-9]*.pgm", "map.png", "episode.gif", "replay.html", "replay.rrd",
+    "map_[0-9]*.yaml", "map_[0-9]*.pgm", "map.png", "episode.gif", "replay.html", "replay.rrd", ".part-*",
 )  # fmt: skip
 """Files of a run folder besides the report."""
 COMPILER_EVENT = "numba:compiler_lock"
@@ -61,7 +61,8 @@ def explore(
     film: picture.Film | None = None,
     watch: Callable[[int], None] | None = None,
 ) -> Run:
-    """Run one episode until the policy is finished, `config.max_cycles` steps are over or Ctrl-C is pressed.
+    """Run one episode until the policy is finished, `config.max_cycles` steps are over or Ctrl-C is pressed (of
+    `twc-env`, also SIGTERM).
 
     `watch` is called with the number of steps taken. Raises TwcError for an unknown agent or map.
     """

@@ -13,6 +13,7 @@ from twc_env import ConfigError, EpisodeResult
 from twc_env.pictures.map_picture import name_sign
 from twc_env.pictures.video import film_frame, write_film
 from twc_env.records.geometry import compose
+from twc_env.records.whole_file import whole_file
 
 ROBOT_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#785e3c", "#6e6edc")
 LINES_CLEAR = 100
@@ -78,7 +79,8 @@ def draw_map(result: EpisodeResult, path: Path) -> None:
     axes.tick_params(labelsize=7)
     axes.set_title(_title(result), fontsize=9, loc="left", parse_math=False)
     figure.legend(*_unique_legend(axes), loc="outside lower center", ncols=5, fontsize=7.5, frameon=False)
-    figure.savefig(path, dpi=110)
+    with whole_file(path) as beside:
+        figure.savefig(beside, dpi=110)
     plt.close(figure)
 
 

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from stable_baselines3 import PPO
 from twc_env.agents.policy import make_policy
 
 import twc_env
 from twc_env.config import override
 from twc_env.pictures.video import RecordEpisodes
+from twc_env.running.command_line import refuse_code
 
-from .model_file import load_model
+from .model_file import load_policy
 from .ppo import ChoicePolicy
 from .progress import progress_bar
 from .run_folder import Task, model_in, read_settings, task_of
@@ -95,19 +95,27 @@ def _with_spread(mean: float, half_width: float, sign: str = "") -> str:
 
 
 def evaluate(
-    model_path: Path, seeds: Sequence[int], show_progress: bool = True, films: Path | None = None
+    model_path: Path,
+    seeds: Sequence[int],
+    show_progress: bool = True,
+    films: Path | None = None,
+    allow_code: bool = False,
 ) -> Evaluation:
     """One episode per seed and policy, each seed in its own held-out building; optionally with films of the trained
     team.
 
-    model_path: a model file or a run folder. Raises DataError if the model or the settings of its run cannot be read,
-    or films cannot be written.
+    model_path: a model file or a run folder. allow_code: whether its settings may name Python files to execute.
+
+    Raises DataError if the model or the settings of its run cannot be read, or films cannot be written, ConfigError for
+    settings that name code which is not allowed.
     """
     torch.set_num_threads(1)
     model_path = model_in(model_path)
     task = task_of(read_settings(model_path.parent))
+    if not allow_code:
+        refuse_code(task.config, model_path.parent / "config.json")
     env = twc_env.parallel_env(config=task.config)
-    model = load_model(
+    model = load_policy(
         model_path, ChoicePolicy, TeamNotes.space(env.observation_space("robot_0")), env.action_space("robot_0")
     )
     episodes: dict[str, list[Episode]] = {name: [] for name in POLICIES}
@@ -123,7 +131,7 @@ def evaluate(
     return Evaluation(tuple(seeds), {name: tuple(values) for name, values in episodes.items()})
 
 
-def _trained(model: PPO, task: Task, seed: int) -> Choose:
+def _trained(model: ChoicePolicy, task: Task, seed: int) -> Choose:
     """Samples as in training: two robots that always take their most likely choice may wait for each other forever."""
     torch.manual_seed(seed)
     notes = TeamNotes(1, task.config.robots, task.max_cycles)

@@ -24,10 +24,11 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from twc_env.errors import DataError, WorkerError
+from twc_env.records.whole_file import whole_file
 from twc_env.running.command_line import alone_in
 from twc_env.vector.sb3 import TeamVecEnv
 
-from .model_file import load_model, save_model
+from .model_file import load_into, save_model
 from .progress import progress_bar
 from .run_folder import Task, read_settings, write_settings
 from .team_notes import NotedTeams
@@ -191,14 +192,13 @@ def train(
     teams = NotedTeams(raw, task.max_cycles)
     try:
         with alone_in(folder, patience_s=0.0):
-            write_settings(folder, "ppo", task, asdict(settings))
+            model = _new_model(teams, settings, folder)
             if resume:
-                model = load_model(model_path, ChoicePolicy, teams.observation_space, teams.action_space, teams)
-                model.tensorboard_log = str(folder / "tensorboard")  # the folder may have moved
+                load_into(model, model_path)
                 teams.seed(settings.seed + model.num_timesteps)
                 model.set_random_seed(settings.seed + model.num_timesteps)
             else:
-                model = _new_model(teams, settings, folder)
+                write_settings(folder, "ppo", task, asdict(settings))
             if steps > model.num_timesteps:
                 progress = Progress(folder, steps, model.num_timesteps, show_progress)
                 try:
@@ -253,6 +253,15 @@ def _check_same_run(folder: Path, task: Task, settings: Settings) -> None:
         raise DataError(f"{folder} was trained with {', '.join(changed)}; use the same settings, or name another --out")
 
 
+def _rows_until(decisions: int, path: Path) -> list[list[str]]:
+    """Whole rows of metrics.csv; without later ones, whose model a killed run may lack."""
+    if not path.exists():
+        return []
+    lines = path.read_bytes().decode(errors="replace").split("\n")
+    rows = [row for row in csv.reader(lines[:-1]) if len(row) == len(COLUMNS) and all(map(str.isdecimal, row[:2]))]
+    return [row for row in rows if int(row[0]) <= decisions]
+
+
 class Progress(BaseCallback):
     """After each rollout: append to metrics.csv, save the model, update the progress bar."""
 
@@ -265,13 +274,9 @@ class Progress(BaseCallback):
     def _on_training_start(self) -> None:
         self.started, self.steps_before = time.perf_counter(), self.num_timesteps
         self.path = self.folder / "metrics.csv"
-        rows: list[list[str]] = []
-        if self.num_timesteps > 0 and self.path.exists():
-            with self.path.open(newline="") as file:
-                rows = [row for row in csv.reader(file) if len(row) == len(COLUMNS) and row[0].isdigit()]
-        rows = [row for row in rows if int(row[0]) <= self.num_timesteps]  # a killed run may lack the model of a row
+        rows = _rows_until(self.num_timesteps, self.path) if self.num_timesteps > 0 else []
         self.episodes = int(rows[-1][1]) if rows else 0
-        with self.path.open("w", newline="") as file:
+        with whole_file(self.path) as beside, beside.open("w", newline="") as file:
             csv.writer(file).writerows([COLUMNS, *rows])
 
     def _on_rollout_start(self) -> None:
@@ -287,7 +292,7 @@ class Progress(BaseCallback):
         mean_return = float(np.mean([episode["r"] for episode in episodes])) if episodes else float("nan")
         mean_length = float(np.mean([episode["l"] for episode in episodes])) if episodes else float("nan")
         rate = (self.num_timesteps - self.steps_before) / (time.perf_counter() - self.started)
-        with self.path.open("a", newline="") as file:
+        with self.path.open("a", newline="") as file:  # in one write; what a kill leaves of it is dropped on resuming
             row = (self.num_timesteps, self.episodes, f"{mean_return:.4f}", f"{mean_length:.1f}", f"{rate:.1f}")
             csv.writer(file).writerow(row)
         self.bar.set_postfix_str(f"mean return {mean_return:.3f}", refresh=False)

@@ -94,9 +94,9 @@ def parallel_env(*args: Any, **kwargs: Any) -> ExplorationEnv:
 
 def raw_env(*args: Any, **kwargs: Any) -> pettingzoo.AECEnv:
     """The environment under PettingZoo's AEC API, without checking the call order."""
-    from pettingzoo.utils import parallel_to_aec
+    from twc_env.exploration.turns import TurnsEnv
 
-    return parallel_to_aec(parallel_env(*args, **kwargs))
+    return TurnsEnv(parallel_env(*args, **kwargs))
 
 
 def env(*args: Any, **kwargs: Any) -> pettingzoo.AECEnv:

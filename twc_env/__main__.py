@@ -42,7 +42,8 @@ examples:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; the exit status is 0 when done, 2 after bad input (one line on stderr), 130 when interrupted."""
+    """Run one command; the exit status is 0 when done, 2 after bad input (one line on stderr), 130 when interrupted by
+    Ctrl-C and 143 by SIGTERM."""
     parser = _parser()
     argcomplete.autocomplete(parser)
     return run_command(parser, arguments)

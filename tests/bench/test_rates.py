@@ -10,9 +10,11 @@ from twc_env.bench import peers as bench_peers
 from twc_env.bench import probes as bench_probes
 from twc_env.bench import scaling as bench_scaling
 from twc_env.bench import vector_teams as bench_vector
+from twc_env.bench.gymnasium_teams import GymnasiumTeams
 from twc_env.bench.rates import OurRuns, Run
 from twc_env.config import EnvConfig
 from twc_env.maps import load_map
+from twc_env.vector import VectorTeams
 
 TINY = {"REPETITIONS": 2, "EPISODES": 1, "WORLD_STEPS": 12, "SLAM_STEPS": 12}
 NUMBERS = {
@@ -132,15 +134,33 @@ def test_two_workers_run_at_once_and_are_compared_with_one():
     assert lines and all(figure is None or 0.05 < figure < 20.0 for figure in figures.values())
 
 
-def test_worker_processes_of_vector_teams_are_compared_with_none(tmp_path):
+def test_vector_teams_with_workers_are_compared_with_none_and_with_gymnasium():
     lines: list[str] = []
-    config = EnvConfig(robots=2, max_cycles=4)
-    figures = bench_vector.bench_vector(config, (2,), lines.append)
-    keys = ("env_steps_per_s", "lockstep_speedup", "lockstep_limit", "async_speedup")
-    assert set(figures) == {"two_cores_ceiling", *(f"vector2_{key}" for key in keys)}
-    assert lines and all(figure is None or figure > 0.01 for figure in figures.values())
-    limit = figures["vector2_lockstep_limit"]
-    assert limit is None or 1.0 <= limit <= 2.0
+    figures = bench_vector.bench_vector(EnvConfig(robots=2, max_cycles=4), (2,), lines.append)
+    rows = {row["how"]: row for row in figures["vector"]}
+    assert len(rows) == (0 if figures["two_cores_ceiling"] is None else 6) and lines
+    for row in rows.values():
+        assert 0.0 < row["speedup"] < 20.0 and row["start_s"] > 0.0
+    if rows:
+        assert rows[bench_vector.NONE]["speedup"] == 1.0
+        processes = [row["processes"] for row in rows.values()]
+        assert processes == [1, 2, 2, 1, 3, 3]
+        assert 1.0 <= figures["lockstep_limit2"] <= 2.0
+
+
+def test_teams_as_an_environment_of_gymnasium_give_what_vector_teams_give():
+    config = EnvConfig(robots=2, max_cycles=2)
+    ours, theirs = VectorTeams(2, config), GymnasiumTeams(config, 2)
+    assert all(np.array_equal(block, theirs.reset(seed=3)[0][name]) for name, block in ours.reset(3).items())
+    for _ in range(3):
+        actions = theirs.action_space.sample()
+        seen, rewards, ended, infos = ours.step(actions)
+        blocks, _, _, _, info = theirs.step(actions)
+        assert theirs.observation_space.contains(blocks)
+        assert all(np.array_equal(block, blocks[name]) for name, block in seen.items())
+        assert np.array_equal(info["rewards"], rewards) and np.array_equal(info["ended"], ended)
+        assert info["reward_terms"].shape == (2, 2, len(infos[0][0]["reward_terms"]))
+    theirs.close()
 
 
 def test_a_temporary_slowdown_affects_the_rates_of_one_and_two_workers_equally(monkeypatch):

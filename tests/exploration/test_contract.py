@@ -9,6 +9,7 @@ import pettingzoo
 import pytest
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import api_test, max_cycles_test, parallel_api_test, parallel_seed_test, seed_test, state_test
+from pettingzoo.utils.wrappers import TerminateIllegalWrapper
 
 import twc_env
 
@@ -306,3 +307,27 @@ def test_the_space_of_an_unknown_agent_is_refused_with_the_known_ones(space):
     env = twc_env.parallel_env(robots=2)
     with pytest.raises(twc_env.ConfigError, match="agents are robot_0, robot_1; got 'robot_7'"):
         getattr(env, space)("robot_7")
+
+
+CHOICES = {"robots": 2, "max_cycles": 30, "config": {"action.kind": "frontier", "lidar.beam_count": 60}}
+
+
+def test_an_illegal_choice_ends_the_game_under_the_wrapper_of_pettingzoo():
+    env = TerminateIllegalWrapper(twc_env.env(**CHOICES), illegal_reward=-1)
+    env.reset(seed=0)
+    rewards = {}
+    for agent in env.agent_iter(20):
+        observation, rewards[agent], terminated, truncated, _ = env.last()
+        env.step(None if terminated or truncated else int(np.argmin(observation["action_mask"])))
+    assert not env.agents
+    assert rewards == {"robot_0": -1.0, "robot_1": 0}
+
+
+def test_the_turn_based_environment_has_what_the_parallel_one_has(same):
+    turns, parallel = twc_env.env(**CHOICES).unwrapped, twc_env.parallel_env(**CHOICES)
+    turns.reset(seed=1)
+    parallel.reset(seed=1)
+    assert same(turns.result().figures, parallel.result().figures)
+    assert turns.config == parallel.config
+    with pytest.raises(AttributeError, match="no_such_thing"):
+        _ = turns.no_such_thing

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import twc_env
-from twc_env.errors import ConfigError, TwcError
+from twc_env.errors import ConfigError, DataError, TwcError
+from twc_env.exploration.snapshot import Snapshot
 from twc_env.records.whole_copy import SharingPickler
 
 KINDS = ["velocity", "waypoint", "frontier"]
@@ -137,11 +138,46 @@ def test_an_invalid_snapshot_is_rejected_and_the_episode_continues(broken):
     whole = env.snapshot()
     if isinstance(broken, int):
         broken = dataclasses.replace(whole, content=whole.content[:broken])
-    with pytest.raises(TwcError, match=r"takes what snapshot\(\) gave|cut off or of other code") as error:
+    with pytest.raises(TwcError, match=r"takes what snapshot\(\) gave|is damaged") as error:
         env.restore(broken)
     assert "\n" not in str(error.value)
     env.step({"robot_0": np.zeros(2)})
     env.restore(whole)
+
+
+def test_a_flipped_byte_of_a_snapshot_is_never_used():
+    env = twc_env.parallel_env(map="twin-01", robots=1, max_cycles=50, config={"lidar.beam_count": 60})
+    env.reset(seed=0)
+    whole, random = env.snapshot(), np.random.default_rng(0)
+    for place in random.integers(len(whole.content), size=200):
+        content = bytearray(whole.content)
+        content[place] ^= int(random.integers(1, 256))
+        with pytest.raises(DataError, match="damaged") as error:
+            env.restore(dataclasses.replace(whole, content=bytes(content)))
+        assert "\n" not in str(error.value)
+    for changed in ({"version": "0.0.0"}, {"config_digest": "0" * 12}, {"checksum": whole.checksum ^ 1}):
+        with pytest.raises((DataError, ConfigError)):
+            env.restore(dataclasses.replace(whole, **changed))
+
+
+def test_a_flipped_byte_of_a_pickled_snapshot_is_never_used():
+    env = twc_env.parallel_env(map="twin-01", robots=1, max_cycles=50, config={"lidar.beam_count": 60})
+    env.reset(seed=0)
+    sound, random, damaged = env.snapshot(), np.random.default_rng(0), 0
+    whole = pickle.dumps(sound)
+    for place in [*range(80), *random.integers(80, len(whole), size=200)]:
+        bent = bytearray(whole)
+        bent[place] ^= int(random.integers(1, 256))
+        try:
+            moment = pickle.loads(bytes(bent))
+        except DataError as error:
+            damaged += "damaged" in str(error)
+        except Exception:  # of Python's own format around the snapshot
+            continue
+        else:
+            assert not isinstance(moment, Snapshot) or moment.content == sound.content
+    assert damaged > 190
+    env.restore(pickle.loads(whole))
 
 
 def test_the_filterpy_back_end_can_be_saved():

@@ -41,6 +41,25 @@ def train(torch):
 
 
 @pytest.fixture(scope="session")
+def policy_of(torch):
+    """The policy in a run folder."""
+
+    def read(folder):
+        from twc_env.training.model_file import load_policy
+        from twc_env.training.ppo import ChoicePolicy
+        from twc_env.training.run_folder import read_settings, task_of
+        from twc_env.training.team_notes import TeamNotes
+
+        import twc_env
+
+        env = twc_env.parallel_env(config=task_of(read_settings(folder)).config)
+        seen = TeamNotes.space(env.observation_space("robot_0"))
+        return load_policy(folder / "model.zip", ChoicePolicy, seen, env.action_space("robot_0"))
+
+    return read
+
+
+@pytest.fixture(scope="session")
 def run(train, task, settings, tmp_path_factory):
     """A run folder after 128 decisions of training."""
     folder = tmp_path_factory.mktemp("ppo")

@@ -6,11 +6,10 @@ import pytest
 pytestmark = pytest.mark.usefixtures("torch")
 
 
-def test_a_masked_choice_is_never_taken(task, run):
-    from stable_baselines3 import PPO
+def test_a_masked_choice_is_never_taken(task, run, policy_of):
     from twc_env.training.run_folder import read_settings, task_of
 
-    model = PPO.load(run / "model.zip", device="cpu")
+    model = policy_of(run)
     observation = {
         name: np.zeros((1, *space.shape), space.dtype) for name, space in model.observation_space.spaces.items()
     }
@@ -22,10 +21,8 @@ def test_a_masked_choice_is_never_taken(task, run):
             assert model.predict(observation, deterministic=deterministic)[0].tolist() == [only]
 
 
-def test_the_policy_scores_each_choice_by_its_own_features(run, torch):
-    from stable_baselines3 import PPO
-
-    policy = PPO.load(run / "model.zip", device="cpu").policy
+def test_the_policy_scores_each_choice_by_its_own_features(run, policy_of, torch):
+    policy = policy_of(run)
     seen = {k: np.zeros((1, *s.shape), s.dtype) for k, s in policy.observation_space.items()}
     random = np.random.default_rng(0)
     seen["frontiers"] = random.uniform(-1, 1, seen["frontiers"].shape).astype(np.float32)
@@ -42,10 +39,8 @@ def test_the_policy_scores_each_choice_by_its_own_features(run, torch):
     assert torch.allclose(chances(swapped)[[5, 0]], first[[0, 5]], atol=1e-6)
 
 
-def test_the_return_so_far_affects_the_value_but_not_the_policy(run, torch):
-    from stable_baselines3 import PPO
-
-    policy = PPO.load(run / "model.zip", device="cpu").policy
+def test_the_return_so_far_affects_the_value_but_not_the_policy(run, policy_of, torch):
+    policy = policy_of(run)
     seen = {k: np.zeros((1, *s.shape), s.dtype) for k, s in policy.observation_space.items()}
     seen["action_mask"][:] = 1
     poor, rich = (policy.obs_to_tensor({**seen, "gained": np.array([[x]], np.float32)})[0] for x in (0.0, 0.8))

@@ -1,14 +1,20 @@
 """Evaluation of trained teams in held-out buildings, with recording."""
 
+import base64
+import io
 import json
 import math
+import pickle
 import shutil
 import zipfile
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from twc_env.__main__ import main
+from twc_env.errors import DataError
 
 pytestmark = pytest.mark.usefixtures("torch")
 
@@ -58,7 +64,8 @@ def test_the_error_of_a_corrupt_model_or_one_of_another_task_names_it(task, run,
     for content in (sound[:1000], bytes(bent), b"", *foreign):
         model.write_bytes(content)
         assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
-        assert f"cannot read the model {model}" in capsys.readouterr().err
+        error = capsys.readouterr().err
+        assert f"cannot read the model {model}" in error and error.count("\n") == 1
     model.write_bytes(sound)
     write_settings(tmp_path, "ppo", replace(task, overrides={**task.overrides, "observation.sign_slots": 2}), {})
     assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
@@ -66,6 +73,78 @@ def test_the_error_of_a_corrupt_model_or_one_of_another_task_names_it(task, run,
     model.unlink()
     assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
     assert "there is no model" in capsys.readouterr().err
+
+
+class Trap:
+    """Makes a file when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+def resealed(path, name, content):
+    """Replace a part of a model file, whose checksum is right again."""
+    from twc_env.records.seal import seal
+
+    with zipfile.ZipFile(path) as archive:
+        parts = {part: archive.read(part) for part in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for part, own in {**parts, name: content}.items():
+            archive.writestr(part, own)
+    seal(path)
+
+
+def with_pickle(value):
+    """As stable-baselines3 writes what is no plain value."""
+    return {":type:": "function", ":serialized:": base64.b64encode(pickle.dumps(value)).decode()}
+
+
+@pytest.mark.parametrize("place", ["lr_schedule", "episodes", "weights", "optimizer", "a model of stable-baselines3"])
+@pytest.mark.parametrize("command", ["evaluate", "resume"])
+def test_a_crafted_model_runs_no_code(command, place, task, settings, train, run, tmp_path, torch, capsys):
+    from stable_baselines3.common.save_util import load_from_zip_file
+
+    shutil.copytree(run, tmp_path / "run")
+    model, trap = tmp_path / "run" / "model.zip", tmp_path / "trap"
+    numbers = json.loads(zipfile.ZipFile(model).read("data"))
+    if place in ("weights", "optimizer"):
+        crafted = io.BytesIO()
+        torch.save({"weights": Trap(trap)}, crafted)
+        resealed(model, "policy.pth" if place == "weights" else "policy.optimizer.pth", crafted.getvalue())
+    elif place == "a model of stable-baselines3":
+        resealed(model, "data", json.dumps({"lr_schedule": with_pickle(Trap(trap)), "policy_class": {}}))
+    else:
+        resealed(model, "data", json.dumps({**numbers, place: with_pickle(Trap(trap))}))
+    if command == "evaluate":
+        assert main(["evaluate", "--model", str(model), "--seeds", "0"]) == 2
+        error = capsys.readouterr().err
+    else:
+        with pytest.raises(DataError) as caught:
+            train(task, settings, 192, tmp_path / "run", resume=True)
+        error = f"{caught.value}\n"
+    assert not trap.exists()
+    assert "cannot read the model" in error and error.count("\n") == 1
+    if "weights" not in place and place != "optimizer":
+        assert "pickled objects" in error and "could run code" in error
+        load_from_zip_file(model)  # the trap is a trap: stable-baselines3's own reader falls into it
+        assert trap.exists()
+
+
+def test_a_flipped_byte_of_a_model_is_refused(run, tmp_path):
+    from twc_env.records.seal import is_unbroken
+
+    path, sound = tmp_path / "model.zip", (run / "model.zip").read_bytes()
+    path.write_bytes(sound)
+    assert is_unbroken(path)
+    random = np.random.default_rng(0)
+    for place in random.integers(len(sound), size=200):
+        bent = bytearray(sound)
+        bent[place] ^= int(random.integers(1, 256))
+        path.write_bytes(bent)
+        assert not is_unbroken(path)
 
 
 def test_one_building_is_printed_without_a_spread():

@@ -58,11 +58,9 @@ def test_a_run_can_be_resumed_with_another_number_of_processes(train, task, sett
     assert int(metrics_of(tmp_path)[-1]["steps"]) == 64
 
 
-def test_the_same_seed_learns_the_same_weights(train, task, settings, run, tmp_path, torch):
-    from stable_baselines3 import PPO
-
-    again = train(task, settings, 128, tmp_path)
-    first, second = (PPO.load(path, device="cpu").policy.state_dict() for path in (run / "model.zip", again))
+def test_the_same_seed_learns_the_same_weights(train, task, settings, run, policy_of, tmp_path, torch):
+    train(task, settings, 128, tmp_path)
+    first, second = (policy_of(folder).state_dict() for folder in (run, tmp_path))
     assert all(torch.equal(first[name], second[name]) for name in first)
 
 
@@ -91,6 +89,32 @@ def test_a_row_ahead_of_its_model_is_dropped_when_a_killed_training_resumes(trai
     rows = metrics_of(tmp_path)
     assert [int(row["steps"]) for row in rows] == [64, 128]
     assert rows[1]["steps_per_s"] != "100.0"
+
+
+def test_a_training_killed_at_any_byte_of_the_learning_curve_resumes_with_the_whole_rows(tmp_path):
+    from twc_env.training.ppo import COLUMNS, _rows_until
+
+    rows = [["64", "9", "0.5000", "31.0", "100.5"], ["128", "12", "0.5500", "30.5", "99.0"]]
+    text = "".join(",".join(row) + "\r\n" for row in (COLUMNS, *rows))
+    path = tmp_path / "metrics.csv"
+    for length in range(len(text) + 1):
+        path.write_bytes(text[:length].encode())
+        whole = text[:length].count("\n") - 1
+        assert _rows_until(128, path) == rows[: max(whole, 0)], length
+    assert _rows_until(64, path) == rows[:1]
+    path.write_bytes(b"\xff\x00" + text.encode())
+    assert _rows_until(128, path) == rows
+
+
+def test_resuming_writes_no_settings_and_keeps_the_mean_over_earlier_episodes(train, task, settings, tmp_path):
+    train(task, settings, 64, tmp_path)
+    config = tmp_path / "config.json"
+    before, changed = config.read_bytes(), config.stat()
+    train(task, replace(settings, workers=1), 96, tmp_path, resume=True)
+    assert config.read_bytes() == before and config.stat().st_mtime_ns == changed.st_mtime_ns
+    assert config.stat().st_ino == changed.st_ino
+    rows = metrics_of(tmp_path)
+    assert math.isfinite(float(rows[1]["mean_return"]))
 
 
 @pytest.mark.parametrize("change", ['{"kindz": 1}', "3", '{"kinds": [], "area_m2": "big"}'])

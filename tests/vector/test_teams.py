@@ -125,6 +125,29 @@ def test_errors_reach_the_caller_and_name_what_was_expected():
 
 
 @pytest.mark.parametrize(
+    ("actions", "words"),
+    [
+        (None, r"numbers of shape \(2, 2, 2\); got NoneType None"),
+        ("forward", r"numbers of shape \(2, 2, 2\); got str 'forward'"),
+        ([[[0.1, 0.2]], [[0.1, 0.2], [0.3, 0.4]]], r"numbers of shape \(2, 2, 2\); got list \[\[\[0.1"),
+        ({"robot_0": 1}, r"numbers of shape \(2, 2, 2\); got dict"),
+        (np.full((2, 2, 2), "a"), r"numbers of shape \(2, 2, 2\); got ndarray"),
+        (np.ma.masked_array(np.zeros((2, 2, 2)), np.eye(2, dtype=bool)[None].repeat(2, 0)), "got MaskedArray"),
+        (np.zeros((2, 2, 2), complex), "real numbers from -1.0 to 1.0; got complex128"),
+        (np.zeros((2, 2, 2), bool), "real numbers from -1.0 to 1.0; got bool"),
+    ],
+    ids=["None", "text", "ragged", "dict", "array of text", "masked", "complex", "bool"],
+)
+def test_actions_that_are_no_array_of_numbers_are_named_in_one_line(actions, words):
+    teams = VectorTeams(2, SMALL)
+    teams.reset(0)
+    with pytest.raises(ActionError, match=words) as caught:
+        teams.step(actions)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 250
+    teams.step(np.zeros((2, 2, 2)))
+
+
+@pytest.mark.parametrize(
     "run",
     [
         lambda teams: teams.step(np.zeros((2, 2, 2))),
@@ -450,6 +473,17 @@ def test_actions_of_another_number_of_rows_are_refused(shape):
         rows.step(np.zeros(shape))
     with pytest.raises(ConfigError, match="seed must be a whole number of at least 0; got '1'"):
         TeamVecEnv(2, SMALL, seed="1")
+
+
+@pytest.mark.parametrize("actions", [None, "forward", [[0.1], [0.1, 0.2]]], ids=["None", "text", "ragged"])
+def test_rows_of_actions_that_are_no_array_of_numbers_are_named_in_one_line(actions):
+    pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+    from twc_env.vector.sb3 import TeamVecEnv
+
+    rows = TeamVecEnv(2, SMALL)
+    rows.reset()
+    with pytest.raises(ActionError, match=rf"shape \(4, 2\), one row per robot; got {type(actions).__name__}"):
+        rows.step(actions)
 
 
 @pytest.mark.parametrize("config", [SMALL, FLAT], ids=["dict", "flat"])

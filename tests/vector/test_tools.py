@@ -119,6 +119,34 @@ def test_torchrl_samples_frontiers_within_the_mask():
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning", "ignore::FutureWarning")
+def test_torchrl_plays_the_turn_based_environment_within_the_mask():
+    needs("torch", "tensordict", extra="torchrl")
+    wrapper = needs("torchrl.envs.libs.pettingzoo", extra="torchrl").PettingZooWrapper
+    team = twc_env.env(robots=2, max_cycles=1000, config={**SMALL, "action.kind": "frontier"})
+    env = wrapper(WithoutInfos(team), use_mask=True, categorical_actions=True)
+    rollout = env.rollout(5)
+    assert rollout.batch_size == (5,)
+    for robot, acts in (("robot_0", [1, 0, 1, 0, 1]), ("robot_1", [0, 1, 0, 1, 0])):
+        assert rollout[robot, "mask"].flatten().int().tolist() == acts
+        assert bool(rollout[robot, "action_mask"].gather(-1, rollout[robot, "action"][..., None]).all())
+    env.close()
+
+
+def test_without_infos_the_turn_based_environment_is_the_same_but_for_its_infos():
+    settings = {"robots": 2, "max_cycles": 2, "config": SMALL}
+    told, silent = twc_env.env(**settings), WithoutInfos(twc_env.env(**settings))
+    for env in (told, silent):
+        env.reset(seed=3)
+    for _ in silent.agent_iter():
+        (seen, *rest, _), (blocks, *others, nothing) = told.last(), silent.last()
+        assert rest == others and nothing == {}
+        assert all(np.array_equal(seen[name], blocks[name]) for name in seen)
+        for env in (told, silent):
+            env.step(None if rest[1] or rest[2] else np.full(2, 0.5, np.float32))
+    assert not told.agents and not silent.agents
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning", "ignore::FutureWarning")
 def test_torchrl_makes_the_single_agent_environment_by_its_id():
     needs("torch", "tensordict", extra="torchrl")
     env = needs("torchrl.envs.libs.gym", extra="torchrl").GymEnv(ID, max_cycles=8, config=SMALL)

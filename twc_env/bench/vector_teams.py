@@ -1,45 +1,100 @@
-"""Speed of `VectorTeams` with two worker processes against none, in lockstep and asynchronously.
+"""Speed of `VectorTeams` with two worker processes against none, and against `gymnasium.vector` with the same teams.
 
 The environments play recorded actions of robots that wander, so that the caller takes next to no time. All candidates
-take turns, window by window of one episode; each speedup is a median over the windows.
+take turns, window by window of one episode and each time another one first, and what is compared are windows of the
+same actions; each figure is a median over them.
 """
 
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
+import os
 import statistics
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray as Array
 
 from twc_env.bench import probes as bench_probes
+from twc_env.bench.gymnasium_teams import GymnasiumTeams
 from twc_env.bench.rates import record_actions
 from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.running.process_memory import proportional_mb
+from twc_env.running.threads import single_threaded
 from twc_env.vector.teams import VectorTeams
 
 Report = Callable[[str], None]
 
-COUNTS = 8, 16, 32
+COUNTS = 8, 16
 """Numbers of environments."""
 WINDOW = 50
 """Steps of each window."""
 WORKERS = 2
-_KEYS = "env_steps_per_s", "lockstep_speedup", "lockstep_limit", "async_speedup"
+NONE = "VectorTeams, no workers"
+_CLOCK_HZ = os.sysconf("SC_CLK_TCK") if hasattr(os, "sysconf") else 100
+
+
+@dataclass
+class _Candidate:
+    """One way to run the same environments, and what it has cost so far."""
+
+    name: str
+    env: Any
+    play: Callable[[Array], object]
+    """Executes a window of actions (steps, environments, robots, 2)."""
+    processes: list[int]
+    """The processes that it has started."""
+    start_s: float
+    """Until the first observations."""
+    wall_s: list[float] = field(default_factory=list)
+    """Per window."""
+    cpu_s: list[float] = field(default_factory=list)
+    """Per window, of all processes."""
+
+    def timed(self, window: Array) -> None:
+        """Play a window."""
+        cpu_s, begin = self._cpu_s(), time.perf_counter()
+        self.play(window)
+        self.wall_s.append(time.perf_counter() - begin)
+        self.cpu_s.append(self._cpu_s() - cpu_s)
+
+    def _cpu_s(self) -> float:
+        return sum(map(_cpu_s, [os.getpid(), *self.processes]))
+
+    def row(self, none: _Candidate, steps: int) -> dict[str, Any]:
+        """Figures of this candidate; steps: of all environments together in a window."""
+        of_window = np.array(none.wall_s) / np.array(self.wall_s)
+        low, median, high = np.percentile(of_window, [25, 50, 75]).tolist()
+        return {
+            "how": self.name,
+            "speedup": median,
+            "quartiles": f"{low:.2f} to {high:.2f}",
+            "steps_per_s": steps / statistics.median(self.wall_s),
+            "cpu_ms_per_step": 1e3 * sum(self.cpu_s) / len(self.cpu_s) / steps,
+            "processes": 1 + len(self.processes),
+            "memory_mb": sum(map(proportional_mb, self.processes)),
+            "start_s": self.start_s,
+        }
 
 
 def bench_vector(
     config: EnvConfig, counts: Sequence[int] = COUNTS, report: Report = lambda _line: None
-) -> dict[str, float | None]:
-    """Keys by number of environments n: vector{n}_env_steps_per_s without workers; vector{n}_lockstep_speedup with two,
-    by `step`; vector{n}_lockstep_limit, the most that `step` can reach since it waits for the slower process;
-    vector{n}_async_speedup with two, by `send` and `recv` of half of the environments; and two_cores_ceiling, as in
-    `bench_probes`. None on a single core."""
-    names = [f"vector{count}_{key}" for count in counts for key in _KEYS]
-    figures: dict[str, float | None] = dict.fromkeys([*names, "two_cores_ceiling"])
+) -> dict[str, Any]:
+    """`vector`: one row per number of environments and way to run them, with speedup over VectorTeams without workers
+    (`quartiles` over the windows), CPU time of all processes, memory of those beside the calling one (shared pages
+    count once) and seconds to the first observations. `lockstep_limit{n}`: the most that `step` of VectorTeams can
+    reach, since it waits for the slower process. `two_cores_ceiling`: as in `bench_probes`; both None on a single core.
+    """
     cores = bench_probes.cores()
+    figures: dict[str, Any] = {"vector": [], "two_cores_ceiling": None, **{f"lockstep_limit{n}": None for n in counts}}
     if len(cores) < WORKERS:
         report("one core only: two workers cannot be measured")
         return figures
@@ -47,37 +102,77 @@ def bench_vector(
     with bench_probes.two_processes(config.map, config.max_cycles, cores) as counting:
         for count in counts:
             report(f"{count} environments, {config.max_cycles} steps each")
-            rows = _windows(
+            rows, limit = _compared(
                 config, count, lambda: ceilings.append(bench_probes.speedup(counting, bench_probes.COUNTING))
             )
-            for key, values in zip(_KEYS, np.array(rows).T, strict=True):
-                figures[f"vector{count}_{key}"] = median = statistics.median(values.tolist())
-                report(f"  {key}: {median:,.2f} (windows: {values.min():,.2f} to {values.max():,.2f})")
+            figures["vector"] += rows
+            figures[f"lockstep_limit{count}"] = limit
+            for row in rows:
+                report(f"  {row['how']}: {row['speedup']:.2f} x (quartiles of the windows: {row['quartiles']})")
     figures["two_cores_ceiling"] = statistics.median(ceilings)
-    report(f"two processes that only count: {figures['two_cores_ceiling']:.2f} x")
     return figures
 
 
-def _windows(config: EnvConfig, count: int, measure_ceiling: Callable[[], None]) -> list[tuple[float, ...]]:
-    """One value per key for each window."""
-    actions = _recorded(config, count)
-    rows: list[tuple[float, ...]] = []
+def _compared(config: EnvConfig, count: int, measure_ceiling: Callable[[], None]) -> tuple[list[dict[str, Any]], float]:
+    """The rows of this number of environments, and the limit of `step`."""
+    actions, limits = _recorded(config, count), []
     with contextlib.ExitStack() as stack:
-        none, timed, lockstep, asynchronous = (
-            stack.enter_context(contextlib.closing(VectorTeams(count, config, workers)))
-            for workers in (0, 0, WORKERS, WORKERS)
-        )
-        for teams in (none, timed, lockstep, asynchronous):
-            teams.reset(0)
-        places = np.zeros(count, np.int64)
-        for begin in range(0, len(actions), WINDOW):
+        candidates = [_started(stack, *kind) for kind in _kinds(config, count, actions)]
+        timed = stack.enter_context(VectorTeams(count, config))
+        timed.reset(0)
+        for place, begin in enumerate(range(0, len(actions), WINDOW)):
             window = actions[begin : begin + WINDOW]
-            none_s = _lockstep(none, window)
-            lockstep_s, limit = _lockstep(lockstep, window), _lockstep_limit(timed, window)
-            async_s = _asynchronous(asynchronous, actions, places, window.shape[0] * count)
-            rows.append((len(window) * count / none_s, none_s / lockstep_s, limit, none_s / async_s))
+            first = place % len(candidates)
+            for candidate in candidates[first:] + candidates[:first]:
+                candidate.timed(window)
+            limits.append(_lockstep_limit(timed, window))
             measure_ceiling()
-    return rows
+        steps = min(WINDOW, len(actions)) * count
+        rows = [{"environments": count, **each.row(candidates[0], steps)} for each in candidates]
+    return rows, statistics.median(limits)
+
+
+def _kinds(config: EnvConfig, count: int, actions: Array) -> list[tuple[str, Callable[[], Any], Callable]]:
+    """Name, constructor, and the function that plays a window of actions."""
+    team = partial(GymnasiumTeams, config, 1)
+    group = partial(GymnasiumTeams, config, count // WORKERS)
+    places = np.zeros(count, np.int64)
+    never: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}
+    spawned: dict[str, Any] = {**never, "context": "spawn"}
+    return [
+        (NONE, partial(VectorTeams, count, config), _lockstep),
+        ("VectorTeams.step, two workers", partial(VectorTeams, count, config, WORKERS), _lockstep),
+        (
+            "VectorTeams.send and recv, two workers",
+            partial(VectorTeams, count, config, WORKERS),
+            lambda teams, window: _asynchronous(teams, actions, places, window.shape[0] * count),
+        ),
+        ("SyncVectorEnv", lambda: SyncVectorEnv([team] * count, **never), partial(_grouped, count)),
+        ("AsyncVectorEnv", lambda: AsyncVectorEnv([team] * count, **spawned), partial(_grouped, count)),
+        (
+            "AsyncVectorEnv of two groups",
+            lambda: AsyncVectorEnv([group] * WORKERS, **spawned),
+            partial(_grouped, WORKERS),
+        ),
+    ]
+
+
+def _started(stack: contextlib.ExitStack, name: str, make: Callable[[], Any], play: Callable) -> _Candidate:
+    before, begin = set(multiprocessing.active_children()), time.perf_counter()
+    with single_threaded():
+        env = stack.enter_context(contextlib.closing(make()))
+    env.reset(seed=_first_seeds(env))
+    start_s = time.perf_counter() - begin
+    started = [process.pid for process in set(multiprocessing.active_children()) - before if process.pid is not None]
+    return _Candidate(name, env, partial(play, env), started, start_s)
+
+
+def _first_seeds(env: Any) -> Any:
+    """Such that all candidates play the same episodes."""
+    if isinstance(env, VectorTeams):
+        return 0
+    in_each = env.single_action_space.shape[0]
+    return [k * in_each for k in range(env.num_envs)]
 
 
 def _recorded(config: EnvConfig, count: int) -> Array:
@@ -87,12 +182,15 @@ def _recorded(config: EnvConfig, count: int) -> Array:
     return np.array(episodes, np.float32).swapaxes(0, 1).copy()
 
 
-def _lockstep(teams: VectorTeams, actions: Array) -> float:
-    """Seconds for these steps of all environments."""
-    begin = time.perf_counter()
+def _lockstep(teams: VectorTeams, actions: Array) -> None:
     for step in actions:
         teams.step(step)
-    return time.perf_counter() - begin
+
+
+def _grouped(groups: int, envs: SyncVectorEnv | AsyncVectorEnv, actions: Array) -> None:
+    """Steps of gymnasium's environments, each of which has a share of the teams."""
+    for step in actions.reshape(len(actions), groups, -1, *actions.shape[2:]):
+        envs.step(step)
 
 
 def _lockstep_limit(teams: VectorTeams, actions: Array) -> float:
@@ -108,10 +206,9 @@ def _lockstep_limit(teams: VectorTeams, actions: Array) -> float:
     return float(step_s.sum() / np.max(shares, axis=0).sum())
 
 
-def _asynchronous(teams: VectorTeams, actions: Array, places: Array, total: int) -> float:
-    """Seconds for `total` steps in all. Environment k takes its next action, actions[places[k], k], as soon as it is
-    among the half of the environments that are ready first."""
-    begin = time.perf_counter()
+def _asynchronous(teams: VectorTeams, actions: Array, places: Array, total: int) -> None:
+    """`total` steps in all. Environment k takes its next action, actions[places[k], k], as soon as it is among the half
+    of the environments that are ready first."""
     ids, left = np.arange(teams.count), total
     while left:
         ids = ids[:left]
@@ -120,4 +217,12 @@ def _asynchronous(teams: VectorTeams, actions: Array, places: Array, total: int)
         left -= len(ids)
         ids = teams.recv(teams.count // 2)[0]
     teams.recv()
-    return time.perf_counter() - begin
+
+
+def _cpu_s(process: int) -> float:
+    """CPU seconds of a process so far, as Linux counts them; NaN on other systems."""
+    status = Path(f"/proc/{process}/stat")
+    if not status.exists():
+        return float("nan")
+    user, system = status.read_text().rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / _CLOCK_HZ

@@ -49,7 +49,8 @@ def add_arguments(speed: argparse.ArgumentParser) -> None:
     instead.add_argument(
         "--vector",
         action="store_true",
-        help="VectorTeams with 8, 16 and 32 environments: two workers against none, in lockstep and asynchronously",
+        help="VectorTeams with 8 and 16 environments: two workers against none, in lockstep and asynchronously, and "
+        "gymnasium's SyncVectorEnv and AsyncVectorEnv with the same teams",
     )
     instead.add_argument("--long", action="store_true", help="step times along one long episode, in tenths")
     add_json(speed)
@@ -78,7 +79,7 @@ def _bench(options: argparse.Namespace) -> None:
     else:
         figures = bench(config, options.episodes, report=_report)
     for key, value in figures.items():
-        if key == "scaling":
+        if key in ("scaling", "vector"):
             print(aligned(value))
         else:
             print(f"{key:<28} {value:,.3f}" if isinstance(value, float) else f"{key:<28} {value}")

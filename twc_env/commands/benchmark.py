@@ -8,7 +8,7 @@ from typing import Any
 
 from twc_env.commands.team_options import add_agent, add_team, folder_names, paragraphs, team_config
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
-from twc_env.running.command_line import add_folder, count, parse_seeds
+from twc_env.running.command_line import INTERRUPTED, add_folder, count, parse_seeds
 
 _BENCHMARK_HELP = """\
 Run many seeds on several maps and print one table per map. Runs in the output folder with the same settings, code and
@@ -78,4 +78,4 @@ def _benchmark(options: argparse.Namespace) -> int:
         for name, rows in reports.items():
             if rows:
                 print(f"\n{name}, {options.agent}\n{benchmark.table_of(rows)}")
-    return 130 if was_interrupted else 0
+    return INTERRUPTED if was_interrupted else 0

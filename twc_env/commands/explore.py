@@ -9,12 +9,13 @@ from pathlib import Path
 from twc_env.commands.team_options import add_agent, add_team, folder_name, paragraphs, team_config
 from twc_env.config import EnvConfig, digest, override
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
-from twc_env.running.command_line import end_line, natural, show_count
+from twc_env.running.command_line import INTERRUPTED, end_line, natural, show_count
 
 _EXPLORE_HELP = """\
 Run one episode with a scripted team and write a run folder:
 report.json (metrics, defined in docs/figures.md), config.json, map.png, episode.gif, map.pgm + map.yaml,
-pose_graph.g2o and trajectories/*.tum (readable by evo).
+pose_graph.g2o and trajectories/*.tum (readable by evo). Ctrl-C or SIGTERM ends the episode early, and the folder is
+written of the steps until then (exit status 130 or 143); a second Ctrl-C ends the command at once.
 
 examples:
   twc-env explore
@@ -75,7 +76,7 @@ def _explore(options: argparse.Namespace) -> int:
         print(f"\nwritten: {folder}")
     if run.was_interrupted:
         print(f"interrupted after {run.report['steps']} steps; the results cover these", file=sys.stderr)
-    return 130 if run.was_interrupted else 0
+    return INTERRUPTED if run.was_interrupted else 0
 
 
 def _run_folder(config: EnvConfig, agent: str, seed: int) -> Path:

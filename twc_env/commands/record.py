@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from twc_env.records.json_values import check_folder
-from twc_env.running.command_line import add_set, alone_in, assignments, count, natural, show_count
+from twc_env.running.command_line import (
+    INTERRUPTED,
+    add_set,
+    alone_in,
+    assignments,
+    count,
+    end_line,
+    natural,
+    show_count,
+)
 
 
 def add_arguments(record: argparse.ArgumentParser) -> None:
     """Fill the command's parser."""
     record.description = (
         "Record an episode of robots driven by a reactive policy. Writes frames.npz (sensor frames and settings, no "
-        "ground truth) and truth.npz (true poses); see docs/frames.md. `twc-env explore` records frames too."
+        "ground truth) and truth.npz (true poses); see docs/frames.md. Ctrl-C or SIGTERM ends the recording early, and "
+        "what there is of it is written. `twc-env explore` records frames too."
     )
     record.epilog = "example:\n  twc-env record --map twin-02 --steps 900 --out runs/log"
     record.add_argument("--map", default="twin-01", help="bundled name, generated name or file")
@@ -25,7 +36,7 @@ def add_arguments(record: argparse.ArgumentParser) -> None:
     record.set_defaults(run=_record)
 
 
-def _record(options: argparse.Namespace) -> None:
+def _record(options: argparse.Namespace) -> int:
     from twc_env.bench.rates import wander
     from twc_env.config import EnvConfig, override
     from twc_env.datasets.logs.frame_log import write_frame_log, write_truth_log
@@ -35,13 +46,21 @@ def _record(options: argparse.Namespace) -> None:
     settings = {"map": options.map, "robots": options.robots, "max_cycles": options.steps}
     env = ExplorationEnv(config=override(EnvConfig(), {**settings, **assignments(options.set)}))
     env.reset(seed=options.seed)
-    steps, contacts = [env.frames], [env.contacts]
-    for actions in wander(env, options.seed):
-        env.step(actions)
-        steps.append(env.frames)
-        contacts.append(env.contacts)
-        show_count(len(steps) - 1, env.config.max_cycles, " steps", every=50)
+    log, was_interrupted = [(env.frames, env.contacts)], False
+    try:
+        for actions in wander(env, options.seed):
+            env.step(actions)
+            log.append((env.frames, env.contacts))
+            show_count(len(log) - 1, env.config.max_cycles, " steps", every=50)
+    except KeyboardInterrupt:
+        was_interrupted = True
+        end_line()
+    steps, contacts = zip(*log, strict=True)
+    true_poses = env.episode.record.true_poses[: len(steps)]
     with alone_in(options.out):
         write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
-        write_truth_log(options.out / "truth.npz", options.seed, env.config.map, env.result().true_poses)
+        write_truth_log(options.out / "truth.npz", options.seed, env.config.map, true_poses)
     print(f"{len(steps) - 1} steps of {env.config.robots} robots\nwritten: {options.out}")
+    if was_interrupted:
+        print(f"interrupted after {len(steps) - 1} steps; the log holds these", file=sys.stderr)
+    return INTERRUPTED if was_interrupted else 0

@@ -15,10 +15,12 @@ import numpy as np
 from twc_env.errors import DataError
 from twc_env.records.json_values import check_folder, write_json
 from twc_env.running.command_line import (
+    add_allow_code,
     add_json,
     add_set,
     assignments,
     make_folder,
+    refuse_code,
     show_count,
 )
 
@@ -78,6 +80,7 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         help="odometry filter: compiled kernel, or filterpy's EKF as a reference (default: as in the log)",
     )
     add_set(replay)
+    add_allow_code(replay)
     replay.add_argument(
         "--out",
         type=Path,
@@ -120,6 +123,8 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     check_folder(options.out)
     asked = assignments(options.set)
     config, steps, contacts, begun_s = _read_logs(logs, asked.get("lidar.beam_count"))
+    if not options.allow_code:
+        refuse_code(config, logs[0], asked)
     chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
     config = override(config, {**asked, **chosen})
     odom_poses: list[np.ndarray] = []

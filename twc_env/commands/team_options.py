@@ -9,7 +9,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from twc_env.config import EnvConfig, override
-from twc_env.running.command_line import add_config, add_json, add_set, assignments, config_of, count
+from twc_env.running.command_line import (
+    add_allow_code,
+    add_config,
+    add_json,
+    add_set,
+    assignments,
+    config_of,
+    count,
+    refuse_code,
+)
 
 AGENTS = """\
 An AGENT is
@@ -32,8 +41,10 @@ def team_config(options: argparse.Namespace, map_name: str | None, steps: int | 
     """The settings: defaults, then the file or standard task, then the options, then --set."""
     named = {"map": map_name, "robots": options.robots, "max_cycles": steps}
     chosen = {key: value for key, value in named.items() if value is not None}
-    config = override(config_of(options.config), chosen)
-    return override(config, assignments(options.set))
+    base, asked = config_of(options.config), assignments(options.set)
+    if not options.allow_code:
+        refuse_code(base, options.config, asked)
+    return override(override(base, chosen), asked)
 
 
 def folder_name(map_name: str) -> str:
@@ -69,5 +80,6 @@ def add_team(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robots", type=count, help="number of robots (default: 3)")
     parser.add_argument("--steps", type=count, help="maximum number of steps (default: 2000)")
     add_config(parser)
+    add_allow_code(parser)
     add_set(parser)
     add_json(parser)

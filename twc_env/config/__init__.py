@@ -19,7 +19,7 @@ from twc_env.config.slam import (
     SlamConfig,
     VerificationConfig,
 )
-from twc_env.config.values import digest, from_dict, load, override, radio_preset, to_dict
+from twc_env.config.values import code_named_in, digest, from_dict, load, override, radio_preset, to_dict
 from twc_env.config.world import (
     ROBOTS_MAX,
     BuildingConfig,
@@ -62,6 +62,7 @@ __all__ = [
     "SignsConfig",
     "SlamConfig",
     "VerificationConfig",
+    "code_named_in",
     "digest",
     "from_dict",
     "load",

@@ -11,12 +11,14 @@ import typing
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from twc_env.config.checks import is_too_great, plain_value
 from twc_env.config.environment import EnvConfig
 from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.world import RadioConfig
 from twc_env.errors import ConfigError, did_you_mean
+from twc_env.records.class_file import is_in_file
 from twc_env.records.json_values import table_of
 
 
@@ -38,6 +40,18 @@ def digest(config: EnvConfig) -> str:
 def to_dict(config: EnvConfig) -> dict:
     """Nested plain values for JSON; inverse of `from_dict`."""
     return dataclasses.asdict(config)
+
+
+def code_named_in(config: Any) -> dict[str, str]:
+    """Dotted settings that name a class in a Python file, FILE.py:CLASS, and their values."""
+    found: dict[str, str] = {}
+    for setting in dataclasses.fields(config):
+        value = getattr(config, setting.name)
+        if dataclasses.is_dataclass(value):
+            found |= {f"{setting.name}.{key}": name for key, name in code_named_in(value).items()}
+        elif setting.metadata.get("or_class") and is_in_file(str(value)):
+            found[setting.name] = value
+    return found
 
 
 _KINDS = {int: "a whole number", float: "a number", str: "text", bool: "true or false", dict: "a table of settings"}

@@ -39,9 +39,9 @@ def check_agents(actions: Any, agents: Sequence[str]) -> None:
 
 
 def action_array(action: Any) -> Array:
-    """The action as an array; an empty one if it cannot be converted."""
+    """The action as an array; an empty one if it cannot be converted or has masked numbers, which say nothing."""
     try:
-        return np.asarray(action)
+        return np.zeros(0) if np.ma.is_masked(action) else np.asarray(action)
     except Exception:  # arbitrary objects may raise anything
         return np.zeros(0)
 

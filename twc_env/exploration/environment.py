@@ -28,6 +28,7 @@ from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapsh
 from twc_env.kernels.compilation import announcer
 from twc_env.maps import load_map
 from twc_env.records.messages import Belief, Contacts, SensorFrame
+from twc_env.records.one_thread import OneThread
 from twc_env.slam.modes import Engine
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.subsampling import subsampled
@@ -170,6 +171,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         """The terms weighted last and the resulting rewards; uneventful steps share them."""
         self._begun: Episode | None = None
         self._seed: int | None = None
+        self._alone = OneThread("this environment")
 
     def observation_space(self, agent: str) -> spaces.Space:
         """The same object for every agent, at every call. Raises ConfigError for an unknown agent."""
@@ -190,6 +192,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         Options of other environments are ignored. Raises ConfigError for invalid options and MapError for a map that
         cannot be loaded; no episode is running then.
         """
+        with self._alone:
+            return self._reset(seed, options)
+
+    def _reset(self, seed: int | None, options: dict | None):
         self.agents, self._begun = [], None
         seed = self._next_seed() if seed is None else whole_number("seed", seed, 0)
         starts, building = read_options(options, seed)
@@ -209,9 +215,13 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def step(self, actions: Mapping[str, Any]):
         """Act, sense, run SLAM, compute rewards: for one time step, or as many as the action lasts.
 
-        Raises ActionError for a missing, malformed, non-finite or out-of-range action, or one for an unknown agent; the
-        state is unchanged then.
+        Raises ActionError for a missing, malformed, non-finite or out-of-range action, or one for an unknown agent, and
+        TwcError while another thread is in this environment; the state is unchanged then.
         """
+        with self._alone:
+            return self._step(actions)
+
+    def _step(self, actions: Mapping[str, Any]):
         episode, agents = self._begun, self.agents
         if episode is None or not agents:
             raise TwcError("step() needs a running episode: call reset() first")
@@ -325,11 +335,12 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         Raises ConfigError if the config or the version differs, DataError if the snapshot is corrupt; the current
         episode is unchanged then.
         """
-        episode = self._begun = restore_snapshot(self.config, snapshot)
-        self.agents = [] if episode.is_over else self.possible_agents[:]
-        if episode.floorplan is not self.floorplan:
-            self._plan = None
-        self._world, self._seed = episode.world, episode.seed
+        with self._alone:
+            episode = self._begun = restore_snapshot(self.config, snapshot)
+            self.agents = [] if episode.is_over else self.possible_agents[:]
+            if episode.floorplan is not self.floorplan:
+                self._plan = None
+            self._world, self._seed = episode.world, episode.seed
 
     def close(self) -> None:
         """Close the window of render_mode "human" and drop all spectators."""

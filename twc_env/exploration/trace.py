@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import to_dict
+from twc_env.datasets.logs.arrays_file import write_arrays
 from twc_env.errors import DataError
 from twc_env.exploration.assessment import evaluation
 from twc_env.exploration.assessment.map_scores import GroupScore
@@ -73,7 +74,7 @@ class EpisodeTrace:
         plan = env.floorplan
         signal_dbm, signal_origin_m, signal_cell_m = signal_map_dbm(plan, env.config.radio)
         try:
-            np.savez_compressed(
+            write_arrays(
                 path,
                 format=np.array(FORMAT),
                 config=np.array(json.dumps(to_dict(env.config), sort_keys=True)),

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError
+from twc_env.records.whole_file import whole_file
 from twc_env.world.building.floorplan import Floorplan, Room
 from twc_env.world.sensors.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
 
@@ -68,7 +69,8 @@ def draw_plan(plan: Floorplan, path: str | Path, with_signal: bool = True) -> Pa
         figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path)
+        with whole_file(path) as beside:
+            figure.savefig(beside)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise MapError(f"cannot write the picture {path}: {reason}; name a .png elsewhere") from error

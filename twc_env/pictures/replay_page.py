@@ -21,6 +21,7 @@ from twc_env.datasets.logs.arrays_file import read_arrays
 from twc_env.errors import DataError, TwcError
 from twc_env.exploration.drawing.rendering import COLOURS
 from twc_env.exploration.trace import FORMAT, TRACE_KEYS
+from twc_env.records.whole_file import whole_file
 from twc_env.world.sensors.signal_map import SIGNAL_SPAN_DBM
 
 DIGITS = 3
@@ -41,7 +42,8 @@ def write_page(run: Path, path: Path) -> Path:
     try:
         filled = re.sub("__(TITLE|DATA)__", lambda gap: {"TITLE": title, "DATA": content}[gap[1]], template)
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(filled, encoding="utf-8")
+        with whole_file(path) as beside:
+            beside.write_text(filled, encoding="utf-8")
     except OSError as error:
         raise DataError(f"cannot write {path}: {error.strerror}; choose another place with --html FILE") from error
     return path

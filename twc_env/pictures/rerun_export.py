@@ -17,6 +17,7 @@ from twc_env.exploration.drawing.rendering import ACCEPTED, COLOURS, REJECTED
 from twc_env.exploration.trace import UNKNOWN, WALL
 from twc_env.pictures.replay_page import contradictions, read_report, read_trace
 from twc_env.records.geometry import transform_points
+from twc_env.records.whole_file import whole_file
 
 TRUE_WALL = (158, 164, 173)
 FLOOR_RGB, WALL_RGB = np.array([235, 238, 245]), np.array([60, 70, 90])
@@ -45,18 +46,19 @@ def write_rerun(run: Path, path: Path) -> Path:
     recording = rerun.RecordingStream("twc_env", recording_id=name)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        recording.save(path, default_blueprint=_blueprint(corners_m))
+        with whole_file(path) as beside:
+            recording.save(beside, default_blueprint=_blueprint(corners_m))
+            with recording:
+                _log_building(rerun, trace)
+                recording.log("report", rerun.TextDocument(json.dumps(figures, indent=2)), static=True)
+                for count, moment in enumerate(moments):
+                    recording.set_time("step", sequence=moment["step"])
+                    recording.set_time("time", duration=moment["step"] * config.dynamics.time_step_s)
+                    _log_moment(rerun, moment, cells[count])
+                _log_robots(rerun, trace, config)
+            recording.disconnect()
     except (OSError, RuntimeError) as error:
         raise DataError(f"cannot write {path}: {error}; choose another place with --rerun FILE") from error
-    with recording:
-        _log_building(rerun, trace)
-        recording.log("report", rerun.TextDocument(json.dumps(figures, indent=2)), static=True)
-        for count, moment in enumerate(moments):
-            recording.set_time("step", sequence=moment["step"])
-            recording.set_time("time", duration=moment["step"] * config.dynamics.time_step_s)
-            _log_moment(rerun, moment, cells[count])
-        _log_robots(rerun, trace, config)
-        recording.flush()
     return path
 
 

@@ -21,6 +21,7 @@ from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, DataError
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.records.json_values import check_folder
+from twc_env.records.whole_file import whole_file
 
 WIDTH_MAX_PX = 560
 COLOURS = 64
@@ -123,6 +124,7 @@ def film_frame(picture: Array, caption: str, width_max_px: int) -> Any:
 def write_film(path: Path, frames: Sequence[Any], duration_ms: int | list[int]) -> None:
     """Frames as an endless GIF. Raises DataError when the file cannot be written."""
     try:
-        frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration_ms, loop=0)
+        with whole_file(path) as beside:
+            frames[0].save(beside, save_all=True, append_images=frames[1:], duration=duration_ms, loop=0)
     except OSError as error:
         raise DataError(f"cannot write {path}: {error.strerror}; choose another folder") from error

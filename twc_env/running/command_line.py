@@ -10,7 +10,7 @@ import os
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -18,7 +18,13 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from twc_env._version import __version__
 from twc_env.errors import ConfigError, DataError, TwcError, did_you_mean
 from twc_env.records.json_values import check_writable
-from twc_env.running.command_start import begin_work, end_when_interrupted, is_loading
+from twc_env.running.command_start import (
+    begin_work,
+    end_when_interrupted,
+    end_work,
+    interrupted_status,
+    is_loading,
+)
 from twc_env.running.file_lock import FileLock
 
 if TYPE_CHECKING:
@@ -31,6 +37,8 @@ SEEDS_MAX = 100_000
 """Largest range of seeds on a command line."""
 SEED_DIGITS_MAX = 20
 """Longer numbers are no seeds of any library."""
+INTERRUPTED = 130
+"""Status of a command that was interrupted and has saved what it had."""
 LOG_INTERVAL_S = 60.0
 LINE_WIDTH = 110
 _progress = {"logged_s": time.monotonic(), "is_open": False}
@@ -38,7 +46,7 @@ _progress = {"logged_s": time.monotonic(), "is_open": False}
 
 
 def exit_status(command: Callable[[], int | None], remark: str = "interrupted") -> int:
-    """Run a command. Returns 0 or its own status when done, 130 when interrupted.
+    """Run a command. Returns 0 or its own status when done, 130 when interrupted by Ctrl-C, 143 by SIGTERM.
 
     2 after bad input, or when output cannot be written (one line on stderr). A reader such as `head` may close the
     output early, and characters that a terminal cannot show are escaped. `remark` is printed on interruption.
@@ -55,7 +63,7 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
         finally:
             end_line()
         sys.stdout.flush()
-        return status or 0
+        return interrupted_status() if status == INTERRUPTED else status or 0
     except TwcError as error:
         sys.stderr.write(f"error: {error}\n")
         return 2
@@ -73,8 +81,9 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
         return 2
     except KeyboardInterrupt:
         sys.stderr.write(f"{remark}\n")
-        return 130
+        return interrupted_status()
     finally:
+        end_work()
         if is_loading():
             end_when_interrupted()
 
@@ -209,6 +218,29 @@ def add_config(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config", metavar="FILE", help="settings: TOML, JSON, a run folder or a task such as twc/ExploreHard-v0"
     )
+
+
+def add_allow_code(parser: argparse.ArgumentParser) -> None:
+    """The option `--allow-code`, see `refuse_code`."""
+    parser.add_argument(
+        "--allow-code",
+        action="store_true",
+        help="execute the Python files that settings of a file, log or run folder name (FILE.py:CLASS), as those of "
+        "--set always are",
+    )
+
+
+def refuse_code(config: EnvConfig, source: str | Path, asked: Iterable[str] = ()) -> None:
+    """Raise ConfigError if settings read from `source` name Python files to execute, apart from the settings `asked`,
+    which the user's own command line replaces. A file that somebody else wrote must not choose what is executed."""
+    from twc_env.config import code_named_in
+
+    named = [f"{key}={name}" for key, name in code_named_in(config).items() if key not in set(asked)]
+    if named:
+        raise ConfigError(
+            f"{source} names code to execute ({', '.join(named)}): if you trust it, add --allow-code or the same by "
+            "--set; if not, choose another by --set"
+        )
 
 
 def config_of(name: str | None) -> EnvConfig:

@@ -1,4 +1,4 @@
-"""Ctrl-C while the modules of a command are being imported: one line instead of a traceback."""
+"""Ctrl-C and SIGTERM: one line instead of a traceback during imports, then a chance to save what a command has."""
 
 from __future__ import annotations
 
@@ -6,11 +6,16 @@ import os
 import signal
 import sys
 import threading
+import time
 from types import FrameType
 
 _COMMANDS = ("twc_env.__main__",)
 _SCRIPTS = ("twc-env", "twc-env.exe", "twc-env-script.py")
 """Names of the file that pip writes for our command, on all systems."""
+_TWICE_S = 0.2
+"""A second Ctrl-C that comes sooner is the first one, sent twice (GNU timeout signals a process and its group)."""
+_received: list[tuple[int, float]] = []
+"""The signal that has interrupted the present command, and when."""
 
 
 def end_when_interrupted() -> None:
@@ -22,9 +27,27 @@ def end_when_interrupted() -> None:
 
 
 def begin_work() -> None:
-    """From now on Ctrl-C raises KeyboardInterrupt, so that a command can clean up."""
-    if signal.getsignal(signal.SIGINT) is _end:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """From now on Ctrl-C and SIGTERM raise KeyboardInterrupt, so that a command can save what it has and clean up; a
+    second Ctrl-C ends the process at once. Until `end_work`, and unless the caller handles these signals."""
+    _received.clear()
+    if threading.current_thread() is not threading.main_thread():
+        return
+    if signal.getsignal(signal.SIGINT) in (_end, signal.default_int_handler):
+        signal.signal(signal.SIGINT, _interrupt)
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, _interrupt)
+
+
+def end_work() -> None:
+    """Handle signals as before `begin_work`."""
+    for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
+        if signal.getsignal(number) is _interrupt:
+            signal.signal(number, usual)
+
+
+def interrupted_status() -> int:
+    """Exit status of a command that was interrupted: 143 by SIGTERM, 130 by Ctrl-C."""
+    return 128 + (_received[0][0] if _received else signal.SIGINT)
 
 
 def is_loading() -> bool:
@@ -35,6 +58,15 @@ def is_loading() -> bool:
     processes = sys.modules.get("multiprocessing.process")
     is_worker = processes is not None and processes.parent_process() is not None
     return not is_worker and os.path.basename(sys.argv[0] if sys.argv else "") in _SCRIPTS
+
+
+def _interrupt(number: int, _frame: FrameType | None) -> None:
+    if not _received:
+        _received.append((number, time.monotonic()))
+        raise KeyboardInterrupt
+    if number == signal.SIGINT and time.monotonic() - _received[0][1] >= _TWICE_S:
+        os.write(2, b"\ninterrupted again: ended at once\n")
+        os._exit(128 + number)
 
 
 def _end(number: int, frame: FrameType | None) -> None:

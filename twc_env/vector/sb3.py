@@ -23,6 +23,7 @@ except ImportError as error:
 from twc_env.config import EnvConfig
 from twc_env.config.checks import whole_number
 from twc_env.errors import ActionError
+from twc_env.exploration.actions import action_array
 from twc_env.vector.shared_arrays import FLAT
 from twc_env.vector.teams import VectorTeams
 
@@ -62,10 +63,11 @@ class TeamVecEnv(VecEnv):
 
     def step_async(self, actions: Array) -> None:
         """Store the actions for `step_wait`. Raises ActionError if their number is wrong."""
-        actions = np.asarray(actions)
+        given, actions = actions, action_array(actions)
         wanted = (self.num_envs, *(self.action_space.shape or ()))
         if actions.shape != wanted:
-            raise ActionError(f"actions must have shape {wanted}, one row per robot; got {actions.shape}")
+            got = actions.shape if isinstance(given, np.ndarray) else f"{type(given).__name__} {given!r:.80}"
+            raise ActionError(f"actions must have shape {wanted}, one row per robot; got {got}")
         self._actions = actions.reshape(self.teams.count, self.robots, *actions.shape[1:])
 
     def step_wait(self):

@@ -38,8 +38,10 @@ from numpy.typing import NDArray as Array
 from twc_env.config import EnvConfig, to_dict
 from twc_env.config.checks import whole_number
 from twc_env.errors import ActionError, ConfigError, TwcError
+from twc_env.exploration.actions import action_array
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
+from twc_env.records.one_thread import OneThread
 from twc_env.vector.environment_group import RESET, STATE, STEP, EnvironmentGroup, Infos
 from twc_env.vector.shared_arrays import FLAT, SharedArrays
 from twc_env.vector.worker_pool import WorkerPool
@@ -87,6 +89,7 @@ class VectorTeams:
             WorkerPool(count, workers, *task) if workers > 1 else EnvironmentGroup(self._all, *task)
         )
         weakref.finalize(self, _close_unless_forked, self._runner, os.getpid()).atexit = False
+        self._alone = OneThread("VectorTeams")
         self._pending: set[int] = set()
         """Environments with a step that was not yet received."""
         self._early: deque[tuple[int, Infos | TwcError]] = deque()
@@ -197,11 +200,12 @@ class VectorTeams:
     def _running(self) -> Iterator[EnvironmentGroup | WorkerPool]:
         """The runner; it is closed if the block is interrupted, because the next call must not read old results."""
         runner = self._open()
-        try:
-            yield runner
-        except BaseException:
-            self.close()
-            raise
+        with self._alone:
+            try:
+                yield runner
+            except BaseException:
+                self.close()
+                raise
 
     def _open(self) -> EnvironmentGroup | WorkerPool:
         if self._runner is None:
@@ -226,13 +230,16 @@ class VectorTeams:
 
     def _checked(self, actions: Array, ids: list[int]) -> Array:
         """Actions as an array. Raises ActionError for invalid ones, before any environment has moved."""
-        space, actions = self.action_space, np.asarray(actions)
+        space, given, actions = self.action_space, actions, action_array(actions)
         wanted = (len(ids), self.robots, *(space.shape or ()))
+        if actions.dtype.kind not in "biufc" or not actions.size:
+            raise ActionError(f"actions must be numbers of shape {wanted}; got {type(given).__name__} {given!r:.80}")
         if actions.shape != wanted:
             raise ActionError(f"actions must have shape {wanted}, one per environment and robot; got {actions.shape}")
         low, high = (0, space.n - 1) if isinstance(space, spaces.Discrete) else (-1.0, 1.0)
-        if isinstance(space, spaces.Discrete) and actions.dtype.kind not in "iu":
-            raise ActionError(f"actions must be whole numbers from {low} to {high}; got {actions.dtype}")
+        kinds = ("iu", "whole") if isinstance(space, spaces.Discrete) else ("iuf", "real")
+        if actions.dtype.kind not in kinds[0]:
+            raise ActionError(f"actions must be {kinds[1]} numbers from {low} to {high}; got {actions.dtype}")
         is_valid = (actions >= low - 1e-6) & (actions <= high + 1e-6)  # False for NaN
         if not is_valid.all():
             row, robot = np.argwhere(~is_valid)[0][:2]

@@ -32,6 +32,45 @@ def recorded(wander):
     return env, steps
 
 
+OTHER_TYPES = {
+    "complex": lambda column: np.full(column.shape, 1j),
+    "object": lambda column: np.full(column.shape, None),
+    "date": lambda column: np.zeros(column.shape, "datetime64[s]"),
+    "text": lambda column: np.full(column.shape, "a"),
+    "fractions": lambda column: column.astype(float) + 0.5,
+}
+
+
+@pytest.mark.parametrize("kind", OTHER_TYPES)
+@pytest.mark.filterwarnings("error")
+def test_a_column_of_another_type_is_refused_in_one_line_that_names_it(recorded, tmp_path, kind):
+    env, steps = recorded
+    log, truth, bad = tmp_path / "frames.npz", tmp_path / "truth.npz", tmp_path / "bad.npz"
+    write_frame_log(log, env.config, steps, [Contacts(np.ones((2, 2), bool), np.ones((2, 2), bool))] * len(steps))
+    write_truth_log(truth, 4, "twin-01", env.result().true_poses)
+    refused = 0
+    for path, read in ((log, read_frame_log), (truth, read_truth_log)):
+        with np.load(path) as arrays:
+            held = dict(arrays)
+        for name, column in held.items():
+            is_allowed = name == "format" or column.dtype.kind in {"text": "U", "fractions": "fU"}.get(kind, "")
+            if is_allowed or not column.size:
+                continue
+            np.savez(bad, **{**held, name: OTHER_TYPES[kind](column)}, allow_pickle=True)
+            with pytest.raises(DataError) as caught:
+                read(bad)
+            assert "\n" not in str(caught.value), name
+            assert name in str(caught.value) or kind == "object"
+            refused += 1
+    assert refused >= 8
+
+
+def test_true_poses_that_are_not_finite_are_refused(tmp_path):
+    write_truth_log(tmp_path / "truth.npz", 4, "twin-01", np.full((3, 1, 3), np.nan))
+    with pytest.raises(DataError, match="true_poses that are not finite"):
+        read_truth_log(tmp_path / "truth.npz")
+
+
 def test_frames_that_are_not_told_apart_by_step_are_refused(recorded, tmp_path):
     env, steps = recorded
     with pytest.raises(DataError, match="of one robot"):

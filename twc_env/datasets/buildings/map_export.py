@@ -9,6 +9,7 @@ import numpy as np
 from twc_env.datasets.buildings.ros_map import write_ros_map
 from twc_env.errors import MapError
 from twc_env.records.messages import GridMap
+from twc_env.records.whole_file import whole_file
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.floorplan_file import write_floorplan
 
@@ -73,4 +74,5 @@ def _write_png(plan: Floorplan, path: Path, resolution_m: float) -> None:
     shade = np.full(cells.free.shape, _UNKNOWN, np.uint8)
     shade[cells.free] = _FREE
     shade[cells.wall] = _WALL
-    Image.fromarray(shade[::-1]).save(path)
+    with whole_file(path) as beside:
+        Image.fromarray(shade[::-1]).save(beside)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
+from twc_env.records.seal import is_unbroken, seal
 from twc_env.records.whole_file import whole_file
 
 ARRAYS_BYTES_MAX = 4_000_000_000
@@ -18,9 +19,13 @@ ARRAYS_BYTES_MAX = 4_000_000_000
 
 
 def write_arrays(path: str | Path, **arrays: Any) -> None:
-    """Write a compressed file with exactly this name, whole or not at all; numpy alone would append .npz."""
-    with whole_file(path) as beside, beside.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+    """Write a compressed file with exactly this name, whole or not at all, and with a checksum; numpy alone would
+    append .npz."""
+    with whole_file(path) as beside:
+        with beside.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+        if beside.is_file():  # and not a device
+            seal(beside)
 
 
 def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], remedy: str) -> dict[str, Array]:
@@ -32,6 +37,8 @@ def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], rem
     try:
         if path.is_file() and not zipfile.is_zipfile(path):
             raise DataError(f"{path} is not a {kind} or is truncated; {remedy}")
+        if path.is_file() and not is_unbroken(path):
+            raise DataError(f"{path} is not as it was written: its checksum differs; {remedy}")
         _check_size(path)
         with path.open("rb") as file, np.load(file) as data:
             arrays = {key: data[key] for key in data.files}
@@ -46,6 +53,21 @@ def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], rem
     if missing := sorted(set(keys) - set(arrays)):
         raise DataError(f"{path} lacks {', '.join(missing)}; {remedy}")
     return arrays
+
+
+WHOLE, REAL, TRUTH_VALUE, TEXT = (
+    ("iu", "whole numbers"), ("iuf", "real numbers"), ("b", "true and false"), ("U", "text")
+)  # fmt: skip
+"""Kinds of numpy's data types that a column may have, and what they are called."""
+
+
+def fault_of_types(arrays: Mapping[str, Array], columns: Mapping[tuple[str, str], Iterable[str]]) -> str | None:
+    """The first of these columns, by what they may hold, that is of another type; None if there is none."""
+    for (kinds, what), names in columns.items():
+        for name in names:
+            if name in arrays and arrays[name].dtype.kind not in kinds and arrays[name].size:
+                return f"{name} of type {arrays[name].dtype}, {what} are possible"
+    return None
 
 
 def _check_size(path: Path) -> None:

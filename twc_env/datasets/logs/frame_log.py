@@ -12,7 +12,15 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import ROBOTS_MAX, EnvConfig, from_dict, to_dict
-from twc_env.datasets.logs.arrays_file import read_arrays, write_arrays
+from twc_env.datasets.logs.arrays_file import (
+    REAL,
+    TEXT,
+    TRUTH_VALUE,
+    WHOLE,
+    fault_of_types,
+    read_arrays,
+    write_arrays,
+)
 from twc_env.errors import DataError, TwcError
 from twc_env.records.messages import Contacts, SensorFrame, SignReading, WifiScan
 
@@ -23,6 +31,12 @@ PER_FRAME = ("robot", "step", "time_s", "odometry", "turn_rate_rad_s", "ranges_m
 PER_READING = ("sign_frame", "sign_place")
 PER_ADDRESS = ("wifi_macs", "wifi_rssi_dbm")
 """Columns of the same length."""
+_TYPES = {
+    WHOLE: ("robot", "step", "step_frames", "wifi_count", "wifi_macs", "sign_frame"),
+    REAL: ("time_s", "odometry", "turn_rate_rad_s", "ranges_m", "wifi_rssi_dbm", "wifi_age_s", "sign_place"),
+    TRUTH_VALUE: ("contacts_tried", "contacts_heard"),
+    TEXT: ("config", "sign_text"),
+}
 
 
 def write_frame_log(
@@ -148,8 +162,13 @@ def write_truth_log(path: str | Path, seed: int, map_name: str, true_poses: Arra
 def read_truth_log(path: str | Path) -> tuple[int, str, Array]:
     """Seed, map and true poses (steps + 1, robots, 3) of a recording; raises DataError as `read_frame_log` does."""
     log = read_arrays(path, "truth log", TRUTH_FORMAT, ("seed", "map", "true_poses"), REMEDY)
+    fault = fault_of_types(log, {WHOLE: ("seed",), TEXT: ("map",), REAL: ("true_poses",)})
+    if fault is None and not np.isfinite(log["true_poses"]).all():
+        fault = "true_poses that are not finite"
+    if fault is not None:
+        raise DataError(f"{path} contradicts itself: {fault}; {REMEDY}")
     try:
-        return int(log["seed"]), str(log["map"]), log["true_poses"]
+        return int(log["seed"]), str(log["map"]), log["true_poses"].astype(float)
     except (TypeError, ValueError) as error:
         raise DataError(f"{path} contradicts itself: {error}; {REMEDY}") from error
 
@@ -171,14 +190,8 @@ def _read(path: str | Path) -> dict[str, Array]:
 
 def _fault(log: dict[str, Array]) -> str | None:
     """The first inconsistency of columns of correct length, or None."""
-    for key in ("robot", "wifi_count", "step_frames"):
-        if key in log and log[key].dtype.kind not in "iu":
-            return f"{key} of type {log[key].dtype}, whole numbers are possible"
-    if log["step"].dtype.kind not in "iu":
-        return f"step of type {log['step'].dtype}, whole numbers are possible"
-    for key in ("time_s", "odometry", "turn_rate_rad_s", "ranges_m", "wifi_rssi_dbm", "wifi_age_s", "sign_place"):
-        if key in log and log[key].dtype.kind not in "iuf":
-            return f"{key} of type {log[key].dtype}, real numbers are possible"
+    if fault := fault_of_types(log, _TYPES):
+        return fault
     frames, readings, counts, robots = len(log["robot"]), len(log["wifi_macs"]), log["wifi_count"], log["robot"]
     if robots.min() < 0 or robots.max() >= ROBOTS_MAX:
         return f"frames of robots {robots.min()} to {robots.max()}, 0 to {ROBOTS_MAX - 1} are possible"

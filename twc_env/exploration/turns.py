@@ -1,0 +1,34 @@
+"""The environment under PettingZoo's AEC API, in which the robots are asked for their actions one after another."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pettingzoo.utils.conversions import parallel_to_aec_wrapper
+
+
+class TurnsEnv(parallel_to_aec_wrapper):
+    """PettingZoo's own conversion, except for `unwrapped`.
+
+    That of PettingZoo is the parallel environment, which has no rewards or terminations that wrappers such as
+    `TerminateIllegalWrapper` could change, and an object of PettingZoo's own class fails its `api_test`.
+    """
+
+    @property
+    def unwrapped(self) -> Any:
+        """The turns, and what only the parallel environment has, such as `result()`."""
+        return _Unwrapped(self)
+
+
+class _Unwrapped:
+    """Attributes of the turns, or else of the parallel environment; new values are those of the turns."""
+
+    def __init__(self, turns: TurnsEnv):
+        self.__dict__["_turns"] = turns
+
+    def __getattr__(self, name: str) -> Any:
+        turns = self.__dict__["_turns"]
+        return getattr(turns if hasattr(turns, name) else turns.env, name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        setattr(self.__dict__["_turns"], name, value)
