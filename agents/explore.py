@@ -105,7 +105,7 @@ def explore(
         _film(film, step, env)
     env.close()
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
-    report = plain({**result.figures, "agent": agent, **origin_of(config, agent), **speeds})
+    report = plain({**result.figures, "agent": agent, **origin_of(result.config, agent), **speeds})
     return Run(result, report, film, was_interrupted, frames, contacts, trace)
 
 
