@@ -7,6 +7,7 @@ import sys
 from typing import Any
 
 from twc_env import load_map
+from twc_env.commands.suite import SUITE_EXAMPLES, SUITE_HELP, add_suite_options, check_options, run_suite
 from twc_env.commands.team_options import add_agent, add_team, folder_names, paragraphs, team_config
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
 from twc_env.running.command_line import add_folder, count, parse_seeds
@@ -26,21 +27,28 @@ def add_benchmark_parser(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser(
         "benchmark",
-        help="run one agent on many seeds and maps, and count the episodes that pass",
+        help="run a suite of tasks for a leaderboard, or one agent on many seeds and maps",
         **paragraphs(_BENCHMARK_HELP),
     )
+    parser.description, parser.epilog = f"{parser.description}\n\n{SUITE_HELP}", f"{parser.epilog}{SUITE_EXAMPLES}"
     parser.add_argument(
         "--maps", nargs="+", default=["twin-01", "twin-02"], metavar="MAP", help="names or files (default: both twins)"
     )
     parser.add_argument("--seeds", default="0-9", help="numbers and ranges: 0-9 or 1,4,7-9")
     add_folder(parser, "--out", "runs/benchmark", "folder of all runs")
     parser.add_argument("--jobs", type=count, default=1, help="parallel processes")
-    parser.set_defaults(run=_benchmark)
+    parser.set_defaults(run=_benchmark, when_interrupted="interrupted; the same command continues from there")
     add_agent(parser)
     add_team(parser)
+    add_suite_options(parser)
 
 
 def _benchmark(options: argparse.Namespace) -> int:
+    check_options(options)
+    return run_suite(options) if options.suite else _benchmark_maps(options)
+
+
+def _benchmark_maps(options: argparse.Namespace) -> int:
     from twc_env.agents import benchmark, make_policy, picture
 
     if not options.no_pictures:

@@ -87,10 +87,10 @@ class RewardConfig(Checked):
 class EpisodeConfig(Checked):
     """How an episode begins and ends."""
 
-    starts: str = choice("random", "entrance", "map")
+    starts: str = choice("random", "entrance", "map", is_later=True)
     """Where robots start unless `reset` is told: `random`, scattered over the building; `entrance`, side by side at one
     place, as after entering by one door; `map`, at the map's own starts."""
-    ends_at_coverage: float = number(0.0, 0.0, 1.0)
+    ends_at_coverage: float = number(0.0, 0.0, 1.0, is_later=True)
     """Share of the floor at which the episode ends as terminated, once the best correctly merged group has mapped it
     correctly (0: episodes last `max_cycles` time steps). Checked every `reward.period_steps` time steps."""
 

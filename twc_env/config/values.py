@@ -28,28 +28,24 @@ def radio_preset(name: str) -> RadioConfig:
     return from_dict(RADIO_PRESETS[name], RadioConfig, "radio")
 
 
-ADDED = ("episode.starts", "episode.ends_at_coverage")
-"""Settings added after the digests of the first tasks were pinned; at their defaults, which change no episode, they do
-not count."""
-
-
 @lru_cache(maxsize=16)
 def digest(config: EnvConfig) -> str:
-    """Twelve hex digits (SHA-256) of all values, except those of `ADDED` at their defaults."""
-    values, defaults = dataclasses.asdict(config), dataclasses.asdict(EnvConfig())
-    for dotted in ADDED:
-        _drop_default(values, defaults, dotted.split("."))
-    text = json.dumps(values, sort_keys=True)
+    """Twelve hex digits (SHA-256) of all values, without those of `checks.later` that have their default."""
+    text = json.dumps(_told(config), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def _drop_default(values: dict, defaults: dict, parts: list[str]) -> None:
-    """Delete a value that equals the default, and sections that are empty then."""
-    first, *rest = parts
-    if rest:
-        _drop_default(values[first], defaults[first], rest)
-    if not values[first] if rest else values[first] == defaults[first]:
-        del values[first]
+def _told(section) -> dict:
+    """Nested plain values that the digest covers."""
+    told = {}
+    for field in dataclasses.fields(section):
+        value = getattr(section, field.name)
+        if dataclasses.is_dataclass(value):
+            if own := _told(value):  # a section of later settings only is left out as a whole
+                told[field.name] = own
+        elif not (field.metadata.get("is_later") and value == field.default):
+            told[field.name] = value
+    return told
 
 
 def to_dict(config: EnvConfig) -> dict:

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from types import NoneType
 from typing import Any
 
-from twc_env.errors import ConfigError
 from twc_env.config import EnvConfig
+from twc_env.errors import ConfigError
 from twc_env.world.building.splits import drawn_from, family_of, is_set, one_of
 
 NAMES = ("starts", "map", "split")

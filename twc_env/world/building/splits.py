@@ -140,6 +140,6 @@ def _parts(name: str, rest: str) -> tuple[str, float, int]:
     except (IndexError, ValueError):
         raise MapError(
             f"{name!r} names no building; write gen:KIND:AREA:SEED, for example gen:office:800:7 "
-            f"(kinds: {', '.join(KINDS)}), or gen:KIND+KIND:AREA:SPLIT/NUMBER, for example gen:office+ward:800:test/0007"
+            f"(kinds: {', '.join(KINDS)}), or one of a family, for example gen:office+ward:800:test/0007"
         ) from None
     return kinds[number % len(kinds)], area_m2, _FAMILY_SEEDS.get(split, 0) + number
