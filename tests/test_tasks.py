@@ -19,6 +19,13 @@ PINNED = {
     "twc/ExploreKnownStarts-v0": "06696854976b",
     "twc/ExploreTruePoses-v0": "4526bcfe07bc",
     "twc/ExploreNoMerging-v0": "fe687a7c5ffe",
+    "twc/ExploreQuick-v1": "1471a1d79726",
+    "twc/ExploreOffice-v1": "cb9c5bfc7810",
+    "twc/ExploreEntrance-v1": "920ec6905107",
+    "twc/ExplorePeers-v1": "05d74954064f",
+    "twc/ExploreMall-v1": "c85bb57b38a2",
+    "twc/ExploreBare-v1": "8082aebe9c4a",
+    "twc/ExploreRadio-v1": "31d04f0556bc",
 }
 
 

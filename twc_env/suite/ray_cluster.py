@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -10,6 +11,8 @@ from twc_env.errors import DataError
 AUTO = "auto"
 RETRIES = 5
 """How often an episode is played anew whose worker process or machine was lost."""
+ANSWER_S = 10.0
+"""How long a cluster may take to answer."""
 THREADS = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
 
 
@@ -28,7 +31,7 @@ def on_ray(work: Callable[[Any], Any], parts: Sequence[Any], address: str) -> It
     is_ours = not ray.is_initialized()
     if is_ours:
         try:
-            where = {} if address == AUTO else {"address": address}
+            where = {} if address == AUTO else {"address": _answering(address)}
             ray.init(**where, log_to_driver=False, logging_level="ERROR", runtime_env={"env_vars": THREADS})
         except (ConnectionError, OSError, RuntimeError, ValueError) as error:
             reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
@@ -40,6 +43,15 @@ def on_ray(work: Callable[[Any], Any], parts: Sequence[Any], address: str) -> It
     finally:
         if is_ours:
             ray.shutdown()
+
+
+def _answering(address: str) -> str:
+    """The address, once something answers there: Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdecimal():
+        raise ValueError("an address is HOST:PORT")
+    socket.create_connection((host, int(port)), timeout=ANSWER_S).close()
+    return address
 
 
 def _results(ray: Any, work: Callable[[Any], Any], parts: Sequence[Any]) -> Iterator[tuple[int, Any]]:
