@@ -125,7 +125,7 @@ def _record(options: argparse.Namespace) -> None:
         show_count(len(steps) - 1, env.config.max_cycles, " steps", every=50)
     with alone_in(options.out):
         write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
-        write_truth_log(options.out / "truth.npz", options.seed, env.config.map, env.result().true_poses)
+        write_truth_log(options.out / "truth.npz", options.seed, env.episode.config.map, env.result().true_poses)
     print(f"{len(steps) - 1} steps of {env.config.robots} robots\nwritten: {options.out}")
 
 

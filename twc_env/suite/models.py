@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from twc_env.commands.train import learning_libraries
-from twc_env.config import override
+from twc_env.config import EnvConfig, override
 from twc_env.errors import DataError
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.suite.entries import Entry
@@ -25,13 +25,12 @@ def model_bytes(team: str) -> bytes:
         ) from error
 
 
-def model_in_task(entry: Entry) -> tuple[ExplorationEnv, Callable[[dict[str, Any]], dict[str, Any]]]:
-    """The environment of an entry with the actions and observations that a model was trained with, and the model.
+def model_for(entry: Entry) -> tuple[Path, EnvConfig]:
+    """The model file of the team, and the settings of the task with the actions and observations of its training.
 
     Raises DataError for a model that does not fit the task, such as one for another number of robots.
     """
     with learning_libraries():
-        from twc_env.training.evaluate import chooser_of
         from twc_env.training.run_folder import model_in, read_settings, task_of
 
     path = model_in(Path(entry.team))
@@ -42,6 +41,15 @@ def model_in_task(entry: Entry) -> tuple[ExplorationEnv, Callable[[dict[str, Any
             f"{entry.config.robots}: choose tasks it fits with --tasks, or train it with --robots {entry.config.robots}"
         )
     view = {"action": asdict(trained.action), "observation": asdict(trained.observation)}
-    env = ExplorationEnv(config=override(entry.config, view))
+    return path, override(entry.config, view)
+
+
+def model_in_task(entry: Entry) -> tuple[ExplorationEnv, Callable[[dict[str, Any]], dict[str, Any]]]:
+    """The environment of an entry for its model, and what the model does in it. Raises DataError as `model_for`."""
+    with learning_libraries():
+        from twc_env.training.evaluate import chooser_of
+
+    path, config = model_for(entry)
+    env = ExplorationEnv(config=config)
     choose = chooser_of(path, env, entry.number)
     return env, lambda observations: choose(observations, env.episode.steps)

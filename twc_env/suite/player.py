@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from twc_env.config import EnvConfig
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.records.class_file import digest_of, is_in_file
 from twc_env.running.finished_parts import code_digest
 from twc_env.suite.entries import Entry
 
@@ -20,23 +20,24 @@ Acts = Callable[[dict[str, Any]], dict[str, Any] | None]
 
 def is_model(team: str) -> bool:
     """Whether a team is a trained model: a model file, or the folder of a training run."""
-    return team.endswith(".zip") or (".py:" not in team and (Path(team) / "config.json").is_file())
+    return team.endswith(".zip") or (not is_in_file(team) and (Path(team) / "config.json").is_file())
 
 
-def digest_of_team(team: str, config: EnvConfig) -> str:
+def digest_of_team(entry: Entry) -> str:
     """What determines the team's actions besides the code of twc_env and its agents; empty for scripted teams.
 
-    Raises ConfigError for an unknown team, DataError for a model that cannot be read.
+    Raises ConfigError for an unknown team, and one that cannot play this task, DataError for such a model.
     """
-    if is_model(team):
-        from twc_env.suite.models import model_bytes
+    if is_model(entry.team):
+        from twc_env.suite.models import model_bytes, model_for
 
-        return f"{hashlib.sha256(model_bytes(team)).hexdigest()[:12]} {code_digest('twc_env.training')}"
+        content = model_bytes(entry.team)
+        model_for(entry)
+        return f"{hashlib.sha256(content).hexdigest()[:12]} {code_digest('twc_env.training')}"
     from twc_env.agents import make_policy
-    from twc_env.agents.explore import origin_of
 
-    make_policy(team, config)
-    return origin_of(config, team).get("agent_digest", "")
+    make_policy(entry.team, entry.config)
+    return digest_of(entry.team) if is_in_file(entry.team) else ""
 
 
 def play(entry: Entry) -> dict[str, Any]:

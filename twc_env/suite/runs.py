@@ -33,12 +33,14 @@ def play_all(
     about what is reused. Raises DataError if the folder cannot be written to or a worker process dies; what is finished
     by then is kept.
     """
-    teams = {team: digest_of_team(team, entries[0].config) for team in dict.fromkeys(e.team for e in entries)}
+    digests: dict[tuple[str, str], str] = {}
     stores = {}
     for entry in entries:
+        if (entry.task, entry.team) not in digests:
+            digests[entry.task, entry.team] = digest_of_team(entry)
         if entry.task not in stores:
             stores[entry.task] = FinishedParts(folder, "episode", _settings(entry), ("twc_env.agents",))
-    keys = [f"{e.config.map} {e.team} {teams[e.team]} {e.number}" for e in entries]
+    keys = [f"{e.config.map} {e.team} {digests[e.task, e.team]} {e.number}" for e in entries]
     found = [stores[e.task].find(key) for e, key in zip(entries, keys, strict=True)]
     waiting = [k for k, values in enumerate(found) if values is None]
     for remark in dict.fromkeys(store.remark for store in stores.values() if store.remark):
