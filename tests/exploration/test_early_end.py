@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import twc_env
+from twc_env.exploration.assessment.map_scores import floor_m2
 from twc_env.vector.teams import VectorTeams
 
 SMALL = {"map": "gen:office:100:1", "robots": 2, "max_cycles": 200}
@@ -29,6 +30,8 @@ def test_an_episode_is_terminated_once_the_share_is_mapped_and_not_truncated():
     assert not any(any(step[2].values()) or any(step[3].values()) for step in steps[:-1])
     assert infos["robot_0"]["steps"] == len(steps)
     assert sum(step[4]["robot_0"]["reward_terms"]["coverage"] for step in steps) >= 0.2
+    best = max(verdict.correct_area_m2 for verdict in env.episode.verdicts()) / floor_m2(env.floorplan.cells())
+    assert env.episode.coverage == best, "the last map is evaluated exactly"
     with pytest.raises(twc_env.TwcError, match="call reset"):
         env.step({})
 
