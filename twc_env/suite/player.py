@@ -83,7 +83,7 @@ def _ready(entry: Entry) -> tuple[ExplorationEnv, Acts]:
         from twc_env.suite.models import model_in_task
 
         return model_in_task(entry)
-    from twc_env.agents import make_policy
+    from twc_env.agents.policy import begin, make_policy
 
     env, policy = ExplorationEnv(config=entry.config), make_policy(entry.team, entry.config)
     is_fresh = True
@@ -91,7 +91,7 @@ def _ready(entry: Entry) -> tuple[ExplorationEnv, Acts]:
     def act(_: dict[str, Any]) -> dict[str, Any] | None:
         nonlocal is_fresh
         if is_fresh:
-            policy.reset(entry.number, env.possible_agents)
+            begin(policy, entry.team, env, entry.number)
             is_fresh = False
         beliefs = {name: env.belief(name) for name in env.agents}
         return None if policy.finished(beliefs) else policy.act(beliefs)
