@@ -24,7 +24,7 @@ PINNED = {
     "twc/ExploreEntrance-v1": "920ec6905107",
     "twc/ExplorePeers-v1": "05d74954064f",
     "twc/ExploreMall-v1": "c85bb57b38a2",
-    "twc/ExploreBare-v1": "8082aebe9c4a",
+    "twc/ExploreBare-v1": "4441aeb0f9a5",
     "twc/ExploreRadio-v1": "31d04f0556bc",
 }
 

@@ -74,12 +74,13 @@ TASKS: dict[str, dict[str, Any]] = {
         "episode.ends_at_coverage": 0.99,
     },
     "twc/ExploreBare-v1": {
-        "map": "gen:office+warehouse:1000:train",
-        "max_cycles": 1500,
+        "map": "gen:office+warehouse:1500:train",
+        "robots": 4,
+        "max_cycles": 2000,
         "lidar.range_max_m": 5.0,
         "building.sign_share": 0.0,
         "building.access_point_share": 0.3,
-        "episode.ends_at_coverage": 0.99,
+        "episode.ends_at_coverage": 0.98,
     },
     "twc/ExploreRadio-v1": {
         "map": "gen:office+ward+ring:800:train",
