@@ -73,3 +73,9 @@ def test_the_profile_is_the_share_of_episodes_above_each_threshold():
     strata = [np.array([0.2, 0.4, 0.6, 0.8]), np.array([0.9, 0.95])]
     found = scores.performance_profile(strata, np.array([0.0, 0.4, 0.85, 0.95]))
     assert found == pytest.approx([1.0, (0.5 + 1.0) / 2, (0.0 + 1.0) / 2, 0.0])
+
+
+def test_the_interval_of_a_profile_is_wide_only_where_episodes_differ():
+    low, high = scores.profile_interval([np.array([0.2, 0.8])], np.array([0.1, 0.5, 0.9]))
+    assert low == pytest.approx([1.0, 0.0, 0.0]) and high == pytest.approx([1.0, 1.0, 0.0])
+    assert np.isnan(scores.profile_interval([np.array([0.2])], np.array([0.1]))).all()

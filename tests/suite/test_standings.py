@@ -115,7 +115,11 @@ def test_curves_are_means_over_buildings_up_to_the_budget():
 
 def test_profiles_fall_from_all_episodes_to_none():
     *_, standings = played()
-    mine = dict(zip(THRESHOLDS.tolist(), standings.profiles["mine"], strict=True))
+    profile = standings.profiles["mine"]
+    assert all(
+        low <= share <= high for low, share, high in zip(*(profile[k] for k in ("low", "share", "high")), strict=True)
+    )
+    mine = dict(zip(THRESHOLDS.tolist(), profile["share"], strict=True))
     assert mine[0.5] == 1.0 and mine[0.7] == 0.0 and 0.0 < mine[0.6] < 1.0
 
 

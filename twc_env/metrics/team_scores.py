@@ -88,8 +88,23 @@ def probability_of_improvement(mine: Strata, other: Strata) -> float:
 
 def performance_profile(strata: Strata, thresholds: Array) -> Array:
     """(thresholds,) share of the episodes that score above each threshold, averaged over tasks."""
-    shares = [(np.asarray(values)[:, None] > thresholds).mean(axis=0) for values in strata]
-    return np.mean(shares, axis=0)
+    return _mean_of_means(*_is_above(strata, thresholds))
+
+
+def profile_interval(strata: Strata, thresholds: Array) -> tuple[Array, Array]:
+    """95 % interval (thresholds,), (thresholds,) of a performance profile, point by point; NaN as `iqm_interval`."""
+    if min(map(len, strata), default=0) < 2:
+        return np.full(len(thresholds), np.nan), np.full(len(thresholds), np.nan)
+    return _bootstrap(_is_above(strata, thresholds), _mean_of_means, axis=0)
+
+
+def _is_above(strata: Strata, thresholds: Array) -> tuple[Array, ...]:
+    """For each task (buildings, thresholds): 1 where a score is above a threshold."""
+    return tuple((np.asarray(values)[:, None] > thresholds).astype(float) for values in strata)
+
+
+def _mean_of_means(*samples: Array, axis: int = 0) -> Array:
+    return np.mean([sample.mean(axis=axis) for sample in samples], axis=0)
 
 
 def _interval(strata: Strata, statistic: Callable[..., Array]) -> tuple[float, float]:

@@ -40,12 +40,17 @@ def draw_curves(standings: Standings, path: Path) -> None:
 
 
 def draw_profiles(standings: Standings, path: Path) -> None:
-    """Performance profiles: the share of episodes that score above a threshold, averaged over tasks."""
+    """Performance profiles: the share of episodes that score above a threshold, averaged over tasks, with its 95 %
+    interval."""
     figure, panels = _panels(1, (7.0, 4.2))
     (panel,) = panels
     for team in standings.teams:
         colour, line = _style(team, standings.teams)
-        panel.step(THRESHOLDS, standings.profiles[team], line, where="mid", color=colour, lw=1.6, label=team_name(team))
+        profile = standings.profiles[team]
+        panel.step(THRESHOLDS, profile["share"], line, where="mid", color=colour, lw=1.6, label=team_name(team))
+        if all(map(math.isfinite, profile["low"])):
+            band = {"step": "mid", "color": colour, "alpha": 0.12, "lw": 0}
+            panel.fill_between(THRESHOLDS, profile["low"], profile["high"], **band)
     what = "normalised score" if standings.is_normalised else "area under the coverage curve (not normalised)"
     panel.set(xlabel=f"threshold of the {what}", ylabel="share of the episodes above it", ylim=(0, 1.02))
     panel.set_xlim(0, THRESHOLDS[-1] if standings.is_normalised else 1.0)

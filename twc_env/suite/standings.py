@@ -73,8 +73,8 @@ class Standings:
     """Task by task, the highest score first; with several tasks, `ALL` before them."""
     curves: dict[str, dict[str, dict[str, list[float]]]]
     """Task -> team -> `time_s`, `mean`, `low`, `high` of the correctly mapped floor over time."""
-    profiles: dict[str, list[float]]
-    """Team -> share of the episodes that score above each of `THRESHOLDS`, averaged over tasks."""
+    profiles: dict[str, dict[str, list[float]]]
+    """Team -> `share`, `low`, `high` of the episodes that score above each of `THRESHOLDS`, averaged over tasks."""
 
     def rows_of(self, task: str) -> list[Row]:
         """The rows of one task, or of `ALL`."""
@@ -150,10 +150,7 @@ def standings_of(entries: Sequence[Entry], values: Sequence[dict[str, Any]]) -> 
         own = [played[task, t].row(task, t, scores[task, t], *_improvement(of_task, t)) for t in teams]
         rows += sorted(own, key=lambda row: -row.score)
     curves = {task: {team: played[task, team].curve() for team in teams} for task in tasks}
-    profiles = {
-        team: np.round(team_scores.performance_profile([scores[task, team] for task in tasks], THRESHOLDS), 6).tolist()
-        for team in teams
-    }
+    profiles = {team: _profile([scores[task, team] for task in tasks]) for team in teams}
     return Standings(is_normalised, tasks, teams, tuple(rows), curves, profiles)
 
 
@@ -171,6 +168,12 @@ def _scores(
     if any(informed <= random for random, informed in ends.values()):
         return areas, False
     return {(task, team): team_scores.normalised(a, *ends[task]) for (task, team), a in areas.items()}, True
+
+
+def _profile(strata: Sequence[Array]) -> dict[str, list[float]]:
+    low, high = team_scores.profile_interval(strata, THRESHOLDS)
+    found = {"share": team_scores.performance_profile(strata, THRESHOLDS), "low": low, "high": high}
+    return {name: np.round(values, 6).tolist() for name, values in found.items()}
 
 
 def _improvement(scores: dict[str, list[Array]], team: str) -> tuple[float, str]:
