@@ -57,9 +57,10 @@ soak: .venv/installed-test ## hours: 1,000,000 steps, malformed actions and maps
 	.venv-ray/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ray]' pytest hypothesis
 	@touch $@
 
-test-ray: .venv-ray/installed ## RLlib plays a team (in .venv-ray: ray asks for an older gymnasium)
+test-ray: .venv-ray/installed ## RLlib plays a team, Ray plays a benchmark (in .venv-ray: ray asks for an older gymnasium)
 	.venv-ray/bin/python -c 'import ray.rllib'
 	.venv-ray/bin/python -m pytest -q -k "rllib or RLlib" tests/vector/test_tools.py tests/docs/test_snippets.py
+	.venv-ray/bin/python -m pytest -q tests/suite/test_ray.py
 
 clean: ## delete caches and runs, keep .venv
 	rm -rf runs build dist .numba_bounds .pytest_cache .mypy_cache .ruff_cache .hypothesis

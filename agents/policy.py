@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from numpy.typing import NDArray
 
@@ -13,6 +13,9 @@ from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError, did_you_mean
 from twc_env.records.class_file import class_in, is_in_file
 from twc_env.records.messages import Belief
+
+if TYPE_CHECKING:
+    from twc_env import ExplorationEnv
 
 
 class Policy(Protocol):
@@ -30,6 +33,11 @@ class Policy(Protocol):
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:
         """Whether there is nothing left to do, so that the episode may end early."""
+
+
+def begin(policy: Policy, agent: str, env: ExplorationEnv, seed: int) -> None:
+    """Prepare a policy made by `make_policy(agent)` for the episode that has begun."""
+    policy.reset(seed, env.possible_agents)
 
 
 _POLICIES = {

@@ -123,7 +123,7 @@ def evaluate(
     if films is not None:
         filmed = RecordEpisodes(_team(task, "rgb_array"), films)
     for seed in progress_bar(seeds, unit=" buildings", disable=not show_progress):
-        choosers = {"trained": _trained(model, task, seed), "random": _random(seed), "nearest": _nearest}
+        choosers = {"trained": _trained(model, task.config, seed), "random": _random(seed), "nearest": _nearest}
         for name, choose in choosers.items():
             env = (filmed if name == "trained" else None) or _team(task)
             episodes[name].append(_played(task, seed, env, choose))
@@ -131,10 +131,20 @@ def evaluate(
     return Evaluation(tuple(seeds), {name: tuple(values) for name, values in episodes.items()})
 
 
-def _trained(model: ChoicePolicy, task: Task, seed: int) -> Choose:
+def chooser_of(model_path: Path, env: twc_env.ExplorationEnv, seed: int) -> Choose:
+    """What a trained model does in an environment that has the actions and observations of its training.
+
+    Raises DataError for a model that cannot be read or was trained with others.
+    """
+    torch.set_num_threads(1)
+    seen, chosen = TeamNotes.space(env.observation_space("robot_0")), env.action_space("robot_0")
+    return _trained(load_policy(model_path, ChoicePolicy, seen, chosen), env.config, seed)
+
+
+def _trained(model: ChoicePolicy, config: twc_env.EnvConfig, seed: int) -> Choose:
     """Samples as in training: two robots that always take their most likely choice may wait for each other forever."""
     torch.manual_seed(seed)
-    notes = TeamNotes(1, task.config.robots, task.max_cycles)
+    notes = TeamNotes(1, config.robots, config.max_cycles)
     elapsed_before = 0
 
     def choose(seen: dict, elapsed: int) -> dict:

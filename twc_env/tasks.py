@@ -1,6 +1,10 @@
 """The standard tasks: versioned ids, registered with Gymnasium and PettingZoo, and their settings.
 
 A test pins the configuration digest of every id; a change of results needs a new version (CHANGELOG.md).
+
+The tasks v1 are chosen so that teams differ (docs/leaderboard.md). Each has 500 buildings for training, 100 for
+validation and 100 for testing: an episode is played in a building of the training split drawn by its seed, unless
+`reset(options={"split": "test"})` or a map says otherwise.
 """
 
 from __future__ import annotations
@@ -33,8 +37,62 @@ TASKS: dict[str, dict[str, Any]] = {
     "twc/ExploreKnownStarts-v0": {"slam.oracle": "starts"},
     "twc/ExploreTruePoses-v0": {"slam.oracle": "poses"},
     "twc/ExploreNoMerging-v0": {"slam.merging.enabled": False},
+    "twc/ExploreQuick-v1": {
+        "map": "gen:office+ring+ward+mall+warehouse:300:train",
+        "max_cycles": 600,
+        "episode.ends_at_coverage": 0.99,
+    },
+    "twc/ExploreOffice-v1": {
+        "map": "gen:office+ward+ring:2000:train",
+        "robots": 4,
+        "max_cycles": 3000,
+        "lidar.range_max_m": 5.0,
+        "episode.ends_at_coverage": 0.95,
+    },
+    "twc/ExploreEntrance-v1": {
+        "map": "gen:office+ward+ring:2000:train",
+        "robots": 4,
+        "max_cycles": 2500,
+        "lidar.range_max_m": 5.0,
+        "episode.starts": "entrance",
+        "episode.ends_at_coverage": 0.95,
+    },
+    "twc/ExplorePeers-v1": {
+        "map": "gen:office+ward+ring:2000:train",
+        "robots": 4,
+        "max_cycles": 3500,
+        "lidar.range_max_m": 5.0,
+        "link.topology": "peer",
+        "link.range_max_m": 10.0,
+        "link.wall_range_m": 4.0,
+        "episode.ends_at_coverage": 0.95,
+    },
+    "twc/ExploreMall-v1": {
+        "map": "gen:mall:5000:train",
+        "robots": 8,
+        "max_cycles": 2000,
+        "episode.ends_at_coverage": 0.99,
+    },
+    "twc/ExploreBare-v1": {
+        "map": "gen:office+warehouse:1500:train",
+        "robots": 4,
+        "max_cycles": 2000,
+        "lidar.range_max_m": 5.0,
+        "building.sign_share": 0.0,
+        "building.access_point_share": 0.3,
+        "episode.ends_at_coverage": 0.98,
+    },
+    "twc/ExploreRadio-v1": {
+        "map": "gen:office+ward+ring:800:train",
+        "max_cycles": 2500,
+        "lidar.range_max_m": 4.0,
+        "slam.cues.lidar": False,
+        "episode.ends_at_coverage": 0.9,
+    },
 }
-"""Id -> dotted settings that differ from the defaults. The last three are oracles and an ablation."""
+"""Id -> dotted settings that differ from the defaults. Of v0, the last three are oracles and an ablation."""
+SUITES: dict[str, tuple[str, ...]] = {"v1": tuple(task for task in TASKS if task.endswith("-v1"))}
+"""The tasks that `twc-env benchmark --suite` plays together."""
 
 
 def task_config(task: str) -> EnvConfig:

@@ -6,6 +6,7 @@ import argparse
 import sys
 from typing import Any
 
+from twc_env.commands.suite import SUITE_EXAMPLES, SUITE_HELP, add_suite_options, check_options, run_suite
 from twc_env.commands.team_options import add_agent, add_team, folder_names, paragraphs, team_config
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
 from twc_env.running.command_line import INTERRUPTED, add_folder, count, parse_seeds
@@ -23,19 +24,26 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Fill the command's parser."""
-    parser.description, parser.epilog = paragraphs(_BENCHMARK_HELP)
+    description, epilog = paragraphs(_BENCHMARK_HELP)
+    parser.description, parser.epilog = f"{description}\n\n{SUITE_HELP}", f"{epilog}{SUITE_EXAMPLES}"
     parser.add_argument(
         "--maps", nargs="+", default=["twin-01", "twin-02"], metavar="MAP", help="names or files (default: both twins)"
     )
     parser.add_argument("--seeds", default="0-9", help="numbers and ranges: 0-9 or 1,4,7-9")
     add_folder(parser, "--out", "runs/benchmark", "folder of all runs")
     parser.add_argument("--jobs", type=count, default=1, help="parallel processes")
-    parser.set_defaults(run=_benchmark)
+    parser.set_defaults(run=_benchmark, when_interrupted="interrupted; the same command continues from there")
     add_agent(parser)
     add_team(parser)
+    add_suite_options(parser)
 
 
 def _benchmark(options: argparse.Namespace) -> int:
+    check_options(options)
+    return run_suite(options) if options.suite else _benchmark_maps(options)
+
+
+def _benchmark_maps(options: argparse.Namespace) -> int:
     from twc_env import load_map
     from twc_env.agents import benchmark, make_policy, picture
 

@@ -59,7 +59,7 @@ def _record(options: argparse.Namespace) -> int:
     true_poses = env.episode.record.true_poses[: len(steps)]
     with alone_in(options.out):
         write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
-        write_truth_log(options.out / "truth.npz", options.seed, env.config.map, true_poses)
+        write_truth_log(options.out / "truth.npz", options.seed, env.episode.config.map, true_poses)
     print(f"{len(steps) - 1} steps of {env.config.robots} robots\nwritten: {options.out}")
     if was_interrupted:
         print(f"interrupted after {len(steps) - 1} steps; the log holds these", file=sys.stderr)

@@ -4,7 +4,7 @@ A config is immutable. `from_dict` and `load` reject unknown keys and values of 
 identifies a config in logs and tables.
 """
 
-from twc_env.config.environment import ActionConfig, EnvConfig, ObservationConfig, RewardConfig
+from twc_env.config.environment import ActionConfig, EnvConfig, EpisodeConfig, ObservationConfig, RewardConfig
 from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.slam import (
     CuesConfig,
@@ -43,6 +43,7 @@ __all__ = [
     "CuesConfig",
     "DynamicsConfig",
     "EnvConfig",
+    "EpisodeConfig",
     "FailureConfig",
     "HighBandConfig",
     "KVisibilityConfig",

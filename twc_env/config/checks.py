@@ -25,9 +25,14 @@ def is_too_great(value: int) -> bool:
     return value.bit_length() > _BITS_MAX
 
 
-def number(default, minimum: float = -math.inf, maximum: float = math.inf):
-    """A numeric field with its allowed range (inclusive)."""
-    return field(default=default, metadata={"minimum": minimum, "maximum": maximum})
+def number(default, minimum: float = -math.inf, maximum: float = math.inf, *, is_later: bool = False):
+    """A numeric field with its allowed range (inclusive). is_later: as `later`."""
+    return field(default=default, metadata={"minimum": minimum, "maximum": maximum, "is_later": is_later})
+
+
+def later(default: bool):
+    """A field added after digests were published: at its default, which changes nothing, the digest leaves it out."""
+    return field(default=default, metadata={"is_later": True})
 
 
 def plain_value(value):
@@ -54,9 +59,9 @@ def refuse_arguments(unknown: Iterable[str], function: Callable) -> None:
         raise ArgumentError(f"unexpected keyword argument {name!r}; known are {', '.join(known)}: {hint}")
 
 
-def choice(default: str, *others: str, or_class: bool = False):
-    """A field with a fixed list of names; or_class: also a user's class, FILE.py:CLASS."""
-    return field(default=default, metadata={"choices": (default, *others), "or_class": or_class})
+def choice(default: str, *others: str, or_class: bool = False, is_later: bool = False):
+    """A field with a fixed list of names; or_class: also a user's class, FILE.py:CLASS; is_later: as `later`."""
+    return field(default=default, metadata={"choices": (default, *others), "or_class": or_class, "is_later": is_later})
 
 
 def choices_of(setting: dataclasses.Field) -> str:

@@ -84,12 +84,25 @@ class RewardConfig(Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeConfig(Checked):
+    """How an episode begins and ends."""
+
+    starts: str = choice("random", "entrance", "map", is_later=True)
+    """Where robots start unless `reset` is told: `random`, scattered over the building; `entrance`, side by side at one
+    place, as after entering by one door; `map`, at the map's own starts."""
+    ends_at_coverage: float = number(0.0, 0.0, 1.0, is_later=True)
+    """Share of the floor at which the episode ends as terminated, once the best correctly merged group has mapped it
+    correctly (0: episodes last `max_cycles` time steps). Checked every `reward.period_steps` time steps."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EnvConfig(Checked):
     """All settings of an episode."""
 
     map: str = "twin-01"
     """A bundled map ("twin-01"), a generated building ("gen:office:800:7", "train/0007") or a file: twc_env or
-    HouseExpo JSON, ROS map_server yaml, png, pgm or GeoJSON."""
+    HouseExpo JSON, ROS map_server yaml, png, pgm or GeoJSON. A set of buildings ("gen:office+ward:2000:train") gives
+    each episode one of them, drawn by its seed."""
     robots: int = number(3, 1, ROBOTS_MAX)
     max_cycles: int = number(2000, 1, 10_000_000)
     building: BuildingConfig = field(default_factory=BuildingConfig)
@@ -101,6 +114,7 @@ class EnvConfig(Checked):
     link: LinkConfig = field(default_factory=LinkConfig)
     failure: FailureConfig = field(default_factory=FailureConfig)
     slam: SlamConfig = field(default_factory=SlamConfig)
+    episode: EpisodeConfig = field(default_factory=EpisodeConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     action: ActionConfig = field(default_factory=ActionConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)

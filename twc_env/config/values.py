@@ -32,9 +32,22 @@ def radio_preset(name: str) -> RadioConfig:
 
 @lru_cache(maxsize=16)
 def digest(config: EnvConfig) -> str:
-    """Twelve hex digits (SHA-256) of all values."""
-    text = json.dumps(dataclasses.asdict(config), sort_keys=True)
+    """Twelve hex digits (SHA-256) of all values, without those of `checks.later` that have their default."""
+    text = json.dumps(_told(config), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def _told(section) -> dict:
+    """Nested plain values that the digest covers."""
+    told = {}
+    for field in dataclasses.fields(section):
+        value = getattr(section, field.name)
+        if dataclasses.is_dataclass(value):
+            if own := _told(value):  # a section of later settings only is left out as a whole
+                told[field.name] = own
+        elif not (field.metadata.get("is_later") and value == field.default):
+            told[field.name] = value
+    return told
 
 
 def to_dict(config: EnvConfig) -> dict:

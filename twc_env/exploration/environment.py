@@ -31,6 +31,7 @@ from twc_env.records.messages import Belief, Contacts, SensorFrame
 from twc_env.records.one_thread import OneThread
 from twc_env.slam.modes import Engine
 from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.building.splits import one_of
 from twc_env.world.building.subsampling import subsampled
 from twc_env.world.world import World
 
@@ -47,7 +48,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     determine which places the engine recognises and hence the quality of the team's map, which is what is rewarded.
 
     Agents: "robot_0" ... "robot_{n-1}". All stay in the episode until it is truncated after `max_cycles` time steps of
-    `dynamics.time_step_s`.
+    `dynamics.time_step_s`, or, with `episode.ends_at_coverage`, terminated as soon as that share of the floor is mapped
+    correctly.
 
     Actions, by `action.kind`:
 
@@ -113,12 +115,12 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     `reset(options=...)` applies to one episode. `{"starts": "map"}` uses the map's own start poses instead of random
     ones, `{"starts": [(x, y, heading), ...]}` the given ones, in the building frame; robots that would overlap a wall
     or each other are refused. `{"map": NAME}` plays in another building, `{"split": "train"}` (or validation, test)
-    in a building of that split drawn by the seed; `floorplan.name` is its name.
+    in a building of that split drawn by the seed, of the family of `map` if it has one; `floorplan.name` is its name.
 
     `belief(agent)` is what a robot knows, for planners; `result()` evaluates the episode so far against ground truth;
     `snapshot()` and `restore()` save and restore the exact state.
 
-    Versions: v0, first release.
+    Versions: v0, first release; v1, tasks with splits of their own that end at a coverage (`twc_env.tasks`).
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -154,7 +156,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._viewer = _make_viewer(render_mode, self.metadata["render_fps"], render_signal)
         self._watch = None if self._viewer is None else self._viewer.follow
         self._spectators: list[Callable[[], None]] = []
-        self._own_floorplan = floorplan if floorplan is not None else load_map(self.config.map)
+        self._own_floorplan = floorplan if floorplan is not None else load_map(one_of(self.config.map, 0))
         self._plan: Floorplan | None = None
         self._move_into(None)
         count = self.config.robots
@@ -198,7 +200,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def _reset(self, seed: int | None, options: dict | None):
         self.agents, self._begun = [], None
         seed = self._next_seed() if seed is None else whole_number("seed", seed, 0)
-        starts, building = read_options(options, seed)
+        starts, building = read_options(options, seed, self.config)
         config = self._move_into(building)
         self._seed = seed
         episode = self._begun = Episode(config, self._world, seed, starts)
@@ -233,15 +235,18 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             infos[agent] = {"reward_terms": values[robot].copy()}
         if episode.macro_actions is not None:
             self._tell_choices(infos, episode.macro_actions, episode.steps - began)
-        truncated = self._all_false
+        terminated = truncated = self._all_false
         if episode.is_over:
             numbers: dict[str, Any] = episode.numbers()
             for info in infos.values():
                 info.update(numbers)
-            self.agents, truncated = [], self._all_true
+            self.agents = []
+            terminated, truncated = self._all_false, self._all_true
+            if episode.is_covered:
+                terminated, truncated = truncated, terminated
         if values is not self._weighed[0]:
             self._weighed = values, self._by_agent(rewards.weigh(values, self._weights))
-        return observations, self._weighed[1].copy(), self._all_false.copy(), truncated.copy(), infos
+        return observations, self._weighed[1].copy(), terminated.copy(), truncated.copy(), infos
 
     @property
     def episode(self) -> Episode:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
@@ -42,7 +43,10 @@ class Episode:
         self.steps = 0
         """Time steps so far."""
         self.is_over = False
-        """Whether `max_cycles` time steps were done."""
+        """Whether `max_cycles` time steps were done, or the floor is covered."""
+        self.is_covered = False
+        """Whether the share `episode.ends_at_coverage` of the floor was mapped correctly."""
+        self._share_wanted = config.episode.ends_at_coverage or math.inf
         self.world = world
         """Ground truth."""
         world.reset(seed, starts)
@@ -134,6 +138,17 @@ class Episode:
             masks = [macro_actions.mask(robot) for robot in range(self.config.robots)]
         return self._builder.build(search.candidates, masks)
 
+    @property
+    def coverage(self) -> float:
+        """Share of the floor mapped correctly by the best correctly merged group, when the rewards were last
+        evaluated."""
+        return self._standing.team[0]
+
+    @property
+    def is_one_map(self) -> bool:
+        """Whether all robots shared one correct map when the rewards were last evaluated."""
+        return self._standing.team[1] == 1.0
+
     def belief(self, robot: int) -> Belief:
         """What one robot knows: its map and pose. Estimates only."""
         return self.engine.belief(robot)
@@ -205,12 +220,22 @@ class Episode:
         config, before, sent_before, contacts = self.config, self._standing, self._bytes_evaluated, self._touching
         self._bytes_evaluated = sum(self.engine.bytes_sent.values())
         if self.is_over or self.steps % config.reward.period_steps == 0:
-            last = self.map_scores() if self.is_over else ()
-            self._standing = map_scores.standing(self.engine, self.record, self.floorplan.cells(), last)
+            self._evaluate()
+            self.is_covered = self.coverage >= self._share_wanted
+            if self.is_covered and not self.is_over:
+                self.is_over = True
+                self.engine.finish()
+                self._notice()
+                self._evaluate()
         sent = (self._bytes_evaluated - sent_before) / config.robots
         if self._standing is before and True not in contacts.tolist():
             return rewards.quiet(self._uneventful, sent) if sent else self._uneventful
         return rewards.terms(self._transition(before, contacts, sent), config.reward.sharing)
+
+    def _evaluate(self) -> None:
+        """Evaluate the maps for the rewards, exactly if the episode is over."""
+        last = self.map_scores() if self.is_over else ()
+        self._standing = map_scores.standing(self.engine, self.record, self.floorplan.cells(), last)
 
     def _transition(self, before: rewards.Standing, contacts: Array, bytes_per_robot: float) -> rewards.Transition:
         """The present time step; before: the potentials before it."""

@@ -7,18 +7,19 @@ from collections.abc import Mapping
 from types import NoneType
 from typing import Any
 
+from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError
-from twc_env.records.random_streams import random_stream
-from twc_env.world.building.splits import split_names
+from twc_env.world.building.splits import drawn_from, family_of, is_set, one_of
 
 NAMES = ("starts", "map", "split")
 
 
-def read_options(options: Mapping[str, Any] | None, seed: int) -> tuple[Any, str | None]:
+def read_options(options: Mapping[str, Any] | None, seed: int, config: EnvConfig) -> tuple[Any, str | None]:
     """Start poses for `World.reset`, and the name of the building; None: the environment's own.
 
-    With a split, the seed draws the building. Options of other environments are ignored. Raises ConfigError if options
-    are not a dict, for a misspelt name, and for a map together with a split; MapError for an unknown split.
+    With a split or a set of buildings, the seed draws one. Options of other environments are ignored. Raises
+    ConfigError if options are not a dict, for a misspelt name, and for a map together with a split; MapError for an
+    unknown split.
     """
     if not isinstance(options, (Mapping, NoneType)):
         raise ConfigError(f"reset options must be a dict, such as {{'map': 'twin-02'}}; got {options!r}")
@@ -28,8 +29,8 @@ def read_options(options: Mapping[str, Any] | None, seed: int) -> tuple[Any, str
             raise ConfigError(f"reset options have no {unknown!r}; did you mean {near[0]!r}?")
     if "map" in options and "split" in options:
         raise ConfigError("reset options name either a map or a split, not both")
-    building = options.get("map")
+    starts = options.get("starts", config.episode.starts)
     if "split" in options:
-        names = split_names(options["split"])
-        building = names[int(random_stream(seed, "building").integers(len(names)))]
-    return options.get("starts", "random"), building
+        return starts, drawn_from(options["split"], family_of(config.map), seed)
+    building = options.get("map", config.map if is_set(config.map) else None)
+    return starts, building if building is None else one_of(str(building), seed)

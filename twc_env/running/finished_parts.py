@@ -22,6 +22,9 @@ SUFFIXES = (".py", ".json")
 """Files that determine results: code, measured tables and bundled maps."""
 
 
+_MISSING = object()
+
+
 @cache
 def code_digest(*packages: str) -> str:
     """Digest (eight hex digits) of all code and bundled data of twc_env and of the given packages."""
@@ -67,12 +70,19 @@ class FinishedParts:
 
     def once(self, key: str, work: Callable[[], Any]) -> Any:
         """The result of `work()` as JSON returns it; read from disk if an earlier run finished this part."""
-        path = self.folder / (hashlib.sha256(key.encode()).hexdigest()[:16] + ".json")
+        found = self.find(key, _MISSING)
+        return self.keep(key, work()) if found is _MISSING else found
+
+    def find(self, key: str, default: Any = None) -> Any:
+        """The result of a part that is finished; the default if it is missing or incomplete."""
         try:
-            return json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):  # missing or incomplete: compute it
-            pass
-        text = json.dumps(plain(work()))
+            return json.loads(self._path(key).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return default
+
+    def keep(self, key: str, result: Any) -> Any:
+        """Write the result of a part; returns it as JSON does. Raises DataError if it cannot be written."""
+        path, text = self._path(key), json.dumps(plain(result))
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             partial = path.with_suffix(f".{os.getpid()}")
@@ -81,3 +91,6 @@ class FinishedParts:
         except OSError as error:
             raise DataError(f"cannot keep finished parts in {self.folder}: {error.strerror}") from error
         return json.loads(text)
+
+    def _path(self, key: str) -> Path:
+        return self.folder / (hashlib.sha256(key.encode()).hexdigest()[:16] + ".json")

@@ -55,13 +55,14 @@ class EnvironmentGroup:
         """One step with the actions of row k. If it ends the episode, the next one begins."""
         env, arrays = self._envs[k], self._arrays
         actions = dict(zip(env.possible_agents, arrays.actions[k], strict=True))
-        observations, rewards, _, truncations, infos = env.step(actions)
+        observations, rewards, terminations, _, infos = env.step(actions)
         arrays.rewards[k] = list(rewards.values())
-        arrays.ended[k] = has_ended = all(truncations.values())
+        arrays.ended[k] = has_ended = not env.agents
         if has_ended:
             state = env.state()
             for agent, info in infos.items():
                 info["final_observation"], info["final_state"] = self._named(observations[agent]), state
+                info["is_terminated"] = terminations[agent]
             self._seeds[k] += len(arrays.ended)
             self._begin(k)
         else:

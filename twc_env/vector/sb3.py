@@ -31,7 +31,8 @@ from twc_env.vector.teams import VectorTeams
 class TeamVecEnv(VecEnv):
     """Row k * robots + r is robot r of environment k; same arguments as `VectorTeams`.
 
-    Episodes end by their time limit only: `info["TimeLimit.truncated"]` is True and `terminal_observation` is set.
+    When an episode ends, `terminal_observation` is set, and `info["TimeLimit.truncated"]` is True unless it was
+    terminated (`episode.ends_at_coverage`).
     `info["episode"]` has return and length, so VecMonitor is not needed.
     """
 
@@ -79,7 +80,7 @@ class TeamVecEnv(VecEnv):
         flat = [info for team in infos for info in team]
         for row in np.flatnonzero(done).tolist():
             flat[row]["terminal_observation"] = flat[row].pop("final_observation")
-            flat[row]["TimeLimit.truncated"] = True
+            flat[row]["TimeLimit.truncated"] = not flat[row].pop("is_terminated")
             flat[row]["episode"] = {"r": float(self._returns[row]), "l": int(self._lengths[row]), "t": 0.0}
             self._returns[row], self._lengths[row] = 0.0, 0
         return self._rows(observations), paid, done, flat

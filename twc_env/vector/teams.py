@@ -45,7 +45,7 @@ from twc_env.records.one_thread import OneThread
 from twc_env.vector.environment_group import RESET, STATE, STEP, EnvironmentGroup, Infos
 from twc_env.vector.shared_arrays import FLAT, SharedArrays
 from twc_env.vector.worker_pool import WorkerPool
-from twc_env.world.building.splits import SPLITS, is_of_split, split_names
+from twc_env.world.building.splits import SPLITS, family_of, is_of_split, split_names
 
 
 class VectorTeams:
@@ -80,7 +80,7 @@ class VectorTeams:
         self.agents = tuple(model.possible_agents)
         self.observation_space, self.action_space = model.observation_space("robot_0"), model.action_space("robot_0")
         self.state_space = model.state_space
-        names = _building_names(buildings)
+        names = _building_names(buildings, family_of(self.config.map))
         spaces_of_robot = self.observation_space, self.action_space
         self._arrays = SharedArrays(count, self.robots, *spaces_of_robot, self.state_space)
         task = self._arrays, to_dict(self.config), names
@@ -115,7 +115,8 @@ class VectorTeams:
         """One step of all environments.
 
         actions: (count, robots, ...). Returns observations as from `reset`, rewards (count, robots) float32, whether
-        the episode has ended (count,) bool (always by its time limit), and infos[k][robot].
+        the episode has ended (count,) bool, and infos[k][robot]; if it has, `is_terminated` in them tells whether the
+        floor was mapped (`episode.ends_at_coverage`) or the time limit reached.
         """
         self.send(actions, self._all)
         return self._receive(self.count, range(self.count))[1:]
@@ -297,11 +298,11 @@ def _close_unless_forked(runner: EnvironmentGroup | WorkerPool, owner: int) -> N
         runner.close()
 
 
-def _building_names(buildings: str | Sequence[str]) -> tuple[str, ...]:
-    """Names of maps that can be loaded, none or more; the name of a split stands for all of it."""
+def _building_names(buildings: str | Sequence[str], family: str) -> tuple[str, ...]:
+    """Names of maps that can be loaded, none or more; the name of a split stands for all of it, in this family."""
     if isinstance(buildings, str):
         if buildings in SPLITS:
-            return split_names(buildings)
+            return split_names(buildings, family)
         if near := difflib.get_close_matches(buildings, SPLITS, n=1, cutoff=0.7):
             raise ConfigError(
                 f"buildings are a split ({', '.join(SPLITS)}) or names of maps; did you mean {near[0]!r}?"
@@ -319,4 +320,4 @@ def _building_names(buildings: str | Sequence[str]) -> tuple[str, ...]:
 def _recipe(name: str) -> str:
     """Names that differ in nothing but a number that a building is drawn from have one: none of them can be missing."""
     recipe, _, number = name.rpartition(":")
-    return name.partition("/")[0] if is_of_split(name) else recipe if number.isdecimal() else name
+    return name.rpartition("/")[0] if is_of_split(name) else recipe if number.isdecimal() else name

@@ -18,6 +18,8 @@ START_CLEARANCE_M = 0.4
 START_SPACING_M = 1.5
 """... and to other starts, down to `START_SPACING_MIN_M` in small buildings."""
 START_SPACING_MIN_M = 0.6
+ENTRANCE_SPACING_M = 1.0
+"""The same at an entrance, where robots start side by side."""
 START_MARGIN_M = 0.02
 """Least gap between the rims of large robots and walls or other robots."""
 _TOLERANCE_M = 1e-6
@@ -38,14 +40,15 @@ def start_poses(plan: Floorplan, robots: int, radius_m: float, seed: int, starts
         try:
             poses = np.array(starts, float)
         except (TypeError, ValueError):
-            raise ConfigError(f"starts must be 'random', 'map' or {robots} poses; got {starts!r}") from None
+            wanted = f"'random', 'entrance', 'map' or {robots} poses"
+            raise ConfigError(f"starts must be {wanted}; got {starts!r}") from None
         _check_poses(plan, robots, poses)
         poses_home = compose(inverse(plan.pose_building_home), poses)
         if fault := _overlap(home, radius_m, poses_home, poses):
             raise ConfigError(fault)
         return poses_home
-    if starts == "random":
-        return _random_starts(home, robots, radius_m, random_stream(seed, "starts"))
+    if starts in ("random", "entrance"):
+        return _random_starts(home, robots, radius_m, random_stream(seed, "starts"), starts == "entrance")
     if starts == "map":
         if len(home.starts) < robots:
             raise MapError(
@@ -55,7 +58,7 @@ def start_poses(plan: Floorplan, robots: int, radius_m: float, seed: int, starts
         if fault := _overlap(home, radius_m, poses_home, compose(plan.pose_building_home, poses_home)):
             raise MapError(f"map {home.name!r}: {fault}")
         return poses_home
-    raise ConfigError(f"starts must be 'random', 'map' or poses; got {starts!r}")
+    raise ConfigError(f"starts must be 'random', 'entrance', 'map' or poses; got {starts!r}")
 
 
 def _check_poses(plan: Floorplan, robots: int, poses: Array) -> None:
@@ -95,18 +98,32 @@ def _named(robot: int, pose: Array) -> str:
     return f"starts[{robot}] at ({pose[0]:g}, {pose[1]:g})"
 
 
-def _random_starts(home: Floorplan, robots: int, radius_m: float, random: np.random.Generator) -> Array:
+def _random_starts(
+    home: Floorplan, robots: int, radius_m: float, random: np.random.Generator, is_entrance: bool
+) -> Array:
     """(robots, 3) random poses with clearance to walls and spacing, which is reduced in steps if there is no room."""
     clearance_m = max(START_CLEARANCE_M, radius_m + START_MARGIN_M)
     apart_m = 2 * radius_m + START_MARGIN_M
     places = start_places(home, clearance_m)
     if len(places) == 0:
         raise MapError(f"map {home.name!r} has no place {clearance_m:g} m clear of walls to start from")
-    for spacing_m in np.linspace(max(START_SPACING_M, apart_m), max(START_SPACING_MIN_M, apart_m), _TRIES):
-        chosen = _choose_spaced(places[random.permutation(len(places))[:_PLACES_MAX]], robots, spacing_m)
+    widest_m = max(ENTRANCE_SPACING_M if is_entrance else START_SPACING_M, apart_m)
+    for spacing_m in np.linspace(widest_m, max(START_SPACING_MIN_M, apart_m), _TRIES):
+        if is_entrance:
+            candidates = _around(home, places, places[random.integers(len(places))])
+        else:
+            candidates = places[random.permutation(len(places))[:_PLACES_MAX]]
+        chosen = _choose_spaced(candidates, robots, spacing_m)
         if len(chosen) == robots:
             return np.column_stack([chosen, random.uniform(-math.pi, math.pi, robots)])
     raise MapError(f"map {home.name!r} has no room for {robots} robots; use fewer")
+
+
+def _around(home: Floorplan, places: Array, entrance: Array) -> Array:
+    """(k, 2) places in sight of the entrance, nearest first."""
+    away_m = np.hypot(*(places - entrance).T)
+    near = places[np.argsort(away_m, kind="stable")[:_PLACES_MAX]]
+    return near[home.wall_index.crossing(entrance, np.ascontiguousarray(near))[0] == 0]
 
 
 @lru_cache(maxsize=8)

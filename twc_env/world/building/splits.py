@@ -1,4 +1,9 @@
-"""Names of generated buildings, and their fixed splits for training, validation and testing."""
+"""Names of generated buildings, and their fixed splits for training, validation and testing.
+
+`gen:office:800:7` is one building. `train/0007` is of the standard splits, whose kinds and areas vary. A family,
+`gen:KIND+KIND:AREA`, has splits of its own: `gen:office+ward:2000:test/0007` is one of its buildings (its kinds take
+turns), and `gen:office+ward:2000:test` the set of them.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +25,9 @@ SPLITS = {"train": 1000, "validation": 100, "test": 100}
 SPLIT_AREA_M2 = (100.0, 2000.0)
 """Areas in the splits are sampled log-uniformly from this range."""
 _SPLIT_SEEDS = {"train": 0, "validation": 1_000_000, "test": 2_000_000}
+FAMILY_SPLITS = {"train": 500, "validation": 100, "test": 100}
+"""Number of buildings per split of a family."""
+_FAMILY_SEEDS = {"train": 3_000_000, "validation": 4_000_000, "test": 5_000_000}
 
 
 def generate_by_name(name: str) -> Floorplan | None:
@@ -38,17 +46,43 @@ def generate_by_name(name: str) -> Floorplan | None:
     return _cached(*split_recipe(split, int(number)), name)
 
 
-def split_names(split: str) -> tuple[str, ...]:
-    """Names of all buildings of a split. Raises MapError for an unknown split."""
+def split_names(split: str, family: str = "") -> tuple[str, ...]:
+    """Names of all buildings of a split, of a family (`gen:office:2000`) or the standard one. Raises MapError for an
+    unknown split."""
     if not isinstance(split, str) or split not in SPLITS:
         raise MapError(f"no split {split!r}; splits are {', '.join(SPLITS)}")
-    return tuple(f"{split}/{number:04d}" for number in range(SPLITS[split]))
+    counts, head = (FAMILY_SPLITS, f"{family}:{split}") if family else (SPLITS, split)
+    return tuple(f"{head}/{number:04d}" for number in range(counts[split]))
 
 
 def is_of_split(name: str) -> bool:
-    """Whether `name` is that of a building of a split, such as `train/0007`."""
-    split, _, number = name.partition("/")
-    return split in SPLITS and number.isdecimal() and len(number) == 4 and int(number) < SPLITS[split]
+    """Whether `name` is that of a building of a split, such as `train/0007` or `gen:office:2000:train/0007`."""
+    place, _, number = name.partition("/")
+    family, _, split = place.rpartition(":")
+    counts = FAMILY_SPLITS if family else SPLITS
+    return split in counts and number.isdecimal() and len(number) == 4 and int(number) < counts[split]
+
+
+def family_of(name: str) -> str:
+    """The family of a set of buildings or of a building of its splits; "" for other names (the standard splits)."""
+    family, _, split = name.partition("/")[0].rpartition(":")
+    return family if split in FAMILY_SPLITS else ""
+
+
+def is_set(name: str) -> bool:
+    """Whether a name is that of a set of buildings, such as `gen:office:2000:train`."""
+    return name.startswith("gen:") and name.rpartition(":")[2] in FAMILY_SPLITS
+
+
+def one_of(name: str, seed: int) -> str:
+    """A building of a set, drawn by the seed; any other name itself."""
+    return drawn_from(name.rpartition(":")[2], family_of(name), seed) if is_set(name) else name
+
+
+def drawn_from(split: str, family: str, seed: int) -> str:
+    """A building of a split, drawn by the seed."""
+    names = split_names(split, family)
+    return names[int(random_stream(seed, "building").integers(len(names)))]
 
 
 def split_recipe(split: str, number: int) -> tuple[str, float, int]:
@@ -96,13 +130,16 @@ def _cached(kind: str, area_m2: float, seed: int, name: str) -> Floorplan:
 
 def _parts(name: str, rest: str) -> tuple[str, float, int]:
     parts = rest.split(":")
+    if is_set(name):
+        raise MapError(f"{name!r} is a set of buildings; name one of them, for example {name}/0000")
     try:
-        kind, area_m2, seed = parts[0], float(parts[1]), int(parts[2])
+        kinds, area_m2, split = parts[0].split("+"), float(parts[1]), parts[2].partition("/")[0]
         if len(parts) != 3 or not math.isfinite(area_m2):
             raise ValueError
+        number = int(parts[2].partition("/")[2] if is_of_split(name) else parts[2])
     except (IndexError, ValueError):
         raise MapError(
             f"{name!r} names no building; write gen:KIND:AREA:SEED, for example gen:office:800:7 "
-            f"(kinds: {', '.join(KINDS)})"
+            f"(kinds: {', '.join(KINDS)}), or one of a family, for example gen:office+ward:800:test/0007"
         ) from None
-    return kind, area_m2, seed
+    return kinds[number % len(kinds)], area_m2, _FAMILY_SEEDS.get(split, 0) + number

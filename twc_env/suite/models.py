@@ -1,0 +1,55 @@
+"""Trained models as teams of a benchmark (extra `train`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from twc_env.commands.train import learning_libraries
+from twc_env.config import EnvConfig, override
+from twc_env.errors import DataError
+from twc_env.exploration.environment import ExplorationEnv
+from twc_env.suite.entries import Entry
+
+
+def model_bytes(team: str) -> bytes:
+    """Content of the model file of a team. Raises DataError if it cannot be read."""
+    path = Path(team) / "model.zip" if Path(team).is_dir() else Path(team)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise DataError(
+            f"cannot read the model {path}: {error.strerror}; name a run folder or its model.zip"
+        ) from error
+
+
+def model_for(entry: Entry) -> tuple[Path, EnvConfig]:
+    """The model file of the team, and the settings of the task with the actions and observations of its training.
+
+    Raises DataError for a model that does not fit the task, such as one for another number of robots.
+    """
+    with learning_libraries():
+        from twc_env.training.run_folder import model_in, read_settings, task_of
+
+    path = model_in(Path(entry.team))
+    trained = task_of(read_settings(path.parent)).config
+    if trained.robots != entry.config.robots:
+        raise DataError(
+            f"{entry.team} was trained for teams of {trained.robots} robots, and {entry.task} has "
+            f"{entry.config.robots}: choose tasks it fits with --tasks, or train it with --robots {entry.config.robots}"
+        )
+    view = {"action": asdict(trained.action), "observation": asdict(trained.observation)}
+    return path, override(entry.config, view)
+
+
+def model_in_task(entry: Entry) -> tuple[ExplorationEnv, Callable[[dict[str, Any]], dict[str, Any]]]:
+    """The environment of an entry for its model, and what the model does in it. Raises DataError as `model_for`."""
+    with learning_libraries():
+        from twc_env.training.evaluate import chooser_of
+
+    path, config = model_for(entry)
+    env = ExplorationEnv(config=config)
+    choose = chooser_of(path, env, entry.number)
+    return env, lambda observations: choose(observations, env.episode.steps)

@@ -1,0 +1,89 @@
+"""Pictures of a leaderboard: coverage over time, and performance profiles (matplotlib, extra `viz`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from twc_env.suite.entries import REFERENCES
+from twc_env.suite.standings import THRESHOLDS, Standings
+from twc_env.suite.tables import team_name, title_of
+
+COLOURS = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#785e3c", "#6e6edc", "#7f7f7f", "#bcbd22",
+    "#b2182b", "#1b7837", "#762a83", "#f781bf",
+)  # fmt: skip
+REFERENCE_STYLE = {"random": ("#999999", ":"), "informed": ("#000000", "--")}
+"""Colour and line of the teams with the scores 0 and 1."""
+COLUMNS = 3
+PANEL_IN = (4.2, 3.1)
+DPI = 110
+
+
+def draw_curves(standings: Standings, path: Path) -> None:
+    """Correctly mapped floor over time, one panel per task: mean over buildings with its 95 % interval."""
+    figure, panels = _panels(len(standings.tasks))
+    for panel, task in zip(panels, standings.tasks, strict=True):
+        for team in standings.teams:
+            colour, line = _style(team, standings.teams)
+            curve = standings.curves[task][team]
+            panel.plot(curve["time_s"], curve["mean"], line, color=colour, lw=1.6, label=team_name(team))
+            if all(map(math.isfinite, curve["low"])):
+                panel.fill_between(curve["time_s"], curve["low"], curve["high"], color=colour, alpha=0.15, lw=0)
+        panel.set(title=title_of(task), ylim=(0, 1.02), xlim=(0, curve["time_s"][-1]))
+    for panel in panels:
+        panel.set_xlabel("simulated time [s]")
+        panel.set_ylabel("floor mapped correctly")
+    _finish(figure, panels, path)
+
+
+def draw_profiles(standings: Standings, path: Path) -> None:
+    """Performance profiles: the share of episodes that score above a threshold, averaged over tasks, with its 95 %
+    interval."""
+    figure, panels = _panels(1, (7.0, 4.2))
+    (panel,) = panels
+    for team in standings.teams:
+        colour, line = _style(team, standings.teams)
+        profile = standings.profiles[team]
+        panel.step(THRESHOLDS, profile["share"], line, where="mid", color=colour, lw=1.6, label=team_name(team))
+        if all(map(math.isfinite, profile["low"])):
+            band = {"step": "mid", "color": colour, "alpha": 0.12, "lw": 0}
+            panel.fill_between(THRESHOLDS, profile["low"], profile["high"], **band)
+    what = "normalised score" if standings.is_normalised else "area under the coverage curve (not normalised)"
+    panel.set(xlabel=f"threshold of the {what}", ylabel="share of the episodes above it", ylim=(0, 1.02))
+    panel.set_xlim(0, THRESHOLDS[-1] if standings.is_normalised else 1.0)
+    _finish(figure, panels, path)
+
+
+def _style(team: str, teams: Sequence[str]) -> tuple[str, str]:
+    """Colour and line of a team."""
+    if team in REFERENCE_STYLE:
+        return REFERENCE_STYLE[team]
+    number = [name for name in teams if name not in REFERENCES].index(team)
+    return COLOURS[number % len(COLOURS)], ("-", "-.")[number // len(COLOURS) % 2]
+
+
+def _panels(count: int, size_in: tuple[float, float] = PANEL_IN) -> tuple[Any, list[Any]]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = min(count, COLUMNS)
+    rows = math.ceil(count / columns)
+    figure = Figure(figsize=(size_in[0] * columns, size_in[1] * rows + 0.9), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    panels = list(grid.ravel())
+    for panel in panels[count:]:
+        panel.set_visible(False)
+    for panel in panels[:count]:
+        panel.grid(alpha=0.3)
+        panel.spines[["top", "right"]].set_visible(False)
+    return figure, panels[:count]
+
+
+def _finish(figure: Any, panels: list[Any], path: Path) -> None:
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 5), frameon=False, fontsize=9)
+    figure.savefig(path, metadata={"Software": None})
