@@ -13,6 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "this is for images and clusters, whose processes then start at once."
     )
     parser.epilog = (
+        "examples:\n  twc-env warm-up\n  NUMBA_CACHE_DIR=/opt/kernels twc-env warm-up\n\n"
         "The kernels go to NUMBA_CACHE_DIR, or to the user's cache folder. In an image: set NUMBA_CACHE_DIR to "
         "a folder of the image and run this as its last step; the folder may be read-only afterwards."
     )
