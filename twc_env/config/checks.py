@@ -20,14 +20,18 @@ _BITS_MAX = 1000
 """Bits of whole numbers; a floating-point number reaches 1,024."""
 
 
+ADDED = {"is_added": True}
+"""Metadata of fields that version 0.1.0 did not have: while they have their default, digests do not contain them."""
+
+
 def is_too_great(value: int) -> bool:
     """Whether a whole number is greater than any floating-point number, or close to it."""
     return value.bit_length() > _BITS_MAX
 
 
-def number(default, minimum: float = -math.inf, maximum: float = math.inf):
-    """A numeric field with its allowed range (inclusive)."""
-    return field(default=default, metadata={"minimum": minimum, "maximum": maximum})
+def number(default, minimum: float = -math.inf, maximum: float = math.inf, is_added: bool = False):
+    """A numeric field with its allowed range (inclusive); is_added: see `ADDED`."""
+    return field(default=default, metadata={"minimum": minimum, "maximum": maximum, "is_added": is_added})
 
 
 def plain_value(value):

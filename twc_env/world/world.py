@@ -22,10 +22,11 @@ from twc_env.world.building.crossing_table import MISSING, square_at
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.floorplan_check import validate
 from twc_env.world.dynamics import Dynamics, advance
+from twc_env.world.people.crowd import HIDING_RADIUS_M, Crowd
 from twc_env.world.sensors.lidar import Lidar, glass_walls, sweep
 from twc_env.world.sensors.noise import STEPS
 from twc_env.world.sensors.odometry import Odometry, measure
-from twc_env.world.sensors.radio import RadioModel
+from twc_env.world.sensors.radio import Bodies, RadioModel
 from twc_env.world.sensors.reception import WifiReceiver, WifiReceivers, hear
 from twc_env.world.sensors.sign_cameras import SignCameras
 from twc_env.world.sensors.signs import look
@@ -56,6 +57,8 @@ class World:
         """For each robot, the true signs (plan numbers) behind the readings of its last frame; for metrics only."""
         self._dynamics: Dynamics | None = None
         """None before the first `reset`."""
+        self.crowd: Crowd | None = None
+        """The people; None if there are none."""
         self._step = 0
         # All computations are in the home frame, so that moving the building does not even change the rounding.
         self._home = plan.home
@@ -100,6 +103,11 @@ class World:
         self._shapes = [_step_shapes(robots, laser, len(own), len(self._radio.macs)) for own in self._listeners]
         self._cameras = SignCameras(config, self._home, seed, self._camera_period)
         self._bound_crossings = None
+        self.crowd = None
+        if config.people.count:
+            self.crowd = Crowd(config.people, self._home, starts_home, radius, self._time_step_s, seed)
+        upright = self.crowd.upright if self.crowd and config.people.body_loss_db else np.zeros((0, 2))
+        self._bodies = Bodies(upright, HIDING_RADIUS_M, config.people.body_loss_db)
         self._sensed_poses = dynamics.poses.copy()
         """(n, 3) true poses of the last measurement."""
         self._step, self._noise_block = 0, -1
@@ -138,6 +146,8 @@ class World:
         if not is_fit:
             raise ActionError(f"commands must be finite and of shape ({self.config.robots}, 2); got {commands!r}")
         dynamics = self._dynamics or _raise_not_reset()
+        if self.crowd is not None:
+            commands = self._move_people(self.crowd, commands)
         dynamics.step(commands)
         self.contacts = dynamics.contacts
         self._step += 1
@@ -150,6 +160,8 @@ class World:
         """`step` (unless commands is None) and `sense`, by a single compiled call if no contact is possible."""
         if commands is not None:
             commands = np.asarray(commands, _FLOAT, "C")
+            if self.crowd is not None:
+                commands = self._move_people(self.crowd, commands)
             self._step += 1
         step, dynamics = self._step, self._dynamics or _raise_not_reset()
         if step // STEPS != self._noise_block:
@@ -182,8 +194,25 @@ class World:
             odometry[:], turn_rates[:] = 0.0, 0.0
         time_s = step * self._time_step_s
         wifi: WifiScans | list[WifiScan | None] = heard if self._scans_compiled else self._scan_each(time_s)
+        if self.crowd is not None:
+            self._show_people(self.crowd, step, poses, ranges, bool(sighted))
         signs, self.sighted_signs = self._cameras.read(step) if sighted else self._cameras.nothing
         return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, signs)
+
+    def _move_people(self, crowd: Crowd, commands: Array) -> Array:
+        """Advance the people by one step; returns the commands (n, 2) of robots that bumpers leave."""
+        commands = crowd.step(self.poses_home, commands)
+        self._bodies.position_m[:] = crowd.upright[: len(self._bodies.position_m)]
+        return commands
+
+    def _show_people(self, crowd: Crowd, step: int, poses: Array, ranges: Array, has_signs: bool) -> None:
+        """Let scanners and cameras at poses (n, 3) see the people, and note who is touched."""
+        lidar = self.config.lidar
+        crowd.meet(poses)
+        self.contacts = self.contacts | crowd.is_touched
+        crowd.show(poses, self._lidar.arguments[0], lidar.range_max_m, lidar.range_noise_std_m, ranges)
+        if has_signs:
+            self._cameras.hide(step, poses, crowd.upright, HIDING_RADIUS_M)
 
     def _draw_noise(self) -> None:
         """Draw the random numbers of the next steps."""
@@ -205,7 +234,7 @@ class World:
     def _scan_each(self, time_s: float) -> list[WifiScan | None]:
         wifi: list[WifiScan | None] = [None] * self.config.robots
         for robot in self._scanning_robots[self._step % self._wifi_period]:
-            wifi[robot] = self._receivers[robot].scan(self.poses_home[robot], time_s)
+            wifi[robot] = self._receivers[robot].scan(self.poses_home[robot], time_s, self._bodies)
         return wifi
 
     def _bind(self, arguments: tuple) -> Callable[..., int]:
@@ -214,7 +243,7 @@ class World:
         dynamics = self._dynamics or _raise_not_reset()
         apparatus = (
             *self._walls, *dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
-            *self._wifi.arguments, *self._cameras.arguments, self._sensed_poses, self._wifi_period,
+            *self._wifi.arguments, *self._bodies, *self._cameras.arguments, self._sensed_poses, self._wifi_period,
         )  # fmt: skip
         held = Lent(apparatus)
         run = rebound(self._run, held) or bound(_move_and_sense, held, _NO_COMMANDS, *arguments)
@@ -269,7 +298,8 @@ def _move_and_sense(
         loss, points, low, numbers, certain_counts, certain_losses, first_uncertain, uncertain_walls,
         pose_home_building, boxes, waves, radios, parts, radio_limits, scratch,
         floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
-        draws, signs, lengths, optics, does_hide, sights, hidden, sight_counts, camera_period, before, wifi_period,
+        draws, bodies, width_m, body_loss_db, signs, lengths, optics, does_hide, sights, hidden, sight_counts,
+        camera_period, before, wifi_period,
     ) = parts_of(apparatus)  # fmt: skip
     if commands.shape[0] > 0 and not advance(
         commands, walls, origin, bucket, rows, columns, first, members, state, motion_limits, move_s, substeps,
@@ -295,7 +325,8 @@ def _move_and_sense(
             i, now[i, 0], now[i, 1], walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers,
             certain_counts, certain_losses, first_uncertain, uncertain_walls, pose_home_building, boxes, waves, radios,
             parts, radio_limits, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used,
-            fading_of, all_macs, crossed, rssi, heard, draws[scan], macs[k], readings[k],
+            fading_of, all_macs, crossed, rssi, heard, draws[scan], bodies, width_m, body_loss_db, macs[k],
+            readings[k],
         )  # fmt: skip
     sighted = 0
     for i in range(-step % camera_period, robots, camera_period):

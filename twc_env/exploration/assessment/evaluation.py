@@ -136,6 +136,7 @@ def numbers(
         "bytes_sent": int(sum(engine.bytes_sent.values())),
         "path_length_m": float(sum(metrics.path_length_m(true[:, r]) for r in robots)),
         "collisions": record.contact_count,
+        **({} if record.people_collisions is None else {"people_collisions": record.people_collisions}),
         "stuck_share": metrics.stuck_share(
             true, max(int(STUCK_WINDOW_S / config.dynamics.time_step_s), 1), STUCK_RADIUS_M
         ),
