@@ -1,0 +1,80 @@
+"""Whether something moves close to a robot, from two of its scans: an obstacle where there was free space before."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.config import DynamicsConfig
+from twc_env.kernels.compiled import kernel
+
+LAG_S = 0.3
+"""Age of the earlier scan: who walks at 1.3 m/s has moved 0.4 m since."""
+SHIFT_M = 0.12
+"""An end point this far inside the free space of the earlier scan has moved."""
+REACH_M = 1.1
+"""Obstacles further from the robot's rim are ignored: braking from 1 m/s takes 0.3 m, somebody who walks towards the
+robot comes 0.8 m nearer meanwhile."""
+HOLD_S = 0.5
+"""Something that stops stays a moving obstacle for this long."""
+
+
+@kernel
+def _moved_count(ranges, pose, old_ranges, old_pose, reach, shift, is_ignored_x, is_ignored_y, ignored_radius):
+    """Number of end points within `reach` that lie `shift` inside the free space of the old scan.
+
+    The beams beside the bearing must have been free as well: along a grazing wall, ranges of neighbours differ. End
+    points within `ignored_radius` of the points is_ignored_x, is_ignored_y (k,) in the robot frame do not count.
+    """
+    beams = ranges.shape[0]
+    per_beam = beams / (2.0 * math.pi)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    old_c, old_s = math.cos(old_pose[2]), math.sin(old_pose[2])
+    count = 0
+    for i in range(beams):
+        if not 0.0 < ranges[i] < reach:
+            continue
+        ax, ay = ranges[i] * math.cos(i / per_beam), ranges[i] * math.sin(i / per_beam)
+        is_mate = False
+        for k in range(is_ignored_x.shape[0]):
+            is_mate |= (ax - is_ignored_x[k]) ** 2 + (ay - is_ignored_y[k]) ** 2 < ignored_radius**2
+        if is_mate:
+            continue
+        wx, wy = pose[0] + c * ax - s * ay - old_pose[0], pose[1] + s * ax + c * ay - old_pose[1]
+        dx, dy = old_c * wx + old_s * wy, old_c * wy - old_s * wx
+        away, beam = math.sqrt(dx * dx + dy * dy), int(np.floor(math.atan2(dy, dx) * per_beam))
+        is_free = True
+        for b in range(beam - 1, beam + 3):
+            is_free &= old_ranges[b % beams] > away + shift
+        count += is_free
+    return count
+
+
+class MovingObstacles:
+    """Remembers the recent scans of one robot."""
+
+    def __init__(self, dynamics: DynamicsConfig):
+        self._time_step_s, self._radius_m = dynamics.time_step_s, dynamics.robot_radius_m
+        self._earlier: deque[tuple[Array, Array]] = deque(maxlen=max(1, round(LAG_S / dynamics.time_step_s)) + 1)
+        self._hold_steps = 0
+
+    def are_near(self, pose_odom: Array, ranges_m: Array | None, mates_m: Array) -> bool:
+        """Whether something moves nearby, or did shortly before; call once per step.
+
+        pose_odom (3,): in a frame that does not jump; mates_m (k, 2): positions of teammates in the robot frame, which
+        do not count.
+        """
+        if ranges_m is None or len(ranges_m) == 0:
+            return False
+        ranges = np.ascontiguousarray(ranges_m, float)
+        self._earlier.append((np.array(pose_odom, float), ranges))
+        old_pose, old_ranges = self._earlier[0]
+        moved = _moved_count(
+            ranges, self._earlier[-1][0], old_ranges, old_pose, self._radius_m + REACH_M, SHIFT_M,
+            np.ascontiguousarray(mates_m[:, 0]), np.ascontiguousarray(mates_m[:, 1]), 2.0 * self._radius_m,
+        )  # fmt: skip
+        self._hold_steps = round(HOLD_S / self._time_step_s) if moved else max(self._hold_steps - 1, 0)
+        return self._hold_steps > 0
