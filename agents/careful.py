@@ -31,7 +31,9 @@ class CarefulTeam(Policy):
         """The team's actions, without speed where something moves."""
         actions = self._team.act(beliefs)
         for agent, belief in beliefs.items():
-            if self._obstacles[agent].are_near(belief.pose_odom, belief.ranges_m, _mates_of(belief)):
+            if self._obstacles[agent].are_near(
+                belief.pose_odom, belief.ranges_m, float(actions[agent][0]), _mates_of(belief)
+            ):
                 actions[agent] = np.array([0.0, actions[agent][1]], np.float32)
         return actions
 

@@ -18,29 +18,36 @@ SHIFT_M = 0.12
 REACH_M = 1.1
 """Obstacles further from the robot's rim are ignored: braking from 1 m/s takes 0.3 m, somebody who walks towards the
 robot comes 0.8 m nearer meanwhile."""
-HOLD_S = 0.5
+WIDTH_M = 0.6
+"""Wider things are walls, of which a moving robot sees new parts, not people."""
+STEP_M = 0.15
+"""Greatest difference of neighbouring ranges on one thing."""
+BEHIND_COS = -0.2
+"""What moves further behind than this is left behind."""
+HOLD_S = 0.4
 """Something that stops stays a moving obstacle for this long."""
 
 
 @kernel
-def _moved_count(ranges, pose, old_ranges, old_pose, reach, shift, is_ignored_x, is_ignored_y, ignored_radius):
-    """Number of end points within `reach` that lie `shift` inside the free space of the old scan.
+def _has_moved(ranges, pose, old_ranges, old_pose, reach, forward, mates, mate_radius):
+    """Whether an end point within `reach` on something narrow lies well inside the free space of the old scan.
 
-    The beams beside the bearing must have been free as well: along a grazing wall, ranges of neighbours differ. End
-    points within `ignored_radius` of the points is_ignored_x, is_ignored_y (k,) in the robot frame do not count.
+    The beams beside its bearing must have been free as well: along a grazing wall, ranges of neighbours differ. Points
+    behind a robot that drives forward (1) or back (-1), or within mate_radius of mates (k, 2), do not count.
     """
     beams = ranges.shape[0]
     per_beam = beams / (2.0 * math.pi)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     old_c, old_s = math.cos(old_pose[2]), math.sin(old_pose[2])
-    count = 0
     for i in range(beams):
         if not 0.0 < ranges[i] < reach:
             continue
         ax, ay = ranges[i] * math.cos(i / per_beam), ranges[i] * math.sin(i / per_beam)
+        if forward * ax < BEHIND_COS * ranges[i]:
+            continue
         is_mate = False
-        for k in range(is_ignored_x.shape[0]):
-            is_mate |= (ax - is_ignored_x[k]) ** 2 + (ay - is_ignored_y[k]) ** 2 < ignored_radius**2
+        for k in range(mates.shape[0]):
+            is_mate |= (ax - mates[k, 0]) ** 2 + (ay - mates[k, 1]) ** 2 < mate_radius**2
         if is_mate:
             continue
         wx, wy = pose[0] + c * ax - s * ay - old_pose[0], pose[1] + s * ax + c * ay - old_pose[1]
@@ -48,9 +55,27 @@ def _moved_count(ranges, pose, old_ranges, old_pose, reach, shift, is_ignored_x,
         away, beam = math.sqrt(dx * dx + dy * dy), int(np.floor(math.atan2(dy, dx) * per_beam))
         is_free = True
         for b in range(beam - 1, beam + 3):
-            is_free &= old_ranges[b % beams] > away + shift
-        count += is_free
-    return count
+            is_free &= old_ranges[b % beams] > away + SHIFT_M
+        if is_free and _width(ranges, i) < WIDTH_M:
+            return True
+    return False
+
+
+@kernel
+def _width(ranges, i):
+    """Width [m] of the thing that beam i hit, up to a little more than `WIDTH_M`."""
+    beams = ranges.shape[0]
+    step = 2.0 * math.pi / beams
+    first = last = i
+    while last - first < beams and (last - first) * step * ranges[i] < WIDTH_M:
+        if abs(ranges[(first - 1) % beams] - ranges[first % beams]) < STEP_M:
+            first -= 1
+        elif abs(ranges[(last + 1) % beams] - ranges[last % beams]) < STEP_M:
+            last += 1
+        else:
+            break
+    a, b, angle = ranges[first % beams], ranges[last % beams], (last - first) * step
+    return math.sqrt(max(a * a + b * b - 2.0 * a * b * math.cos(angle), 0.0))
 
 
 class MovingObstacles:
@@ -61,8 +86,8 @@ class MovingObstacles:
         self._earlier: deque[tuple[Array, Array]] = deque(maxlen=max(1, round(LAG_S / dynamics.time_step_s)) + 1)
         self._hold_steps = 0
 
-    def are_near(self, pose_odom: Array, ranges_m: Array | None, mates_m: Array) -> bool:
-        """Whether something moves nearby, or did shortly before; call once per step.
+    def are_near(self, pose_odom: Array, ranges_m: Array | None, speed_m_s: float, mates_m: Array) -> bool:
+        """Whether something moves nearby, not behind a robot of this speed, or did shortly before; call once per step.
 
         pose_odom (3,): in a frame that does not jump; mates_m (k, 2): positions of teammates in the robot frame, which
         do not count.
@@ -72,9 +97,10 @@ class MovingObstacles:
         ranges = np.ascontiguousarray(ranges_m, float)
         self._earlier.append((np.array(pose_odom, float), ranges))
         old_pose, old_ranges = self._earlier[0]
-        moved = _moved_count(
-            ranges, self._earlier[-1][0], old_ranges, old_pose, self._radius_m + REACH_M, SHIFT_M,
-            np.ascontiguousarray(mates_m[:, 0]), np.ascontiguousarray(mates_m[:, 1]), 2.0 * self._radius_m,
+        forward = 1.0 if speed_m_s >= 0.0 else -1.0
+        moved = _has_moved(
+            ranges, self._earlier[-1][0], old_ranges, old_pose, self._radius_m + REACH_M, forward,
+            np.ascontiguousarray(mates_m, float), 2.0 * self._radius_m,
         )  # fmt: skip
         self._hold_steps = round(HOLD_S / self._time_step_s) if moved else max(self._hold_steps - 1, 0)
         return self._hold_steps > 0
