@@ -22,6 +22,7 @@ from twc_env.world.building.crossing_table import MISSING, square_at
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.floorplan_check import validate
 from twc_env.world.dynamics import Dynamics, advance
+from twc_env.world.kidnapping import Kidnapping
 from twc_env.world.people.crowd import HIDING_RADIUS_M, Crowd
 from twc_env.world.sensors.lidar import Lidar, glass_walls, sweep
 from twc_env.world.sensors.noise import STEPS
@@ -108,6 +109,7 @@ class World:
             self.crowd = Crowd(config.people, self._home, starts_home, radius, self._time_step_s, seed)
         upright = self.crowd.upright if self.crowd and config.people.body_loss_db else np.zeros((0, 2))
         self._bodies = Bodies(upright, HIDING_RADIUS_M, config.people.body_loss_db)
+        self._kidnapping = Kidnapping(config.failure, self._home, robots, self._time_step_s, seed)
         self._sensed_poses = dynamics.poses.copy()
         """(n, 3) true poses of the last measurement."""
         self._step, self._noise_block = 0, -1
@@ -146,11 +148,13 @@ class World:
         if not is_fit:
             raise ActionError(f"commands must be finite and of shape ({self.config.robots}, 2); got {commands!r}")
         dynamics = self._dynamics or _raise_not_reset()
+        self._step += 1
+        if not self._kidnapping.is_nothing:
+            self._carry()
         if self.crowd is not None:
             commands = self._move_people(self.crowd, commands)
         dynamics.step(commands)
         self.contacts = dynamics.contacts
-        self._step += 1
 
     def sense(self) -> TeamFrames:
         """The measurements of all robots, the world's only output; the arrays are read-only."""
@@ -160,9 +164,11 @@ class World:
         """`step` (unless commands is None) and `sense`, by a single compiled call if no contact is possible."""
         if commands is not None:
             commands = np.asarray(commands, _FLOAT, "C")
+            self._step += 1
+            if not self._kidnapping.is_nothing:
+                self._carry()
             if self.crowd is not None:
                 commands = self._move_people(self.crowd, commands)
-            self._step += 1
         step, dynamics = self._step, self._dynamics or _raise_not_reset()
         if step // STEPS != self._noise_block:
             self._draw_noise()
@@ -198,6 +204,13 @@ class World:
             self._show_people(self.crowd, step, poses, ranges, bool(sighted))
         signs, self.sighted_signs = self._cameras.read(step) if sighted else self._cameras.nothing
         return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, signs)
+
+    def _carry(self) -> None:
+        """Put down elsewhere the robots that are carried before this step; their odometry does not see it."""
+        dynamics = self._dynamics or _raise_not_reset()
+        for robot, pose in self._kidnapping.carried(self._step, dynamics.poses):
+            dynamics.put(robot, pose)
+            self._sensed_poses[robot] = dynamics.poses[robot]
 
     def _move_people(self, crowd: Crowd, commands: Array) -> Array:
         """Advance the people by one step; returns the commands (n, 2) of robots that bumpers leave."""
