@@ -90,11 +90,11 @@ class SeenClosures:
     def lines(self, verdicts: Sequence[GroupScore], step: int, time_step_s: float) -> tuple[ClosureLine, ...]:
         """The accepted and rejected closures, at their estimated positions in the building frame."""
         best, shown = verdicts[0], {robot: v for v in reversed(verdicts) for robot in v.view.viewers}
-        shown |= dict.fromkeys(best.robots, best)
+        shown |= dict.fromkeys(best.view.segments, best)
 
-        def place_m(robot: int, index: int) -> Array:
-            verdict = shown[robot]
-            pose = verdict.view.mapper.poses_of(robot)[index : index + 1, :2]
+        def place_m(segment: int, index: int) -> Array:
+            verdict = shown.get(segment, best)
+            pose = verdict.view.mapper.segment_path(segment)[0][index : index + 1, :2]
             return transform_points(verdict.pose_building_map, pose)[0]
 
         lines = []

@@ -26,6 +26,7 @@ from twc_env.slam.odometry.odometry_filter import (
 )
 from twc_env.slam.places.radio_fingerprint import NO_AGES, ScanWindows, ages_of, keep
 from twc_env.slam.scans.lost_beams import bridge, mark_lost, opening_beams
+from twc_env.slam.scans.scan_continuity import AGREEMENT_MIN, agreement
 from twc_env.slam.scans.teammate_detection import DISCS_MAX, mark_teammates
 
 
@@ -95,6 +96,7 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
     """A complete step with the compiled filters, including WiFi scans; returns whether any robot needs a new
     keyframe."""
     (
+        scans_before, range_max, is_carried,
         states, covariances, noise, believes_scans, directions, opening, mate_radius, marked, discs, disc_counts, cells,
         lines, origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels, steps,
         is_new, by_odometry, dts, matched, is_matched, is_clear, explained, before, kept_scans,
@@ -104,6 +106,12 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
         k = robots[a]
         dts[a] = now_s - times[k]
         times[k] = now_s
+        if has_lidar:
+            is_carried[k] = (
+                believes_scans
+                and dts[a] > 0.0
+                and _is_elsewhere(scans_before[k], ranges[a], odometry[a], range_max, directions)
+            )
         before[k, 0], before[k, 1] = states[k, 0], states[k, 1]
         if dts[a] > 0.0:
             predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise)
@@ -113,6 +121,9 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
     )  # fmt: skip
     for a in range(robots.shape[0]):
         k = robots[a]
+        if is_carried[k]:
+            is_matched[k], explained[k] = False, 0.0
+            information[k, :, :] = 0.0
         if is_matched[k] and believes_scans:
             is_matched[k] = believe_match(states[k], covariances[k], matched[k], information[k], noise[5], is_clear[k])
             if not is_matched[k]:
@@ -124,7 +135,20 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
     )
     if not has_lidar:
         anchor(covariances, robots, is_new)
+    for a in range(robots.shape[0]):
+        has_arrived |= is_carried[robots[a]]
+        is_new[robots[a]] |= is_carried[robots[a]]
     return has_arrived
+
+
+@borrowing_kernel
+def _is_elsewhere(before, scan, motion, range_max, directions):
+    """Whether a scan (beams,) shows another place than the one before, which it replaces; False for the first."""
+    is_first = before[0] == 0.0
+    is_elsewhere = not is_first and agreement(before, scan, motion, range_max, directions) < AGREEMENT_MIN
+    for i in range(scan.shape[0]):
+        before[i] = scan[i]
+    return is_elsewhere
 
 
 class Tracker(BindsAnew):
@@ -144,6 +168,11 @@ class Tracker(BindsAnew):
         """(n, 3) estimates after the latest frames; a new array after every update."""
         self.marked_m = np.zeros((count, beams))
         """(n, beams) scans; beams on mates and beams that may be lost are negative: free up to there, but no wall."""
+        self._scans_before = np.zeros((count, beams))
+        """(n, beams) latest scans as received; zeros before the first."""
+        self._range_max_m = config.lidar.range_max_m
+        self.is_carried = np.zeros(count, bool)
+        """(n,) whether each robot's latest scan shows another place than the one before (`scan_continuity`)."""
         self.discs, self.disc_counts = np.zeros((count, DISCS_MAX, 4)), np.zeros(count, np.int64)
         """A row (x [m], y [m], first beam, beams) for each mate in the last scan, centre in the robot frame; and their
         number (n,)."""
@@ -212,6 +241,7 @@ class Tracker(BindsAnew):
         is_matched, is_clear = np.zeros(count, bool), np.zeros(count, bool)
         room = np.empty(count), np.empty((count, 3)), is_matched, is_clear, np.zeros(count), np.empty((count, 2))
         parts = (
+            self._scans_before, self._range_max_m, self.is_carried,
             filters.states, filters.covariances, filters.noise, filters.believes_scans, *self._marking,
             *self._matching, self.information, self._keyframe_rule, self.keyframe_poses, self.times_s,
             self.travels_m, self.steps, self.is_new, self._by_odometry_m, *room, self.radio.kept,
