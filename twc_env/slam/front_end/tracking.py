@@ -26,7 +26,7 @@ from twc_env.slam.odometry.odometry_filter import (
 )
 from twc_env.slam.places.radio_fingerprint import NO_AGES, ScanWindows, ages_of, keep
 from twc_env.slam.scans.lost_beams import bridge, mark_lost, opening_beams
-from twc_env.slam.scans.scan_continuity import AGREEMENT_MIN, agreement
+from twc_env.slam.scans.scan_continuity import BUMP_MAX_M, BUMPED_MIN, agreement, continues
 from twc_env.slam.scans.teammate_detection import DISCS_MAX, mark_teammates
 
 
@@ -96,7 +96,7 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
     """A complete step with the compiled filters, including WiFi scans; returns whether any robot needs a new
     keyframe."""
     (
-        scans_before, range_max, is_carried,
+        scans_before, range_max, is_carried, motion,
         states, covariances, noise, believes_scans, directions, opening, mate_radius, marked, discs, disc_counts, cells,
         lines, origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels, steps,
         is_new, by_odometry, dts, matched, is_matched, is_clear, explained, before, kept_scans,
@@ -106,12 +106,9 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
         k = robots[a]
         dts[a] = now_s - times[k]
         times[k] = now_s
-        if has_lidar:
-            is_carried[k] = (
-                believes_scans
-                and dts[a] > 0.0
-                and _is_elsewhere(scans_before[k], ranges[a], odometry[a], range_max, directions)
-            )
+        is_carried[k] = False
+        if has_lidar and believes_scans and dts[a] > 0.0 and scans_before[k, 0] != 0.0:
+            is_carried[k] = not continues(scans_before[k], ranges[a], odometry[a], range_max, directions)
         before[k, 0], before[k, 1] = states[k, 0], states[k, 1]
         if dts[a] > 0.0:
             predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise)
@@ -121,8 +118,15 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
     )  # fmt: skip
     for a in range(robots.shape[0]):
         k = robots[a]
+        if is_carried[k] and is_matched[k]:  # bumped, if the scan continues the one before by the matched motion
+            _motion_to(poses[k], matched[k], motion)
+            share = agreement(scans_before[k], ranges[a], motion, range_max, directions)
+            read = math.hypot(odometry[a, 0], odometry[a, 1])
+            is_carried[k] = math.hypot(motion[0], motion[1]) > read + BUMP_MAX_M or share < BUMPED_MIN
+        for i in range(ranges.shape[1]):
+            scans_before[k, i] = ranges[a, i]
         if is_carried[k]:
-            is_matched[k], explained[k] = False, 0.0
+            is_matched[k] = False
             information[k, :, :] = 0.0
         if is_matched[k] and believes_scans:
             is_matched[k] = believe_match(states[k], covariances[k], matched[k], information[k], noise[5], is_clear[k])
@@ -142,13 +146,12 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
 
 
 @borrowing_kernel
-def _is_elsewhere(before, scan, motion, range_max, directions):
-    """Whether a scan (beams,) shows another place than the one before, which it replaces; False for the first."""
-    is_first = before[0] == 0.0
-    is_elsewhere = not is_first and agreement(before, scan, motion, range_max, directions) < AGREEMENT_MIN
-    for i in range(scan.shape[0]):
-        before[i] = scan[i]
-    return is_elsewhere
+def _motion_to(before, now, motion):
+    """Write motion (3,) from one pose to another."""
+    c, s = math.cos(before[2]), math.sin(before[2])
+    dx, dy = now[0] - before[0], now[1] - before[1]
+    motion[0], motion[1] = c * dx + s * dy, c * dy - s * dx
+    motion[2] = (now[2] - before[2] + math.pi) % (2 * math.pi) - math.pi
 
 
 class Tracker(BindsAnew):
@@ -241,7 +244,7 @@ class Tracker(BindsAnew):
         is_matched, is_clear = np.zeros(count, bool), np.zeros(count, bool)
         room = np.empty(count), np.empty((count, 3)), is_matched, is_clear, np.zeros(count), np.empty((count, 2))
         parts = (
-            self._scans_before, self._range_max_m, self.is_carried,
+            self._scans_before, self._range_max_m, self.is_carried, np.empty(3),
             filters.states, filters.covariances, filters.noise, filters.believes_scans, *self._marking,
             *self._matching, self.information, self._keyframe_rule, self.keyframe_poses, self.times_s,
             self.travels_m, self.steps, self.is_new, self._by_odometry_m, *room, self.radio.kept,
