@@ -10,6 +10,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig
 from twc_env.kernels.compiled import kernel
+from twc_env.records.messages import Belief
 
 LAG_S = 0.3
 """Age of the earlier scan: who walks at 1.3 m/s has moved 0.4 m since."""
@@ -78,6 +79,15 @@ def _width(ranges, i):
     return math.sqrt(max(a * a + b * b - 2.0 * a * b * math.cos(angle), 0.0))
 
 
+def _mates_of(belief: Belief) -> Array:
+    """(k, 2) believed positions of the mates in the robot frame."""
+    if not belief.mates:
+        return np.zeros((0, 2))
+    offset = np.array([pose[:2] for pose in belief.mates.values()]) - belief.pose_map_robot[:2]
+    c, s = math.cos(belief.pose_map_robot[2]), math.sin(belief.pose_map_robot[2])
+    return np.stack([c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0]], axis=1)
+
+
 class MovingObstacles:
     """Remembers the recent scans of one robot."""
 
@@ -85,6 +95,10 @@ class MovingObstacles:
         self._time_step_s, self._radius_m = dynamics.time_step_s, dynamics.robot_radius_m
         self._earlier: deque[tuple[Array, Array]] = deque(maxlen=max(1, round(LAG_S / dynamics.time_step_s)) + 1)
         self._hold_steps = 0
+
+    def stop(self, belief: Belief, speed_m_s: float) -> bool:
+        """Whether a robot that wants this speed has to wait; call once per step."""
+        return self.are_near(belief.pose_odom, belief.ranges_m, speed_m_s, _mates_of(belief))
 
     def are_near(self, pose_odom: Array, ranges_m: Array | None, speed_m_s: float, mates_m: Array) -> bool:
         """Whether something moves nearby, not behind a robot of this speed, or did shortly before; call once per step.

@@ -21,8 +21,8 @@ from twc_env.running.worker_processes import in_processes
 
 TABLES = (
     "matching", "ble-lidar", "intel", "merging", "odometry", "ocr", "radio-model", "twc-table1", "twc-table2",
-    "real-places", "robustness", "solver", "stress", "bare-places", "sfw-table1", "sfw-routers", "sfw-authors",
-    "sfw-ble", "sfw-houseexpo", "radio-table1", "radio-scale", "building-axes", "real-radio",
+    "real-places", "robustness", "solver", "stress", "bare-places", "reality", "sfw-table1", "sfw-routers",
+    "sfw-authors", "sfw-ble", "sfw-houseexpo", "radio-table1", "radio-scale", "building-axes", "real-radio",
 )  # fmt: skip
 """Names on the command line; with _ instead of - the modules of this package."""
 
