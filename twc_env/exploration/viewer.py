@@ -68,9 +68,9 @@ class Viewer:
         signal = self._signal_of(episode.floorplan, episode.config.radio) if layers.signal else None
         if layers.robot is not None:
             verdicts = [v for v in verdicts if layers.robot in v.view.viewers] or verdicts
-        return render(
-            layered(scene_of(episode.floorplan, episode.engine, episode.record, verdicts, lines, signal), layers)
-        )
+        people_m = episode.world.people_m
+        scene = scene_of(episode.floorplan, episode.engine, episode.record, verdicts, lines, signal, people_m)
+        return render(layered(scene, layers))
 
     def _signal_of(self, plan: Floorplan, config: RadioConfig) -> SignalLayer:
         if self._signal is None or self._signal[0] is not plan:

@@ -73,6 +73,8 @@ class Driver:
         """
         speed, turn_rate = self._command(belief, terrain_of)
         if self._obstacles is not None and self._obstacles.stop(belief, speed):
+            if self.status == "driving":
+                self._anchor = (*self._anchor[:2], self._ticks)  # who waits is not stuck
             return 0.0, turn_rate
         return speed, turn_rate
 

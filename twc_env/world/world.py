@@ -15,7 +15,7 @@ from twc_env.config import EnvConfig
 from twc_env.config.checks import whole_number
 from twc_env.errors import ActionError, TwcError
 from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of, rebound
-from twc_env.records.geometry import compose
+from twc_env.records.geometry import compose, transform_points
 from twc_env.records.messages import WifiScan
 from twc_env.records.team_messages import TeamFrames, WifiScans
 from twc_env.world.building.crossing_table import MISSING, square_at
@@ -125,6 +125,13 @@ class World:
     def poses_home(self) -> Array:
         """(n, 3) true poses in the home frame."""
         return (self._dynamics or _raise_not_reset()).poses
+
+    @property
+    def people_m(self) -> Array:
+        """(people, 2) true positions of the people in the building frame."""
+        if self.crowd is None:
+            return np.zeros((0, 2))
+        return transform_points(self.plan.pose_building_home, self.crowd.bodies)
 
     @property
     def transmitters_home(self) -> tuple[Array, Array]:

@@ -32,6 +32,7 @@ _JUMP_M_S = 5.0
 """A robot faster than this was put down elsewhere: it has no velocity."""
 _SEE_M = 1.0
 """Nearer than this, people notice each other even around a corner."""
+_MAKES_WAY_M = 1.5
 _PUSHING_COS = 0.5
 """A robot pushes a person if it drives in a direction within 60 degrees of theirs."""
 SLOW_M_S = 0.05
@@ -86,9 +87,13 @@ def _way_from(field, origin, cell, x, y):
 
 
 @borrowing_kernel
-def _wanted(i, state, kinds, trips, trip, pauses, fields, origin, cell, dt):
-    """Velocity that person i wants; advances its pauses and walks."""
+def _wanted(i, state, kinds, trips, trip, pauses, fields, origin, cell, robots, dt):
+    """Velocity that person i wants; advances its pauses and walks. Standing people let robots pass before they return
+    to their places."""
     if kinds[i] == STANDING:
+        for k in range(robots.shape[0]):
+            if (robots[k, 0] - state[i, X]) ** 2 + (robots[k, 1] - state[i, Y]) ** 2 < _MAKES_WAY_M * _MAKES_WAY_M:
+                return 0.0, 0.0
         dx, dy = state[i, HOME_X] - state[i, X], state[i, HOME_Y] - state[i, Y]
         size = math.sqrt(dx * dx + dy * dy)
         share = min(state[i, SPEED], size) / max(size, 1e-9)
@@ -201,7 +206,7 @@ def walk(crowd, poses, commands):
     for i in range(state.shape[0]):
         if kinds[i] == SITTING:
             continue
-        wanted_x, wanted_y = _wanted(i, state, kinds, trips, trip, pauses, fields, origin, cell, dt)
+        wanted_x, wanted_y = _wanted(i, state, kinds, trips, trip, pauses, fields, origin, cell, robots, dt)
         ax, ay = _accelerate(i, state, kinds, robots, robot_radius, wanted_x, wanted_y, walls)
         vx, vy = state[i, VX] + ax * dt, state[i, VY] + ay * dt
         speed, limit = math.sqrt(vx * vx + vy * vy), SPEED_EXCESS * state[i, SPEED]
