@@ -1,7 +1,8 @@
 """What each effect of reality costs: teams in generated offices, without effects and with one at a time.
 
-Three robots (`--robots`) start at random poses of generated offices and drive to the nearest frontier until the whole
-team shares one map without frontiers or the steps are over. `clean` has none of the effects; every other row has one,
+Three robots (`--robots`) start at random poses of generated offices and drive to the nearest frontier, or to the next
+one after a decision that did not move them, until the whole team shares one map without frontiers or the steps are
+over. `clean` has none of the effects; every other row has one,
 `all` has them together. In the rows with people, robots wait for whoever moves close to them.
 
 `merged_share` is the share of robots in the largest map at the end, `wrong_merges` the number of pairs of robots (or of
@@ -40,6 +41,8 @@ EFFECTS: dict[str, dict] = {
 """Settings of each effect."""
 FIGURES = ("ate_m", "coverage_correct", "steps_per_s")
 ALL = "all"
+MOVED_M = 0.3
+"""A robot that a decision moved less than this chooses another goal next."""
 _NOT_TOGETHER = ("people 12", "carried often", "lost robot")
 """Left out of `all`: another row has more people, and lost and carried robots leave nothing of the rest to see."""
 
@@ -77,14 +80,18 @@ def episode(effect: dict, building: int, area_m2: int, robots: int, steps: int) 
     own = {"map": f"gen:office:{area_m2}:{building}", "robots": robots, "max_cycles": steps, "action.kind": "frontier"}
     env = ExplorationEnv(config={**own, **effect})
     observations, _ = env.reset(seed=building)
-    begun, idle = time.perf_counter(), 0
-    while env.agents and idle < 2:  # the first valid choice is the nearest frontier
+    begun, idle, tries, before = time.perf_counter(), 0, np.zeros(robots, int), np.full((robots, 2), np.inf)
+    while env.agents and idle < 2:
         masks = [observations[agent]["action_mask"] for agent in env.agents]
+        here = np.array([env.belief(agent).pose_odom[:2] for agent in env.agents])
+        tries, before = np.where(np.hypot(*(here - before).T) < MOVED_M, tries + 1, 0), here
         frontiers = env.config.action.frontier_slots
         has_frontier = any(mask[:frontiers].any() for mask in masks)
         is_merged = all(len(env.belief(agent).mates) == robots - 1 for agent in env.agents)
         idle = idle + 1 if is_merged and not has_frontier else 0
-        observations, *_ = env.step({agent: int(mask.argmax()) for agent, mask in zip(env.agents, masks, strict=True)})
+        choices = [np.flatnonzero(mask) for mask in masks]  # frontiers first, the nearest one before the others
+        goals = [int(valid[k % len(valid)]) for valid, k in zip(choices, tries.tolist(), strict=True)]
+        observations, *_ = env.step(dict(zip(env.agents, goals, strict=True)))
     took_s, figures = time.perf_counter() - begun, env.result().figures
     return {
         "merged": figures["merged_robots"],
