@@ -61,6 +61,8 @@ def policy_names() -> tuple[str, ...]:
 def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     """Create a policy for robots with the limits in `config.dynamics`; `name` may be FILE.py:CLASS.
 
+    Where there are people, the robots of our teams wait for those who move close to them (`careful.CarefulTeam`).
+
     Raises ConfigError for an unknown name, and unless `action.kind` is `velocity`.
     """
     if name not in _POLICIES and not is_in_file(str(name)):
@@ -74,6 +76,9 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     if name in _POLICIES:
         module, class_name = _POLICIES[name]
         scripted: Policy = getattr(import_module(f"{__package__}.{module}"), class_name)(config)
+        if config.people.count:
+            careful: Policy = import_module(f"{__package__}.careful").CarefulTeam(scripted, config)
+            return careful
         return scripted
     remedy = "derive it from twc_env.agents.Policy, or add what lacks"
     policy: Policy = class_in(name, ("reset", "act", "finished"), remedy)(config)

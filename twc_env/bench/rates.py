@@ -25,6 +25,8 @@ from twc_env.maps import load_map
 from twc_env.records.messages import UNSEEN_M
 from twc_env.world.building.floorplan import Floorplan
 
+PEOPLE = 12
+"""In the world with people, unless the settings have some."""
 _OPEN_M = 3.0
 """Range that the Wanderer assumes where its scan says nothing."""
 
@@ -148,15 +150,20 @@ def bench(config: EnvConfig, episodes: int, report: Callable[[str], None] = lamb
     if config.action.kind != "velocity":
         raise ConfigError(f"bench needs action.kind = 'velocity'; got {config.action.kind!r}: remove this setting")
     plan = load_map(config.map)
-    of_world, of_slam = OurRuns(override(config, {"slam.mode": "off"}), plan), OurRuns(config, plan)
-    world, slam = [], []
+    off = override(config, {"slam.mode": "off"})
+    of_world, of_slam = OurRuns(off, plan), OurRuns(config, plan)
+    of_people = OurRuns(override(off, {"people.count": config.people.count or PEOPLE}), plan)
+    world, slam, people = [], [], []
     for seed in range(episodes):
         world.append(of_world.once(seed))
         report(f"world alone, seed {seed}: {world[-1].rate:,.0f} steps/s")
+        people.append(of_people.once(seed))
+        report(f"the same among people: {people[-1].rate:,.0f} steps/s")
         slam.append(of_slam.once(seed))
         report(f"whole step,  seed {seed}: {slam[-1].rate:,.0f} steps/s, team ATE {slam[-1].team_ate_m:.3f} m")
     return {
         "world_env_steps_per_s": statistics.median(run.rate for run in world),
+        "world_with_people_env_steps_per_s": statistics.median(run.rate for run in people),
         "slam_env_steps_per_s": statistics.median(run.rate for run in slam),
         "world_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in world),
         "slam_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in slam),

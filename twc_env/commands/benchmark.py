@@ -6,10 +6,10 @@ import argparse
 import sys
 from typing import Any
 
-from twc_env.commands.suite import SUITE_EXAMPLES, SUITE_HELP, add_suite_options, check_options, run_suite
 from twc_env.commands.team_options import add_agent, add_team, folder_names, paragraphs, team_config
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
 from twc_env.running.command_line import INTERRUPTED, add_folder, count, parse_seeds
+from twc_env.suite.options import SUITE_EXAMPLES, SUITE_HELP, add_suite_options, check_options, run_suite
 
 _BENCHMARK_HELP = """\
 Run many seeds on several maps and print one table per map. Runs in the output folder with the same settings, code and

@@ -8,7 +8,6 @@ import sys
 from twc_env.commands.team_options import AGENT_NAMES, TEAMS, add_team, paragraphs, team_config
 from twc_env.records.json_values import TERMINAL, write_json
 from twc_env.running.command_line import add_folder, count
-from twc_env.world.building.splits import family_of, split_names
 
 _COMPARE_HELP = """\
 Compare teams in the same buildings from the same start poses: how much sooner than the first team each of the others
@@ -45,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _compare(options: argparse.Namespace) -> int:
     from twc_env import load_map
     from twc_env.agents import compare
+    from twc_env.world.building.splits import family_of, split_names
 
     config = team_config(options, None, options.steps)
     maps = options.maps or split_names("test", family_of(config.map))[: options.buildings]

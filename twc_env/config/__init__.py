@@ -5,6 +5,7 @@ identifies a config in logs and tables.
 """
 
 from twc_env.config.environment import ActionConfig, EnvConfig, EpisodeConfig, ObservationConfig, RewardConfig
+from twc_env.config.people import PEOPLE_MAX, PeopleConfig
 from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.slam import (
     CuesConfig,
@@ -35,6 +36,7 @@ from twc_env.config.world import (
 )
 
 __all__ = [
+    "PEOPLE_MAX",
     "RADIO_PRESETS",
     "ROBOTS_MAX",
     "ActionConfig",
@@ -55,6 +57,7 @@ __all__ = [
     "ObservationConfig",
     "OdometryConfig",
     "OdometryFilterConfig",
+    "PeopleConfig",
     "PlaceRecognitionConfig",
     "PoseGraphConfig",
     "RadioConfig",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from twc_env.config.checks import Checked, choice, name_sections, number
+from twc_env.config.people import PeopleConfig
 from twc_env.config.slam import SlamConfig
 from twc_env.config.world import (
     ROBOTS_MAX,
@@ -113,6 +114,7 @@ class EnvConfig(Checked):
     signs: SignsConfig = field(default_factory=SignsConfig)
     link: LinkConfig = field(default_factory=LinkConfig)
     failure: FailureConfig = field(default_factory=FailureConfig)
+    people: PeopleConfig = field(default_factory=PeopleConfig, metadata={"is_later": True})
     slam: SlamConfig = field(default_factory=SlamConfig)
     episode: EpisodeConfig = field(default_factory=EpisodeConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)

@@ -43,7 +43,8 @@ def _told(section) -> dict:
     for field in dataclasses.fields(section):
         value = getattr(section, field.name)
         if dataclasses.is_dataclass(value):
-            if own := _told(value):  # a section of later settings only is left out as a whole
+            is_unused = field.metadata.get("is_later") and value == typing.cast(type, type(value))()
+            if not is_unused and (own := _told(value)):  # a section of later settings only is left out as a whole
                 told[field.name] = own
         elif not (field.metadata.get("is_later") and value == field.default):
             told[field.name] = value

@@ -207,6 +207,8 @@ class Episode:
         engine.absorb(self.steps, self.contacts)
         self._touching = world.contacts
         self.record.append(world.poses, engine.poses_odom, frames.odometry, self._touching)
+        if world.crowd is not None:
+            self.record.people_collisions = int(world.crowd.collisions.sum())
         if self.is_over:
             engine.finish()
         self._notice()

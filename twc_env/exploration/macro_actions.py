@@ -73,7 +73,7 @@ class MacroActions:
         self._config, self._action = config, config.action
         self._finder = PathFinder()
         count = config.robots
-        self._drivers = [Driver(config.dynamics, self._finder) for _ in range(count)]
+        self._drivers = [Driver(config.dynamics, self._finder, config.people.count > 0) for _ in range(count)]
         self._search = CandidateSearch(config, self._finder)
         self._are_candidates_used = config.action.kind == "frontier" or config.observation.frontiers
         self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()

@@ -68,9 +68,9 @@ class Viewer:
         signal = self._signal_of(episode.floorplan, episode.config.radio) if layers.signal else None
         if layers.robot is not None:
             scores = [v for v in scores if layers.robot in v.view.viewers] or scores
-        return render(
-            layered(scene_of(episode.floorplan, episode.engine, episode.record, scores, lines, signal), layers)
-        )
+        people_m = episode.world.people_m
+        scene = scene_of(episode.floorplan, episode.engine, episode.record, scores, lines, signal, people_m)
+        return render(layered(scene, layers))
 
     def _signal_of(self, plan: Floorplan, config: RadioConfig) -> SignalLayer:
         if self._signal is None or self._signal[0] is not plan:
@@ -90,11 +90,11 @@ class SeenClosures:
     def lines(self, scores: Sequence[GroupScore], step: int, time_step_s: float) -> tuple[ClosureLine, ...]:
         """The accepted and rejected closures, at their estimated positions in the building frame."""
         best, shown = scores[0], {robot: v for v in reversed(scores) for robot in v.view.viewers}
-        shown |= dict.fromkeys(best.robots, best)
+        shown |= dict.fromkeys(best.view.segments, best)
 
-        def place_m(robot: int, index: int) -> Array:
-            score = shown[robot]
-            pose = score.view.mapper.poses_of(robot)[index : index + 1, :2]
+        def place_m(segment: int, index: int) -> Array:
+            score = shown.get(segment, best)
+            pose = score.view.mapper.segment_path(segment)[0][index : index + 1, :2]
             return transform_points(score.pose_building_map, pose)[0]
 
         lines = []

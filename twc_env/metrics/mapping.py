@@ -34,6 +34,8 @@ class MapScore:
     """Intersection over union of the map's free area and the explorable floor."""
     wall_iou: float
     """Intersection over union of walls, with a tolerance of one cell."""
+    wall_precision: float
+    """Share of the map's wall cells with a true wall within one cell."""
 
 
 def correct_area_m2(
@@ -85,7 +87,7 @@ def score_map(
     if truth_free.shape != truth_wall.shape:
         raise DataError(f"truth_free {truth_free.shape} and truth_wall {truth_wall.shape} must have one shape")
     if not log_odds.size:
-        return MapScore(0.0, 0.0, 0.0, 0.0, 0.0)
+        return MapScore(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     places = pose_building_map, origin_m, resolution_m, truth_origin_m, truth_resolution_m
     correct_m2 = correct_area_m2(
         log_odds, origin_m, resolution_m, pose_building_map, truth_free, truth_origin_m, truth_resolution_m
@@ -102,6 +104,7 @@ def score_map(
         coverage_correct=_share(correct_m2, floor_m2),
         map_iou=_share(correct_m2, union_m2),
         wall_iou=_share(precision * recall, precision + recall - precision * recall),
+        wall_precision=precision,
     )
 
 

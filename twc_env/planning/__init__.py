@@ -4,6 +4,7 @@ from twc_env.planning.candidates import Candidates, find_candidates
 from twc_env.planning.covering_walk import WalkGraph, covering_walk, walk_graph
 from twc_env.planning.driver import Driver
 from twc_env.planning.follow import Follower, as_action, drive_to, room_around_m
+from twc_env.planning.moving_obstacles import MovingObstacles
 from twc_env.planning.path_finder import Disc, PathFinder, Plan
 from twc_env.planning.terrain import Terrain, is_frontier, path_is_blocked
 
@@ -12,6 +13,7 @@ __all__ = [
     "Disc",
     "Driver",
     "Follower",
+    "MovingObstacles",
     "PathFinder",
     "Plan",
     "Terrain",

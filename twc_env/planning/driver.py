@@ -9,6 +9,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig
 from twc_env.planning.follow import Follower, drive_to, room_around_m
+from twc_env.planning.moving_obstacles import MovingObstacles
 from twc_env.planning.path_finder import Disc, PathFinder
 from twc_env.planning.terrain import Terrain, is_frontier, path_is_blocked
 from twc_env.records.geometry import compose, inverse, transform_points
@@ -37,8 +38,10 @@ NARROW_FACTOR = 0.6
 class Driver:
     """Drives one robot to the goal given to `start`; `command` returns the speeds of the next tick."""
 
-    def __init__(self, dynamics: DynamicsConfig, finder: PathFinder):
+    def __init__(self, dynamics: DynamicsConfig, finder: PathFinder, waits_for_people: bool = False):
+        """waits_for_people: stop while something moves close to the robot."""
         self._dynamics, self._finder = dynamics, finder
+        self._obstacles = MovingObstacles(dynamics) if waits_for_people else None
         self._follower = Follower(dynamics)
         self.status = "idle"
         """"idle", "driving", "arrived" or "failed"."""
@@ -69,6 +72,14 @@ class Driver:
         `terrain_of(belief, factor)` returns the `Terrain` of the belief's grid for robots of `factor` times the radius;
         called only for planning.
         """
+        speed, turn_rate = self._command(belief, terrain_of)
+        if self._obstacles is not None and self._obstacles.stop(belief, speed):
+            if self.status == "driving":
+                self._anchor = (*self._anchor[:2], self._ticks)  # who waits is not stuck
+            return 0.0, turn_rate
+        return speed, turn_rate
+
+    def _command(self, belief: Belief, terrain_of) -> tuple[float, float]:
         if self.status != "driving":
             return 0.0, 0.0
         self._follow_map_jump(belief)

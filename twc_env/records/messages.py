@@ -123,6 +123,8 @@ class Keyframe:
     odometry_scale: tuple[float, float] = (0.0, 0.0)
     """Estimated scale error of the odometry and its standard deviation; zeros while scan matching constrains
     everything."""
+    begins_segment: bool = False
+    """Whether the robot was lifted and put down here: `motion` says nothing, and a map of its own begins."""
 
     @property
     def key(self) -> tuple[int, int]:

@@ -59,6 +59,9 @@ TABLES = {
     "bare-places": Table(
         "merging in scenes with little geometry: bare corridors, and a hall larger than the laser range"
     ),
+    "reality": Table(
+        "what each effect of reality costs: people, carried robots, poor scanners, drifting odometry, weak links"
+    ),
     "sfw-table1": Table(
         "inverse k-visibility Table I: number of walls crossed, and maps of six plans, from signal strength"
     ),

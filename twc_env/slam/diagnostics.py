@@ -5,12 +5,11 @@ from __future__ import annotations
 import itertools
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.records.messages import Keyframe
 from twc_env.slam.places.device_offsets import LETTERS_MIN, DeviceOffsets, offset_of
 from twc_env.slam.places.text_similarity import normalise
 from twc_env.slam.team import TeamMapper
@@ -72,20 +71,42 @@ class Listening:
 def diagnostics_of(mapper: TeamMapper) -> list[str]:
     """One line per problem of a mapper so far, in a fixed order; empty without problems."""
     return [
-        *_missing(mapper.keyframes, "signs", "no signs read", lambda k: len(k.signs) > 0),
-        *_missing(mapper.keyframes, "WiFi", "no WiFi heard", lambda k: len(k.fingerprint.macs) > 0),
+        *_carried(mapper),
+        *_missing(mapper, "signs", "no signs read", lambda k: len(k.signs) > 0),
+        *_missing(mapper, "WiFi", "no WiFi heard", lambda k: len(k.fingerprint.macs) > 0),
         *_repeated_names(mapper),
-        *_odd_devices(mapper.keyframes),
+        *_odd_devices(mapper),
         *_apart(mapper),
         *_refused(mapper),
     ]
 
 
-def _missing(paths: Sequence[Sequence[Keyframe]], what: str, nowhere: str, has) -> list[str]:
+def _carried(mapper: TeamMapper) -> list[str]:
+    """When robots were put down elsewhere, and which of the segments of their paths are in no common map."""
+    found, segments = [], mapper.segments
+    for segment, robot in enumerate(segments.owners):
+        if segment == robot:
+            continue
+        before = segments.of(robot)[segments.of(robot).index(segment) - 1]
+        is_joined = mapper.group_of_segment(segment) == mapper.group_of_segment(before)
+        where = "in the same map as its path before" if is_joined else "in another map than its path before"
+        time_s = mapper.keyframes[segment][0].time_s
+        found.append(f"robot {robot} was put down elsewhere at {time_s:.1f} s: its path since is {where}")
+    return found
+
+
+def _name(mapper: TeamMapper, segment: int) -> str:
+    """Name of a robot, or of a part of its path after it was carried."""
+    robot = mapper.segments.owners[segment]
+    return f"robot {robot}" if segment == robot else f"robot {robot} after being carried (segment {segment})"
+
+
+def _missing(mapper: TeamMapper, what: str, nowhere: str, has) -> list[str]:
+    paths = mapper.keyframes
     without = [robot for robot, path in enumerate(paths) if path and not any(has(k) for k in path)]
     if without and len(without) == sum(bool(path) for path in paths):
         return [nowhere]
-    return [f"no {what} from robot {robot}" for robot in without]
+    return [f"no {what} from {_name(mapper, robot)}" for robot in without]
 
 
 def _repeated_names(mapper: TeamMapper) -> list[str]:
@@ -104,9 +125,9 @@ def _repeated_names(mapper: TeamMapper) -> list[str]:
     return [f"{count} of {len(names)} sign texts occur at several places"]
 
 
-def _odd_devices(paths: Sequence[Sequence[Keyframe]]) -> list[str]:
+def _odd_devices(mapper: TeamMapper) -> list[str]:
     """Robots whose receivers have an offset where both read the same name (median, since names may be duplicated)."""
-    devices = DeviceOffsets()
+    devices, paths = DeviceOffsets(), mapper.keyframes
     devices.make_room(len(paths))
     for robot, path in enumerate(paths):
         for keyframe in path:
@@ -115,7 +136,7 @@ def _odd_devices(paths: Sequence[Sequence[Keyframe]]) -> list[str]:
     pairs = itertools.combinations(range(len(paths)), 2)
     differences = {(a, b): offset_of(devices.between(a, b)) for a, b in pairs}
     return [
-        f"robot {b} reads WiFi {offset_db:+.0f} dB against robot {a} where both read a name"
+        f"{_name(mapper, b)} reads WiFi {offset_db:+.0f} dB against {_name(mapper, a)} where both read a name"
         for (a, b), offset_db in differences.items()
         if offset_db != 0.0
     ]

@@ -72,7 +72,12 @@ class View:
 
     @property
     def robots(self) -> tuple[int, ...]:
-        """All robots whose keyframes the map holds."""
+        """All robots that are in the map."""
+        return self.mapper.segments.robots_in(self.segments)
+
+    @property
+    def segments(self) -> tuple[int, ...]:
+        """All segments whose keyframes the map holds: the robots, unless some were carried (`Segments`)."""
         return self.mapper.groups[self.group].robots
 
 
@@ -171,7 +176,9 @@ class CooperativeSlam(CopiedWhole):
         regroupings = [mapper.regroupings for mapper in self.mappers]
         if self._views[0] != regroupings:
             if self._is_central:
-                views = [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
+                robots_in, groups = self.team.segments.robots_in, enumerate(self.team.groups)
+                shown = [View(self.team, k, robots_in(group.robots)) for k, group in groups]
+                views = [view for view in shown if view.viewers]  # no robot uses the map of an earlier segment
             else:
                 views = [View(mapper, mapper.group_index(r), (r,)) for r, mapper in enumerate(self.mappers)]
             self._views = regroupings, views
@@ -259,7 +266,8 @@ class CooperativeSlam(CopiedWhole):
         """Update the teammates of these robots."""
         teammates = self._teammates.copy()
         for robot in robots:
-            others = [teammate for teammate in mapper.groups[mapper.group_index(robot)].robots if teammate != robot]
+            robots_in = mapper.segments.robots_in(mapper.groups[mapper.group_index(robot)].robots)
+            others = [teammate for teammate in robots_in if teammate != robot]
             teammates[robot] = others + [NOBODY] * (teammates.shape[1] - len(others))
             if not self._is_central:
                 for k, teammate in enumerate(others):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -63,7 +64,7 @@ class FrontEnds:
         self.poses_odom = tracker.poses_odom
         if any(frames.signs):
             for k, signs in zip(robots.tolist(), frames.signs, strict=True):
-                if signs:
+                if signs and not tracker.is_carried[k]:
                     self.robots[k].read_signs(signs, tracker.poses_odom[k])
         if not tracker.has_arrived:
             return []
@@ -71,9 +72,14 @@ class FrontEnds:
         return [self._take_keyframe(k, (frames.step, team_step), frames.time_s) for k in robots.tolist() if is_new[k]]
 
     def _take_keyframe(self, k: int, steps: tuple[int, int], time_s: float) -> Keyframe:
-        robot = self.robots[k]
+        robot, is_carried = self.robots[k], bool(self._tracker.is_carried[k])
+        if is_carried:
+            self._taker.begin_segment(k)
+            robot.begin_segment(self._tracker.poses_odom[k])
         signs = robot.signs_seen_from(self._tracker.poses_odom[k])
         keyframe, is_drawn = self._taker.take(k, robot.taken, steps, time_s, signs)
+        if is_carried:
+            keyframe = replace(keyframe, begins_segment=True)
         robot.remember(keyframe)
         if not is_drawn:
             self._taker.centres_m[k] = keyframe.pose_odom[:2]
@@ -118,6 +124,12 @@ class RobotFrontEnd:
         )
         self._readings.clear()
         return signs
+
+    def begin_segment(self, pose_odom: Array) -> None:
+        """Begin a new local map at a pose (3,), where the robot was put down."""
+        self._field.reset(pose_odom[:2])
+        self._recent.clear()
+        self._readings.clear()
 
     def remember(self, keyframe: Keyframe) -> None:
         """Record a new keyframe."""

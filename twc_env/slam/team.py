@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
+import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
@@ -13,6 +14,7 @@ from twc_env.records.team_messages import KnownSigns
 from twc_env.slam.mapping.closure_search import ClosureSearch
 from twc_env.slam.mapping.group_maps import Group, GroupMaps
 from twc_env.slam.mapping.keyframe_sparsification import KeyframeSparsification
+from twc_env.slam.mapping.segments import Segments
 from twc_env.slam.mapping.team_graph import TeamGraph
 from twc_env.slam.merging.map_optimiser import MapOptimiser
 from twc_env.slam.merging.merge_review import MergeReview
@@ -80,6 +82,9 @@ class TeamMapper:
         """Two groups whose closures agree but do not determine the relative pose; retried every RETRY_STEPS."""
         self._seeks_closures = config.slam.oracle != "poses"
         self._given_starts: Array | None = None
+        self.segments = Segments(robot_count)
+        """Parts of the robots' paths between which they were carried. Inside the mapper, each is a robot of its own:
+        `groups`, `keyframes`, `closures` and `nodes` number segments instead of robots."""
         self._step = self._last_retried_step = 0
         self._due_step: float = 0
         self._idle_changes = -1
@@ -97,14 +102,15 @@ class TeamMapper:
         if scans:
             self._maps.receive(scans)
             self._search.scans_arrived()
-        for keyframe in keyframes:
+        for received in keyframes:
+            keyframe = self._as_segment(received)
             self._maps.add(keyframe, self._graph.add_keyframe(keyframe))
             if self._graph.learn_scale(keyframe):
-                self.optimiser.mark_dirty(self.group_index(keyframe.robot), True)
+                self.optimiser.mark_dirty(self._maps.group_of[keyframe.robot], True)
             if self._seeks_closures:
                 self._search.propose(keyframe)
             if self._radio is not None and self._radio.add(keyframe):
-                self.optimiser.mark_dirty(self.group_index(keyframe.robot), True)
+                self.optimiser.mark_dirty(self._maps.group_of[keyframe.robot], True)
         if self._given_starts is not None:
             self._merge_given(self._given_starts)
         self._step = step
@@ -129,6 +135,18 @@ class TeamMapper:
         self._graph.end_step()
         self._due_step, self._idle_changes = self._next_due_step(), self._graph.changes
         return True
+
+    def _as_segment(self, keyframe: Keyframe) -> Keyframe:
+        """The keyframe as one of its robot's present segment, which may begin with it.
+
+        Radio SLAM, scans on request and oracles know no segments: there, the path of a carried robot goes on.
+        """
+        has_segments = self._radio is None and not self._on_request and self._seeks_closures
+        if keyframe.begins_segment and has_segments and self._given_starts is None:
+            self.segments.begin(keyframe)
+            for part in (self._graph, self._maps, self._search):
+                part.add_robot()
+        return self.segments.numbered(keyframe)
 
     def _next_due_step(self) -> float:
         """The first step with anything to do if no message arrives."""
@@ -165,11 +183,20 @@ class TeamMapper:
 
     def group_index(self, robot: int) -> int:
         """Index into `groups` of the robot's group."""
-        return self._maps.group_of[robot]
+        return self._maps.group_of[self.segments.current[robot]]
+
+    def group_of_segment(self, segment: int) -> int:
+        """Index into `groups` of the group that has this part of a robot's path."""
+        return self._maps.group_of[segment]
 
     def poses_of(self, robot: int) -> Array:
-        """(keyframes, 3) poses of one robot in its group's map frame, including removed keyframes."""
-        return self._graph.poses_of(robot)
+        """(keyframes, 3) poses of one robot in its group's map frame, including removed keyframes; of a carried robot,
+        each in the map of the group that has that segment."""
+        return np.concatenate([self._graph.poses_of(segment) for segment in self.segments.of(robot)])
+
+    def segment_path(self, segment: int) -> tuple[Array, Array]:
+        """Poses (keyframes, 3) and steps (keyframes,) of the keyframes of one segment, including removed ones."""
+        return self._graph.poses_of(segment), self._graph.steps_of(segment)
 
     @property
     def nodes(self) -> tuple[Array, Array, Array, Array]:
@@ -182,15 +209,17 @@ class TeamMapper:
 
     def latest_pose_of(self, robot: int) -> Array:
         """(3,) pose of the robot's newest keyframe in its group's map frame; IndexError without one."""
-        return self._graph.latest_pose_of(robot)
+        return self._graph.latest_pose_of(self.segments.current[robot])
 
     def keyframe_steps(self, robot: int) -> Array:
         """(keyframes,) step at which each was taken."""
-        return self._graph.steps_of(robot)
+        return np.concatenate([self._graph.steps_of(segment) for segment in self.segments.of(robot)])
 
     def scans_of(self, robot: int) -> tuple[Array, list[Array]]:
         """Steps (k,) and scans (beams,) [m] of the keyframes held."""
-        return self._graph.step_of_node[self._graph.path_of(robot)], self._graph.scans_of(robot)
+        own = self.segments.of(robot)
+        steps = np.concatenate([self._graph.step_of_node[self._graph.path_of(segment)] for segment in own])
+        return steps, [scan for segment in own for scan in self._graph.scans_of(segment)]
 
     @property
     def closures_verified(self) -> int:
@@ -199,11 +228,18 @@ class TeamMapper:
 
     def pose_map_odom(self, robot: int) -> Array:
         """(3,) pose of the robot's odom frame in its group's map frame; identity for a robot without keyframes."""
-        return self._graph.pose_map_odom(robot)
+        return self._graph.pose_map_odom(self.segments.current[robot])
 
     def locate(self, robots: Array, into: tuple[Array, Array, Array]) -> None:
         """Poses of robots in the maps of their groups, see `GraphArrays.locate`."""
-        self._graph.locate(robots, into)
+        if self.segments.is_whole:
+            self._graph.locate(robots, into)
+            return
+        latest, count = self.segments.latest(robots), len(self.segments.owners)
+        found = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+        self._graph.locate(latest, found)
+        for rows, of_segments in zip(into, found, strict=True):
+            rows[robots] = of_segments[latest]
 
     def grid_of(self, group: int) -> GridMap:
         """The current merged map of a group."""
@@ -245,7 +281,8 @@ class TeamMapper:
         return True
 
     def _groups_of(self, closure: LoopClosure) -> tuple[int, int]:
-        return self.group_index(closure.candidate.target[0]), self.group_index(closure.candidate.source[0])
+        group_of, candidate = self._maps.group_of, closure.candidate
+        return group_of[candidate.target[0]], group_of[candidate.source[0]]
 
     def _test_inside_map(self, closure: LoopClosure) -> None:
         """Accept a closure within one map unless it deviates from the estimate by more than drift explains."""
@@ -308,7 +345,7 @@ class TeamMapper:
         self._maps.merge(a, b, pose_a_b)
         self.optimiser.reset_fixed()
         self._review.record_merge(robots_a, robots_b, self._step)
-        merged = self.group_index(robots_a[0])
+        merged = self._maps.group_of[robots_a[0]]
         self.optimiser.mark_dirty(merged, True)
         for closure in pending:
             self._test_inside_map(closure)
@@ -327,7 +364,7 @@ class TeamMapper:
         """Try to merge all groups with pending closures, since new keyframes, walls or merges may be sufficient
         evidence."""
         while True:
-            pairs = {tuple(sorted(map(self.group_index, robots))) for robots in self._graph.waiting.pairs()}
+            pairs = {tuple(sorted(map(self.group_of_segment, robots))) for robots in self._graph.waiting.pairs()}
             if not any(self._try_merge(a, b) for a, b in sorted(pairs)):
                 return
 
@@ -364,8 +401,8 @@ class TeamMapper:
 
     def _split_group(self, a: tuple[int, ...], b: tuple[int, ...]) -> None:
         """Split a group into two, each with a map of its own."""
-        self._maps.split(self.group_index(a[0]), (a, b))
+        self._maps.split(self._maps.group_of[a[0]], (a, b))
         self.optimiser.reset_fixed()
         self._search.drop_closures_of(a + b)
         for side in (a, b):
-            self.optimiser.optimise(self.group_index(side[0]))
+            self.optimiser.optimise(self._maps.group_of[side[0]])

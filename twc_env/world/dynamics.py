@@ -115,6 +115,11 @@ class Dynamics:
         self._state[:] = np.frombuffer(self._incoming.float_buf()).reshape(self._count + 1, 6)
         self._measure_gaps()
 
+    def put(self, robot: int, pose: Array) -> None:
+        """Put a robot down at a pose (3,), at rest."""
+        self._state[robot, :3], self._state[robot, 3:] = pose, 0.0
+        self._measure_gaps()
+
     def anchor(self, robots: Iterable[int]) -> None:
         """Make these robots immovable by collisions from now on."""
         robots = set(robots) - self._anchored

@@ -15,17 +15,19 @@ from twc_env.config import EnvConfig
 from twc_env.config.checks import whole_number
 from twc_env.errors import ActionError, TwcError
 from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of, rebound
-from twc_env.records.geometry import compose
+from twc_env.records.geometry import compose, transform_points
 from twc_env.records.messages import WifiScan
 from twc_env.records.team_messages import TeamFrames, WifiScans
 from twc_env.world.building.crossing_table import MISSING, square_at
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.floorplan_check import validate
 from twc_env.world.dynamics import Dynamics, advance
+from twc_env.world.kidnapping import Kidnapping
+from twc_env.world.people.crowd import HIDING_RADIUS_M, Crowd
 from twc_env.world.sensors.lidar import Lidar, glass_walls, sweep
 from twc_env.world.sensors.noise import STEPS
 from twc_env.world.sensors.odometry import Odometry, measure
-from twc_env.world.sensors.radio import RadioModel
+from twc_env.world.sensors.radio import Bodies, RadioModel
 from twc_env.world.sensors.reception import WifiReceiver, WifiReceivers, hear
 from twc_env.world.sensors.sign_cameras import SignCameras
 from twc_env.world.sensors.signs import look
@@ -56,6 +58,8 @@ class World:
         """For each robot, the true signs (plan numbers) behind the readings of its last frame; for metrics only."""
         self._dynamics: Dynamics | None = None
         """None before the first `reset`."""
+        self.crowd: Crowd | None = None
+        """The people; None if there are none."""
         self._step = 0
         # All computations are in the home frame, so that moving the building does not even change the rounding.
         self._home = plan.home
@@ -100,6 +104,12 @@ class World:
         self._shapes = [_step_shapes(robots, laser, len(own), len(self._radio.macs)) for own in self._listeners]
         self._cameras = SignCameras(config, self._home, seed, self._camera_period)
         self._bound_crossings = None
+        self.crowd = None
+        if config.people.count:
+            self.crowd = Crowd(config.people, self._home, starts_home, radius, self._time_step_s, seed)
+        upright = self.crowd.upright if self.crowd and config.people.body_loss_db else np.zeros((0, 2))
+        self._bodies = Bodies(upright, HIDING_RADIUS_M, config.people.body_loss_db)
+        self._kidnapping = Kidnapping(config.failure, self._home, robots, self._time_step_s, seed)
         self._sensed_poses = dynamics.poses.copy()
         """(n, 3) true poses of the last measurement."""
         self._step, self._noise_block = 0, -1
@@ -115,6 +125,13 @@ class World:
     def poses_home(self) -> Array:
         """(n, 3) true poses in the home frame."""
         return (self._dynamics or _raise_not_reset()).poses
+
+    @property
+    def people_m(self) -> Array:
+        """(people, 2) true positions of the people in the building frame."""
+        if self.crowd is None:
+            return np.zeros((0, 2))
+        return transform_points(self.plan.pose_building_home, self.crowd.bodies)
 
     @property
     def transmitters_home(self) -> tuple[Array, Array]:
@@ -138,9 +155,13 @@ class World:
         if not is_fit:
             raise ActionError(f"commands must be finite and of shape ({self.config.robots}, 2); got {commands!r}")
         dynamics = self._dynamics or _raise_not_reset()
+        self._step += 1
+        if not self._kidnapping.is_nothing:
+            self._carry()
+        if self.crowd is not None:
+            commands = self._move_people(self.crowd, commands)
         dynamics.step(commands)
         self.contacts = dynamics.contacts
-        self._step += 1
 
     def sense(self) -> TeamFrames:
         """The measurements of all robots, the world's only output; the arrays are read-only."""
@@ -151,6 +172,10 @@ class World:
         if commands is not None:
             commands = np.asarray(commands, _FLOAT, "C")
             self._step += 1
+            if not self._kidnapping.is_nothing:
+                self._carry()
+            if self.crowd is not None:
+                commands = self._move_people(self.crowd, commands)
         step, dynamics = self._step, self._dynamics or _raise_not_reset()
         if step // STEPS != self._noise_block:
             self._draw_noise()
@@ -182,8 +207,32 @@ class World:
             odometry[:], turn_rates[:] = 0.0, 0.0
         time_s = step * self._time_step_s
         wifi: WifiScans | list[WifiScan | None] = heard if self._scans_compiled else self._scan_each(time_s)
+        if self.crowd is not None:
+            self._show_people(self.crowd, step, poses, ranges, bool(sighted))
         signs, self.sighted_signs = self._cameras.read(step) if sighted else self._cameras.nothing
         return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, signs)
+
+    def _carry(self) -> None:
+        """Put down elsewhere the robots that are carried before this step; their odometry does not see it."""
+        dynamics = self._dynamics or _raise_not_reset()
+        for robot, pose in self._kidnapping.carried(self._step, dynamics.poses):
+            dynamics.put(robot, pose)
+            self._sensed_poses[robot] = dynamics.poses[robot]
+
+    def _move_people(self, crowd: Crowd, commands: Array) -> Array:
+        """Advance the people by one step; returns the commands (n, 2) of robots that bumpers leave."""
+        commands = crowd.step(self.poses_home, commands)
+        self._bodies.position_m[:] = crowd.upright[: len(self._bodies.position_m)]
+        return commands
+
+    def _show_people(self, crowd: Crowd, step: int, poses: Array, ranges: Array, has_signs: bool) -> None:
+        """Let scanners and cameras at poses (n, 3) see the people, and note who is touched."""
+        lidar = self.config.lidar
+        crowd.meet(poses)
+        self.contacts = self.contacts | crowd.is_touched
+        crowd.show(poses, self._lidar.arguments[0], lidar.range_max_m, lidar.range_noise_std_m, ranges)
+        if has_signs:
+            self._cameras.hide(step, poses, crowd.upright, HIDING_RADIUS_M)
 
     def _draw_noise(self) -> None:
         """Draw the random numbers of the next steps."""
@@ -205,7 +254,7 @@ class World:
     def _scan_each(self, time_s: float) -> list[WifiScan | None]:
         wifi: list[WifiScan | None] = [None] * self.config.robots
         for robot in self._scanning_robots[self._step % self._wifi_period]:
-            wifi[robot] = self._receivers[robot].scan(self.poses_home[robot], time_s)
+            wifi[robot] = self._receivers[robot].scan(self.poses_home[robot], time_s, self._bodies)
         return wifi
 
     def _bind(self, arguments: tuple) -> Callable[..., int]:
@@ -214,7 +263,7 @@ class World:
         dynamics = self._dynamics or _raise_not_reset()
         apparatus = (
             *self._walls, *dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
-            *self._wifi.arguments, *self._cameras.arguments, self._sensed_poses, self._wifi_period,
+            *self._wifi.arguments, *self._bodies, *self._cameras.arguments, self._sensed_poses, self._wifi_period,
         )  # fmt: skip
         held = Lent(apparatus)
         run = rebound(self._run, held) or bound(_move_and_sense, held, _NO_COMMANDS, *arguments)
@@ -269,7 +318,8 @@ def _move_and_sense(
         loss, points, low, numbers, certain_counts, certain_losses, first_uncertain, uncertain_walls,
         pose_home_building, boxes, waves, radios, parts, radio_limits, scratch,
         floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
-        draws, signs, lengths, optics, does_hide, sights, hidden, sight_counts, camera_period, before, wifi_period,
+        draws, bodies, width_m, body_loss_db, signs, lengths, optics, does_hide, sights, hidden, sight_counts,
+        camera_period, before, wifi_period,
     ) = parts_of(apparatus)  # fmt: skip
     if commands.shape[0] > 0 and not advance(
         commands, walls, origin, bucket, rows, columns, first, members, state, motion_limits, move_s, substeps,
@@ -295,7 +345,8 @@ def _move_and_sense(
             i, now[i, 0], now[i, 1], walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers,
             certain_counts, certain_losses, first_uncertain, uncertain_walls, pose_home_building, boxes, waves, radios,
             parts, radio_limits, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used,
-            fading_of, all_macs, crossed, rssi, heard, draws[scan], macs[k], readings[k],
+            fading_of, all_macs, crossed, rssi, heard, draws[scan], bodies, width_m, body_loss_db, macs[k],
+            readings[k],
         )  # fmt: skip
     sighted = 0
     for i in range(-step % camera_period, robots, camera_period):

@@ -28,6 +28,8 @@ class EpisodeRecord(BindsAnew):
         """`_note` bound to these arrays."""
         self.wrong_pairs: set[tuple[int, int]] = set()
         """Pairs of robots that were wrongly merged at a step at which the rewards were evaluated."""
+        self.people_collisions: int | None = None
+        """Contacts with people that robots began by driving; None in a building without people."""
         self.map_evaluators = MapEvaluators()
 
     def append(self, true_poses: Array, odom_poses: Array, motions: Array, contacts: Array) -> None:

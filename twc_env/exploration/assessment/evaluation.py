@@ -67,7 +67,7 @@ def progress(
     Returns closures as in `EpisodeResult`, and figures.
     """
     paths, best = TeamPaths(engine, record.odom_poses), scores[0]
-    estimated, alignment = paths.as_seen(), paths.alignment(record.true_poses)
+    estimated, alignment = paths.as_seen(record.true_poses), paths.alignment(record.true_poses)
     closures = _closures(engine, best, record, alignment)
     status = [row["status"] for row in closures]
     score = _score(best.grid, best.pose_building_map, cells)
@@ -99,7 +99,7 @@ class EpisodePaths(NamedTuple):
     def of(cls, engine: Engine, record: EpisodeRecord) -> EpisodePaths:
         """The paths as estimated now."""
         paths, true = TeamPaths(engine, record.odom_poses), record.true_poses
-        return cls(true, paths.as_seen(), paths.alignment(true), record.odometry_poses())
+        return cls(true, paths.as_seen(true), paths.alignment(true), record.odometry_poses())
 
 
 def numbers(
@@ -136,6 +136,7 @@ def numbers(
         "bytes_sent": int(sum(engine.bytes_sent.values())),
         "path_length_m": float(sum(metrics.path_length_m(true[:, r]) for r in robots)),
         "collisions": record.contact_count,
+        **({} if record.people_collisions is None else {"people_collisions": record.people_collisions}),
         "stuck_share": metrics.stuck_share(
             true, max(int(STUCK_WINDOW_S / config.dynamics.time_step_s), 1), STUCK_RADIUS_M
         ),
@@ -228,11 +229,13 @@ def _closures(engine: Engine, best: GroupScore, record: EpisodeRecord, alignment
         return []
     true_poses: list[Array] = []
     believed: list[Array] = []
-    """Per robot: true poses (k, 3) of its keyframes, and their estimated positions (k, 2) in the building frame."""
-    for robot in range(record.true_poses.shape[1]):
-        shown = (mapper, alignment[viewer]) if robot in best.robots else (engine.mapper_of(robot), alignment[robot])
-        believed.append(transform_points(shown[1], shown[0].poses_of(robot)[:, :2]))
-        true_poses.append(record.true_poses[mapper.keyframe_steps(robot), robot])
+    """Per segment: true poses (k, 3) of its keyframes, and their estimated positions (k, 2) in the building frame."""
+    for segment, robot in enumerate(mapper.segments.owners):
+        shown = (mapper, alignment[viewer])
+        if segment not in best.view.segments and segment < record.true_poses.shape[1]:
+            shown = engine.mapper_of(robot), alignment[robot]
+        believed.append(transform_points(shown[1], shown[0].segment_path(segment)[0][:, :2]))
+        true_poses.append(record.true_poses[mapper.segment_path(segment)[1], robot])
 
     ends = [(closure.candidate.target, closure.candidate.source) for closure in mapper.closures]
     first_row = np.cumsum([0, *map(len, true_poses)])

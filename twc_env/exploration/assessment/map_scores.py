@@ -13,6 +13,7 @@ from twc_env import metrics
 from twc_env.exploration.assessment.episode_record import EpisodeRecord
 from twc_env.exploration.assessment.map_evaluation import lay
 from twc_env.exploration.assessment.rewards import EvaluatedMap, Standing, standing_of
+from twc_env.exploration.assessment.team_alignment import true_of_segments
 from twc_env.records.messages import GridMap
 from twc_env.slam.engine import View
 from twc_env.slam.modes import Engine
@@ -35,7 +36,7 @@ class GroupScore:
 
 def score_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupScore:
     """Align a group's map with the building and measure it."""
-    place = lay(view.robots, view.mapper.nodes, record.true_poses)
+    place = lay(view.segments, view.mapper.nodes, true_of_segments(view.mapper, record.true_poses))
     grid, area_m2 = view.mapper.grid_of(view.group), 0.0
     pose, wrong = place or (record.true_poses[0, view.viewers[0]].copy(), ())
     if place is not None:
@@ -75,8 +76,8 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells, last: Sequence
             mapper = view.mapper
             nodes, groups = mapper.nodes, mapper.groups
         group = groups[view.group]
-        robots = group.robots
-        evaluated = evaluate(viewers[0], robots, nodes, true_poses, group.grid.snapshot(), cells)
+        truth = true_of_segments(mapper, true_poses)
+        evaluated = evaluate(viewers[0], group.robots, nodes, truth, group.grid.snapshot(), cells)
         if evaluated is not None:
             (x, y, turn), wrong, area_m2 = evaluated
             c, s = math.cos(turn), math.sin(turn)
@@ -85,7 +86,7 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells, last: Sequence
             for score in last:
                 if score.view is view:
                     area_m2 = score.correct_area_m2
-            maps.append(EvaluatedMap(viewers, len(robots), not wrong, area_m2 / floor))
+            maps.append(EvaluatedMap(viewers, len(view.robots), not wrong, area_m2 / floor))
         for robot in viewers:
             if evaluated is None:  # no keyframe yet: its map begins where it started
                 x, y, turn = true_poses[0, robot].tolist()

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env import metrics
-from twc_env.records.geometry import compose_rows, inverse
+from twc_env.records.geometry import between, compose, compose_rows, inverse
 from twc_env.slam.modes import Engine
 from twc_env.slam.team import TeamMapper
 
@@ -19,17 +19,47 @@ class TeamPaths:
         self._engine, self._odom_poses = engine, odom_poses
         self._held: dict[tuple[TeamMapper, int], Array] = {}
 
-    def of(self, mapper: TeamMapper, robot: int) -> Array:
-        """(steps + 1, 3) poses of one robot in its group's map of one mapper."""
-        held = self._held.get((mapper, robot))
+    def of(self, mapper: TeamMapper, segment: int) -> Array:
+        """(steps + 1, 3) poses of one segment's robot in the group's map of one mapper, as if it was never carried."""
+        held = self._held.get((mapper, segment))
         if held is None:
-            held = self._held[mapper, robot] = _trajectory(mapper, robot, self._odom_poses[:, robot])
+            odom = self._odom_poses[:, mapper.segments.owners[segment]]
+            held = self._held[mapper, segment] = _trajectory(*mapper.segment_path(segment), odom)
         return held
 
-    def as_seen(self) -> Array:
-        """(steps + 1, robots, 3) poses, each in its robot's map."""
+    def as_seen(self, true_poses: Array | None = None) -> Array:
+        """(steps + 1, robots, 3) poses, each in its robot's map.
+
+        Of a robot that was carried and whose earlier segment is in another map, that segment is laid beside it by the
+        alignments of both with the building; without true poses, it stays in the frame of its own map.
+        """
         robots = range(self._odom_poses.shape[1])
-        return np.stack([self.of(self._engine.mapper_of(r), r) for r in robots], axis=1)
+        return np.stack([self._seen(self._engine.mapper_of(r), r, true_poses) for r in robots], axis=1)
+
+    def _seen(self, mapper: TeamMapper, robot: int, true_poses: Array | None) -> Array:
+        parts, group = mapper.segments.of(robot), mapper.group_index(robot)
+        if len(parts) == 1:
+            return self.of(mapper, robot)
+        poses = np.empty((len(self._odom_poses), 3))
+        for segment in parts:
+            span, own = _span(mapper, segment, len(poses)), mapper.group_of_segment(segment)
+            poses[span] = self.of(mapper, segment)[span]
+            if own != group and true_poses is not None:
+                places = [self._aligned(mapper, mapper.groups[g].robots, true_poses) for g in (own, group)]
+                poses[span] = compose(between(places[1], places[0]), poses[span])
+        return poses
+
+    def _aligned(self, mapper: TeamMapper, segments: tuple[int, ...], true_poses: Array, viewers=None) -> Array:
+        """(3,) alignment of a group's map with the building; of robots other than the viewers (None: all robots), up to
+        their last keyframe."""
+        estimated, true = [], []
+        for segment in segments:
+            robot, span = mapper.segments.owners[segment], _span(mapper, segment, len(true_poses))
+            if viewers is not None and robot not in viewers:
+                span = slice(span.start, min(span.stop, int(mapper.segment_path(segment)[1][-1]) + 1))
+            estimated.append(self.of(mapper, segment)[span])
+            true.append(true_poses[span, robot])
+        return metrics.align_team(np.concatenate(estimated), np.concatenate(true))
 
     def alignment(self, true_poses: Array) -> Array:
         """(robots, 3) rigid alignment of each robot's map with the building.
@@ -38,24 +68,30 @@ class TeamPaths:
         """
         alignment = np.zeros((true_poses.shape[1], 3))
         for view in self._engine.views():
-            estimated, true = [], []
-            for robot in view.robots:
-                end = len(true_poses)
-                if robot not in view.viewers:
-                    end = int(view.mapper.keyframe_steps(robot)[-1]) + 1
-                estimated.append(self.of(view.mapper, robot)[:end])
-                true.append(true_poses[:end, robot])
-            alignment[list(view.viewers)] = metrics.align_team(np.concatenate(estimated), np.concatenate(true))
+            aligned = self._aligned(view.mapper, view.segments, true_poses, view.viewers)
+            alignment[list(view.viewers)] = aligned
         return alignment
 
 
-def _trajectory(mapper: TeamMapper, robot: int, odom: Array) -> Array:
-    """See `TeamPaths.of`; odom (steps + 1, 3)."""
-    steps = mapper.keyframe_steps(robot)
+def _trajectory(poses: Array, steps: Array, odom: Array) -> Array:
+    """See `TeamPaths.of`; poses (keyframes, 3) and steps (keyframes,) of the keyframes, odom (steps + 1, 3)."""
     if len(steps) == 0:
         return odom
     held = np.clip(np.searchsorted(steps, np.arange(len(odom)), side="right") - 1, 0, None)
-    return compose_rows(mapper.poses_of(robot), held, compose_rows(inverse(odom[steps]), held, odom))
+    return compose_rows(poses, held, compose_rows(inverse(odom[steps]), held, odom))
+
+
+def _span(mapper: TeamMapper, segment: int, count: int) -> slice:
+    """The steps, of `count`, at which a robot was on this segment."""
+    own = mapper.segments.of(mapper.segments.owners[segment])
+    at = own.index(segment)
+    begin = 0 if at == 0 else int(mapper.segment_path(segment)[1][0])
+    return slice(begin, int(mapper.segment_path(own[at + 1])[1][0]) if at + 1 < len(own) else count)
+
+
+def true_of_segments(mapper: TeamMapper, true_poses: Array) -> Array:
+    """(steps + 1, segments, 3) true poses of the robot of each segment."""
+    return true_poses if mapper.segments.is_whole else true_poses[:, mapper.segments.owners].copy()
 
 
 def team_error_m(engine: Engine, odom_poses: Array, true_poses: Array) -> float:
@@ -64,7 +100,7 @@ def team_error_m(engine: Engine, odom_poses: Array, true_poses: Array) -> float:
     odom_poses, true_poses (steps + 1, robots, 3).
     """
     paths = TeamPaths(engine, odom_poses)
-    return position_error_m(paths.alignment(true_poses), paths.as_seen(), true_poses)
+    return position_error_m(paths.alignment(true_poses), paths.as_seen(true_poses), true_poses)
 
 
 def position_error_m(alignment: Array, estimated: Array, true: Array) -> float:

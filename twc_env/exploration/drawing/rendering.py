@@ -1,9 +1,9 @@
 """Draw the state of an episode as an RGB image: ground truth, estimated maps, robots and loop closures.
 
 Ground truth is grey. Estimated maps lie over it: floor white (tinted per group while the team has several maps), walls
-dark. A disc is a robot's true pose, a ring its estimated pose. Green lines are accepted closures, red dashed lines
-rejected ones; new ones are bold, and rejected ones fade out. The signal overlay shows the RSSI of the strongest access
-point, from dark violet (weak) to yellow (strong).
+dark. A disc is a robot's true pose, a ring its estimated pose; people are yellow discs with a dark rim. Green lines are
+accepted closures, red dashed lines rejected ones; new ones are bold, and rejected ones fade out. The signal overlay
+shows the RSSI of the strongest access point, from dark violet (weak) to yellow (strong).
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ _WALL = np.array([38, 44, 56], np.float64)
 _TINT = 0.16
 TRAIL_STEPS = 150
 ACCEPTED, REJECTED = np.array([0, 158, 115], np.float64), np.array([204, 51, 17], np.float64)
+PERSON, PERSON_RADIUS_M = np.array([250, 210, 90], np.float64), 0.2
 FRESH_S = 5.0
 """Time for which a closure is drawn as new."""
 _OLD_ACCEPTED = 0.3
@@ -95,6 +96,8 @@ class Scene:
     robot_radius_m: float = 0.2
     closures: tuple[ClosureLine, ...] = ()
     signal: SignalLayer | None = None
+    people_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """(people, 2) true positions."""
 
 
 @kernel
@@ -196,6 +199,7 @@ def scene_of(
     scores: Sequence[GroupScore],
     closures: tuple[ClosureLine, ...] = (),
     signal: SignalLayer | None = None,
+    people_m: Array | None = None,
 ) -> Scene:
     """The present state of an episode; each group's map is aligned with the building by one rigid motion."""
     cells = floorplan.cells()
@@ -216,6 +220,7 @@ def scene_of(
         trails_m=tuple(true[-TRAIL_STEPS:, robot, :2] for robot in range(true.shape[1])),
         closures=closures,
         signal=signal,
+        people_m=np.zeros((0, 2)) if people_m is None else people_m,
     )
 
 
@@ -236,6 +241,7 @@ def render(scene: Scene) -> Array:
         x, y = float(scene.signal.origin_m[0]), float(scene.signal.origin_m[1])
         _paint_signal(image, *view, scene.signal.share, x, y, float(scene.signal.cell_m))
     _paint_closures(image, view, scene)
+    _paint_people(image, view, scene)
     _paint_robots(image, view, scene)
     return image.astype(np.uint8)
 
@@ -271,6 +277,13 @@ def _to_pixels(points_m: Array, view: tuple) -> Array:
     left, top, metres = view
     points_m = np.asarray(points_m, float)
     return np.column_stack([(points_m[:, 0] - left) / metres - 0.5, (top - points_m[:, 1]) / metres - 0.5])
+
+
+def _paint_people(image: Array, view: tuple, scene: Scene) -> None:
+    radius = max(PERSON_RADIUS_M / view[2], 3.0)
+    for u, v in _to_pixels(np.asarray(scene.people_m, float).reshape(-1, 2), view):
+        _draw_line(image, u, v, u, v, radius, PERSON, 0.9)
+        _draw_ring(image, u, v, radius, 0.6, _WALL)
 
 
 def _paint_robots(image: Array, view: tuple, scene: Scene) -> None:

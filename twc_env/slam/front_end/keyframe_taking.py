@@ -112,6 +112,12 @@ class KeyframeTaker(BindsAnew):
         )  # fmt: skip
         return keyframe, is_drawn
 
+    def begin_segment(self, robot: int) -> None:
+        """Forget what this robot sensed at the place from which it was carried off."""
+        self._discs_seen[robot] = np.inf
+        self._tracker.radio.clear(robot)
+        self.centres_m[robot] = self._tracker.poses_odom[robot, :2]
+
     def _packed(self) -> Lent:
         """The constant arguments of `_take`."""
         tracker, fields = self._tracker, self._tracker.fields

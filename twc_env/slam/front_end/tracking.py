@@ -26,6 +26,7 @@ from twc_env.slam.odometry.odometry_filter import (
 )
 from twc_env.slam.places.radio_fingerprint import NO_AGES, ScanWindows, ages_of, keep
 from twc_env.slam.scans.lost_beams import bridge, mark_lost, opening_beams
+from twc_env.slam.scans.scan_continuity import BUMP_MAX_M, BUMPED_MIN, agreement, continues
 from twc_env.slam.scans.teammate_detection import DISCS_MAX, mark_teammates
 
 
@@ -95,6 +96,7 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
     """A complete step with the compiled filters, including WiFi scans; returns whether any robot needs a new
     keyframe."""
     (
+        scans_before, range_max, is_carried, motion,
         states, covariances, noise, believes_scans, directions, opening, mask_radius, marked, discs, disc_counts, cells,
         lines, origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels, steps,
         is_new, by_odometry, dts, matched, is_matched, is_clear, explained, before, kept_scans,
@@ -104,6 +106,9 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
         k = robots[a]
         dts[a] = now_s - times[k]
         times[k] = now_s
+        is_carried[k] = False
+        if has_lidar and believes_scans and dts[a] > 0.0 and scans_before[k, 0] != 0.0:
+            is_carried[k] = not continues(scans_before[k], ranges[a], odometry[a], range_max, directions)
         before[k, 0], before[k, 1] = states[k, 0], states[k, 1]
         if dts[a] > 0.0:
             predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise)
@@ -113,6 +118,16 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
     )  # fmt: skip
     for a in range(robots.shape[0]):
         k = robots[a]
+        if is_carried[k] and is_matched[k]:  # bumped, if the scan continues the one before by the matched motion
+            _motion_to(poses[k], matched[k], motion)
+            share = agreement(scans_before[k], ranges[a], motion, range_max, directions)
+            read = math.hypot(odometry[a, 0], odometry[a, 1])
+            is_carried[k] = math.hypot(motion[0], motion[1]) > read + BUMP_MAX_M or share < BUMPED_MIN
+        for i in range(ranges.shape[1]):
+            scans_before[k, i] = ranges[a, i]
+        if is_carried[k]:
+            is_matched[k] = False
+            information[k, :, :] = 0.0
         if is_matched[k] and believes_scans:
             is_matched[k] = believe_match(states[k], covariances[k], matched[k], information[k], noise[5], is_clear[k])
             if not is_matched[k]:
@@ -124,7 +139,19 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
     )
     if not has_lidar:
         anchor(covariances, robots, is_new)
+    for a in range(robots.shape[0]):
+        has_arrived |= is_carried[robots[a]]
+        is_new[robots[a]] |= is_carried[robots[a]]
     return has_arrived
+
+
+@borrowing_kernel
+def _motion_to(before, now, motion):
+    """Write motion (3,) from one pose to another."""
+    c, s = math.cos(before[2]), math.sin(before[2])
+    dx, dy = now[0] - before[0], now[1] - before[1]
+    motion[0], motion[1] = c * dx + s * dy, c * dy - s * dx
+    motion[2] = (now[2] - before[2] + math.pi) % (2 * math.pi) - math.pi
 
 
 class Tracker(BindsAnew):
@@ -145,6 +172,11 @@ class Tracker(BindsAnew):
         self.marked_m = np.zeros((count, beams))
         """(n, beams) scans; beams on teammates and beams that may be lost are negative: free up to there, but no
         wall."""
+        self._scans_before = np.zeros((count, beams))
+        """(n, beams) latest scans as received; zeros before the first."""
+        self._range_max_m = config.lidar.range_max_m
+        self.is_carried = np.zeros(count, bool)
+        """(n,) whether each robot's latest scan shows another place than the one before (`scan_continuity`)."""
         self.discs, self.disc_counts = np.zeros((count, DISCS_MAX, 4)), np.zeros(count, np.int64)
         """A row (x [m], y [m], first beam, beams) for each teammate in the last scan, centre in the robot frame; and
         their number (n,)."""
@@ -213,6 +245,7 @@ class Tracker(BindsAnew):
         is_matched, is_clear = np.zeros(count, bool), np.zeros(count, bool)
         room = np.empty(count), np.empty((count, 3)), is_matched, is_clear, np.zeros(count), np.empty((count, 2))
         parts = (
+            self._scans_before, self._range_max_m, self.is_carried, np.empty(3),
             filters.states, filters.covariances, filters.noise, filters.believes_scans, *self._marking,
             *self._matching, self.information, self._keyframe_rule, self.keyframe_poses, self.times_s,
             self.travels_m, self.steps, self.is_new, self._by_odometry_m, *room, self.radio.kept,

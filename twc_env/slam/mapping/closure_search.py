@@ -69,6 +69,15 @@ class ClosureSearch:
         self._any_closure_m = [-np.inf] * robot_count
         """... and at its last accepted closure, loose or not."""
 
+    def add_robot(self) -> None:
+        """Make room for one more robot."""
+        self._searched_m.append(0.0)
+        self._closure_m.append(-np.inf)
+        self._any_closure_m.append(-np.inf)
+        for recogniser in (self._signless, self._meetings):
+            if recogniser is not None:
+                recogniser.add_robot()
+
     def propose(self, keyframe: Keyframe) -> None:
         """Queue the candidates of a new keyframe."""
         has_closure, has_any_closure = (

@@ -75,6 +75,13 @@ class GroupMaps:
         self.wanted: dict[tuple[int, int], None] = {}
         """Keys of the scans to request, in order."""
 
+    def add_robot(self) -> None:
+        """One more robot begins a map of its own."""
+        self.group_of.append(len(self.groups))
+        self.groups.append(Group((len(self.group_of) - 1,), self._new_grid()))
+        self.regroupings += 1
+        self.changes += 1
+
     def add(self, keyframe: Keyframe, node: int) -> None:
         """Draw the scan of a new keyframe; request it if it is missing and a robot uses the map."""
         if node == len(self._drawn):
@@ -222,6 +229,7 @@ class GroupMaps:
         return self._home is None and len(self.groups[group].robots) == 1
 
     def _is_map_used(self, group: int) -> bool:
-        """Whether a robot uses this mapper's map of a group of several robots."""
+        """Whether a robot uses this mapper's map of a group of several robots; only asked with scans on request, where
+        there are no segments."""
         robots = self.groups[group].robots
         return len(robots) > 1 and (self._home is None or self._home in robots)

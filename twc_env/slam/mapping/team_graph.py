@@ -65,6 +65,14 @@ class TeamGraph(GraphArrays):
         """Per robot, counter of readings that may change the known signs."""
         return self._readings.news
 
+    def add_robot(self) -> None:
+        """Make room for one more robot."""
+        super().add_robot()
+        self.keyframes.append([])
+        self._nodes.append(array("q"))
+        self._odometry_only.add_robot()
+        self._readings.news.append(0)
+
     def poses_of(self, robot: int) -> Array:
         """(keyframes, 3) poses of one robot, including removed keyframes."""
         poses = self.poses[self.path_of(robot)]

@@ -43,6 +43,12 @@ class MeetingRecogniser:
         self._refused: dict[tuple[int, int], tuple[int, float]] = {}
         """Pair of robots -> rejections in a row, and the sum of path lengths until which the pair is skipped [m]."""
 
+    def add_robot(self) -> None:
+        """Make room for one more robot."""
+        self._robots = range(len(self._robots) + 1)
+        self._last_m.append(-math.inf)
+        self._compared_from_m.append(-math.inf)
+
     def propose(self, keyframe: Keyframe, teammates: Collection[int]) -> list[LoopCandidate]:
         """Candidates between this keyframe and stored places of robots other than `teammates`; stores the keyframe."""
         robot = keyframe.robot

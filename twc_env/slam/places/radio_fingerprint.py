@@ -48,6 +48,10 @@ class ScanWindows:
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_pack": None}
 
+    def clear(self, receiver: int) -> None:
+        """Drop the scans of one receiver."""
+        self._times_s[receiver] = -math.inf
+
     def widen(self, to: int) -> None:
         """Enlarge the capacity to `to` transmitters per scan; invalidates references to `kept`."""
         receivers, scans, width = self._macs.shape

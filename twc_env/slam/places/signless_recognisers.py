@@ -157,9 +157,15 @@ class SignlessRecogniser:
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float, robot_count: int):
         self._wifi = WifiRecogniser(config, range_max_m)
         self._unread, self._readers = set(range(robot_count)), list[int]()
+        self._robot_count = robot_count
         self._kept: list[Keyframe] = []
         """Keyframes stored until the first robot lacks signs."""
         self._is_needed = False
+
+    def add_robot(self) -> None:
+        """One more robot, which has read no sign."""
+        self._unread.add(self._robot_count)
+        self._robot_count += 1
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
         """Candidates between this keyframe and earlier ones of robots that are not skipped, of which one has read no

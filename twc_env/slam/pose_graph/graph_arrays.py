@@ -225,6 +225,15 @@ class GraphArrays(BindsAnew):
         room_for_poses = np.empty(3), np.empty(3), np.empty((3, 3))
         return Lent((*self._node_rows, *self._edge_rows, *robots, room_for_poses))
 
+    def add_robot(self) -> None:
+        """Make room for the nodes of one more robot."""
+        self._rows, self._latest_odom = (
+            np.pad(self._rows, ((0, 1), (0, 0))),
+            np.pad(self._latest_odom, ((0, 1), (0, 0))),
+        )
+        self._counts, self.last_closure_node = np.pad(self._counts, (0, 1)), np.pad(self.last_closure_node, (0, 1))
+        self._rebind()
+
     def add_node(self, keyframe: Keyframe) -> int:
         """Add a keyframe at the end of the robot's odometry; returns its node."""
         node = self.node_count

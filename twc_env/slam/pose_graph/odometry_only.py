@@ -27,6 +27,13 @@ class OdometryOnlyMotions:
         self._length_m = [0.0] * robot_count
         """Total raw odometry length of each robot's edges."""
 
+    def add_robot(self) -> None:
+        """Make room for one more robot."""
+        self._edges.append([])
+        self._read_m.append([])
+        self._applied.append([])
+        self._length_m.append(0.0)
+
     def add(self, keyframe: Keyframe, edge: int) -> None:
         """Add the odometry edge to a new keyframe."""
         ahead, left = keyframe.by_odometry_m

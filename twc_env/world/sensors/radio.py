@@ -13,6 +13,7 @@ import dataclasses
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -23,6 +24,7 @@ from twc_env.world.building.crossing_table import CrossingTable
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.materials import MATERIALS
 from twc_env.world.building.wall_index import WallIndex
+from twc_env.world.people.sight import lose_in_bodies
 from twc_env.world.sensors.mean_rssi import mean_rssi
 
 LOW_BAND, HIGH_BAND, CELL_BAND = 0, 1, 2
@@ -39,6 +41,16 @@ _SECTOR_BACK_DB = 20.0
 """Greatest loss of that antenna."""
 _VIRTUAL_ADDRESS_STEP = 1 << 40
 """Difference between the addresses of an access point's virtual networks."""
+
+
+class Bodies(NamedTuple):
+    """People in the way of signals."""
+
+    position_m: Array
+    """(k, 2) in the home frame."""
+    radius_m: float
+    loss_db: float
+    """Per person in the line of sight."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,10 +153,13 @@ class RadioModel:
         )  # fmt: skip
         """Arguments of `mean_rssi` after the position and the wall losses."""
 
-    def mean_rssi_dbm(self, position_m: Array) -> Array:
-        """(transmitters,) RSSI at a position (2,) before fading, device offset and noise."""
+    def mean_rssi_dbm(self, position_m: Array, bodies: Bodies | None = None) -> Array:
+        """(transmitters,) RSSI at a position (2,) among people before fading, device offset and noise."""
         x, y, mean = float(position_m[0]), float(position_m[1]), np.empty(len(self.macs))
-        mean_rssi(x, y, self._wall_losses_db(x, y), *self.signal, mean)
+        losses = self._wall_losses_db(x, y)
+        if bodies is not None:
+            lose_in_bodies(x, y, self.signal[1], self._crossed[0], *bodies, losses)
+        mean_rssi(x, y, losses, *self.signal, mean)
         if self._has_cells:
             mean[self.is_cell] -= self._sector_loss_db(np.array([x, y]))
         return mean

@@ -12,9 +12,10 @@ from twc_env.kernels.compiled import borrowing_kernel
 from twc_env.records.messages import WifiScan
 from twc_env.records.random_streams import random_stream
 from twc_env.world.building.crossing_table import crossed_at
+from twc_env.world.people.sight import lose_in_bodies
 from twc_env.world.sensors.mean_rssi import mean_rssi
 from twc_env.world.sensors.noise import StepNoise, StepQueue
-from twc_env.world.sensors.radio import RadioModel
+from twc_env.world.sensors.radio import Bodies, RadioModel
 
 _ROUNDING = 1e-9
 """Bound of rounding errors of numbers of order 1."""
@@ -56,14 +57,14 @@ class WifiReceiver:
         self._fading_x, self._fading_y = np.inf, np.inf
         self._last_dbm, self._last_time_s = np.zeros(count), np.full(count, -np.inf)
 
-    def scan(self, position_m: Sequence[float] | Array, time_s: float = 0.0) -> WifiScan:
-        """The scan at a true position (x, y, ...); time_s: for the age of stale readings."""
+    def scan(self, position_m: Sequence[float] | Array, time_s: float = 0.0, bodies: Bodies | None = None) -> WifiScan:
+        """The scan at a true position (x, y, ...) among people; time_s: for the age of stale readings."""
         x, y = float(position_m[0]), float(position_m[1])
         config, model = self._config, self._model
         if (x - self._fading_x) ** 2 + (y - self._fading_y) ** 2 >= config.fading_length_m**2:
             self._refresh_fading(x, y)
         count = len(model.macs)
-        rssi, heard = model.mean_rssi_dbm(np.array([x, y])), np.empty(count, np.bool_)
+        rssi, heard = model.mean_rssi_dbm(np.array([x, y]), bodies), np.empty(count, np.bool_)
         _receive(
             rssi, self._fading_db, self.constants, self._draws.next()[0], self.detection, model.macs, heard,
             np.empty(count, np.int64), np.empty(count),
@@ -166,10 +167,11 @@ def hear(
     robot, x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, certain_counts,
     certain_losses, first_uncertain, uncertain_walls, pose_home_building, boxes, waves, radios, parts, limits, scratch,
     detection, constants, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
-    draws, macs, readings,
+    draws, bodies, body_radius, body_loss_db, macs, readings,
 ):  # fmt: skip
-    """The scan of one robot at (x, y), listed in macs and readings; returns the count.
+    """The scan of one robot at (x, y) among people, listed in macs and readings; returns the count.
 
+    bodies (k, 2): positions of people who reach into the line of sight, each with a loss of body_loss_db.
     `CrossingTable.prepare` must have been called for the position. crossed, rssi, heard and scratch are overwritten.
     """
     own, losses = constants[robot], scratch[3:]
@@ -183,5 +185,7 @@ def hear(
         x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, certain_counts,
         certain_losses, first_uncertain, uncertain_walls, crossed, losses,
     )  # fmt: skip
+    if bodies.shape[0] > 0:
+        lose_in_bodies(x, y, boxes, crossed, bodies, body_radius, body_loss_db, losses)
     mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, limits, scratch, rssi)
     return _receive(rssi, fading[robot], own, draws[robot], detection[robot], all_macs, heard, macs, readings)

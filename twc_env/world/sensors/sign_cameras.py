@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.kernels.compiled import BindsAnew, Lent, borrowing_kernel, bound, parts_of
@@ -15,7 +16,7 @@ from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.sensors.misreading import CODES, LINE_DRAWS, misread_signs
 from twc_env.world.sensors.noise import NormalPools
 from twc_env.world.sensors.sign_readers import ocr_stream, shipped_reader, texts_of
-from twc_env.world.sensors.signs import SignCamera, bearing_stream
+from twc_env.world.sensors.signs import SignCamera, bearing_stream, mark_hidden
 
 _TURN_RAD = 2.0 * math.pi
 Readings = tuple[Sequence[tuple[SignReading, ...]], tuple[tuple[int, ...], ...]]
@@ -45,6 +46,10 @@ class SignCameras:
         if is_fast:
             self._table = _TableReadings(config, tuple(sign.text for sign in plan.signs), seed, self.arguments[-4:])
 
+    def hide(self, step: int, poses: Array, bodies: Array, radius_m: float) -> None:
+        """Hide the characters of signs in view at poses (n, 3) that are behind bodies (k, 2) of a radius."""
+        _hide_behind(-step % self._period, poses, bodies, radius_m, *self.arguments)
+
     def read(self, step: int) -> Readings:
         """The readings of the signs that `look` has found in view in a step."""
         first = -step % self._period
@@ -58,6 +63,17 @@ class SignCameras:
                 sights = self._sights[robot, : self._counts[robot]]
                 readings[robot], sources[robot] = self._cameras[robot].read_sights(sights, self._hidden[robot])
         return readings, tuple(sources)
+
+
+@borrowing_kernel
+def _hide_behind(
+    first, poses, bodies, radius, signs, lengths, optics, _does_hide, sights, hidden, counts, period
+):  # fmt: skip
+    """Set hidden (robots, signs, characters) for the characters behind bodies (k, 2), for robots first, ..."""
+    for i in range(first, poses.shape[0], period):
+        for k in range(counts[i]):
+            sign = int(sights[i, k, 0])
+            mark_hidden(signs[sign], poses[i, 0], poses[i, 1], bodies, radius, optics[6], hidden[i, k, : lengths[sign]])
 
 
 class _TableReadings(BindsAnew):

@@ -124,13 +124,13 @@ def look(
         sights[count, 5] = abs(swing) * constants[3]
         for m in range(lengths[i]):
             hidden[count, m] = False
-        _mark_hidden(signs[i], x, y, robots, constants[5], constants[6], hidden[count, : lengths[i]])
+        mark_hidden(signs[i], x, y, robots, constants[5], constants[6], hidden[count, : lengths[i]])
         count += 1
     return count
 
 
 @borrowing_kernel
-def _mark_hidden(sign, x, y, robots, radius, pitch, is_hidden):
+def mark_hidden(sign, x, y, robots, radius, pitch, is_hidden):
     """Set is_hidden (characters,) for the characters, from left to right, behind a robot other than the observer."""
     count = is_hidden.shape[0]
     for m in range(count):

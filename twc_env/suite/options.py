@@ -1,4 +1,4 @@
-"""`twc-env benchmark --suite`: all teams on all tasks of a suite, and their leaderboard."""
+"""Options of `twc-env benchmark --suite`: all teams on all tasks of a suite, and their leaderboard."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from twc_env.errors import ConfigError
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
 from twc_env.running.command_line import count
 from twc_env.tasks import SUITES
-from twc_env.world.building.splits import FAMILY_SPLITS
 
 SUITE_HELP = """\
 With --suite: play every team on every task of a suite, in buildings that no team was trained in, and write a
@@ -22,6 +21,7 @@ SUITE_EXAMPLES = """\
   twc-env benchmark --suite v1 --tasks ExploreOffice-v1 --agents nearest-frontier mine.py:Mine runs/ppo
   twc-env benchmark --suite v1 --buildings 100 --ray auto
 """
+_SPLITS = ("train", "validation", "test")
 _ONLY_WITH_SUITE = {"tasks": None, "agents": None, "split": "test", "buildings": 10, "ray": None}
 _ONLY_WITHOUT = {
     "maps": ["twin-01", "twin-02"], "seeds": "0-9", "agent": "nearest-frontier", "robots": None, "steps": None,
@@ -40,7 +40,7 @@ def add_suite_options(parser: argparse.ArgumentParser) -> None:
         metavar="AGENT",
         help="teams: names, FILE.py:CLASS, or a trained model (a run folder or its model.zip) (default: all scripted)",
     )
-    group.add_argument("--split", choices=FAMILY_SPLITS, default="test", help="buildings; use validation for tuning")
+    group.add_argument("--split", choices=_SPLITS, default="test", help="buildings; use validation for tuning")
     group.add_argument("--buildings", type=count, default=10, help="buildings per task, from the start of the split")
     group.add_argument(
         "--ray", metavar="ADDRESS", help="play on a Ray cluster; auto: the one this machine belongs to, or a local one"

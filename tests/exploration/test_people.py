@@ -1,0 +1,68 @@
+"""Episodes among people: the guards that hold without them hold with them."""
+
+import numpy as np
+import pytest
+
+import twc_env
+from twc_env.config import EnvConfig, digest, override
+
+STEPS = 100
+PEOPLE = {"people.count": 10, "failure.kidnap_step": 40, "signs.period_s": 0.2}
+MOTION = np.array([37.3, -81.9, 1.1])
+
+
+@pytest.fixture(scope="module")
+def log(explore):
+    return explore(STEPS, config=PEOPLE)
+
+
+def test_settings_of_people_are_in_the_digest_only_if_there_are_some():
+    plain = EnvConfig()
+    assert digest(override(plain, {"people.count": 1})) != digest(plain)
+    assert digest(override(plain, {"failure.kidnap_step": 1})) != digest(plain)
+
+
+def test_the_same_seed_gives_the_same_episode_bit_by_bit(explore, log, same):
+    again = explore(STEPS, config=PEOPLE)
+    assert all(
+        same(a[agent], b[agent]) for a, b in zip(log.observations, again.observations, strict=True) for agent in a
+    )
+
+
+def test_an_episode_continues_exactly_from_a_snapshot(explore, same):
+    env = explore(30, config=PEOPLE).env
+    moment, action = env.snapshot(), dict.fromkeys(env.agents, np.array([0.6, 0.2], np.float32))
+    first = [env.step(action)[0] for _ in range(30)]
+    env.restore(moment)
+    again = [env.step(action)[0] for _ in range(30)]
+    assert all(same(a[agent], b[agent]) for a, b in zip(first, again, strict=True) for agent in a)
+
+
+def test_observations_do_not_depend_on_where_the_building_stands(explore, log):
+    moved = explore(STEPS, config=PEOPLE, floorplan=log.env.floorplan.moved(MOTION))
+    assert np.abs(log.env.state() - moved.env.state()).max() > 30
+    for a, b in zip(log.observations, moved.observations, strict=True):
+        for agent in a:
+            assert all(np.array_equal(a[agent][key], b[agent][key]) for key in a[agent])
+
+
+def test_people_change_what_is_sensed_but_not_the_true_map(explore, log):
+    clean = explore(STEPS, config=PEOPLE | {"people.count": 0})
+    assert log.env.floorplan.digest == clean.env.floorplan.digest
+    seen, bare = ([o[agent]["lidar"] for o in it.observations for agent in o] for it in (log, clean))
+    assert any((np.array(a) < np.array(b) - 0.05).sum() > 2 for a, b in zip(seen, bare, strict=True))
+
+
+def test_contacts_with_people_are_counted_where_there_are_some(log, explore):
+    assert log.env.result().figures["people_collisions"] >= 0
+    assert "people_collisions" not in explore(3).env.result().figures
+
+
+def test_a_picture_shows_people():
+    def yellow(count):
+        env = twc_env.parallel_env(map="twin-01", robots=1, config={"people.count": count}, render_mode="rgb_array")
+        env.reset(seed=0)
+        picture = env.render().astype(int)
+        return np.count_nonzero((picture[..., 0] > 220) & (picture[..., 2] < 130))
+
+    assert yellow(0) == 0 and yellow(5) > 5 * 20

@@ -1,0 +1,66 @@
+import math
+
+import numpy as np
+import pytest
+
+from twc_env.config import DynamicsConfig
+from twc_env.planning import MovingObstacles
+
+BEAMS, NOBODY = 180, np.zeros((0, 2))
+
+
+def scan_with(places, room_m=3.0, radius_m=0.06, heading=0.0):
+    """(beams,) ranges in a round room around the robot with legs at places (x, y), for a robot turned by heading."""
+    angles = heading + 2 * math.pi * np.arange(BEAMS) / BEAMS
+    ranges = np.full(BEAMS, room_m)
+    for x, y in places:
+        along, aside = x * np.cos(angles) + y * np.sin(angles), x * np.sin(angles) - y * np.cos(angles)
+        hits = (np.abs(aside) < radius_m) & (along > 0)
+        ranges[hits] = along[hits] - np.sqrt(radius_m**2 - aside[hits] ** 2)
+    return ranges
+
+
+def waits(scans, speed_m_s=0.5, teammates_m=NOBODY, headings=None):
+    """Whether the robot waits at the last of these scans."""
+    obstacles = MovingObstacles(DynamicsConfig())
+    for k, ranges in enumerate(scans):
+        pose = np.array([0.0, 0.0, 0.0 if headings is None else headings[k]])
+        found = obstacles.are_near(pose, ranges, speed_m_s, teammates_m)
+    return found
+
+
+def approaching(sign=1.0):
+    return [scan_with([(sign * (1.6 - 0.1 * k), 0.1), (sign * (1.6 - 0.1 * k), -0.1)]) for k in range(8)]
+
+
+def test_a_robot_waits_for_somebody_who_comes_nearer():
+    assert waits(approaching())
+
+
+@pytest.mark.parametrize("place", [(0.8, 0.1), (0.5, -0.4)])
+def test_legs_that_stand_are_an_obstacle_like_others(place):
+    assert not waits([scan_with([place])] * 8)
+
+
+def test_a_turning_robot_does_not_take_standing_legs_for_moving_ones():
+    headings = [0.15 * k for k in range(8)]
+    assert not waits([scan_with([(0.8, 0.1)], heading=h) for h in headings], headings=headings)
+
+
+def test_who_moves_behind_does_not_matter_until_the_robot_backs_up():
+    assert not waits(approaching(-1.0)) and waits(approaching(-1.0), speed_m_s=-0.5)
+
+
+def test_teammates_do_not_count():
+    assert not waits(approaching(), teammates_m=np.array([[0.9, 0.0]]))
+
+
+def test_wide_things_are_walls_that_come_into_view():
+    opened = np.full(BEAMS, 3.0)
+    closed = opened.copy()
+    closed[:40] = 1.0
+    assert not waits([opened] * 4 + [closed] * 4)
+
+
+def test_a_robot_goes_on_soon_after_they_left():
+    assert not waits(approaching() + [scan_with([])] * 10)

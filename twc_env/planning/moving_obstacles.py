@@ -1,0 +1,120 @@
+"""Whether something moves close to a robot, from two of its scans: an obstacle where there was free space before."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.config import DynamicsConfig
+from twc_env.kernels.compiled import kernel
+from twc_env.records.messages import Belief
+
+LAG_S = 0.3
+"""Age of the earlier scan: who walks at 1.3 m/s has moved 0.4 m since."""
+SHIFT_M = 0.12
+"""An end point this far inside the free space of the earlier scan has moved."""
+REACH_M = 1.1
+"""Obstacles further from the robot's rim are ignored: braking from 1 m/s takes 0.3 m, somebody who walks towards the
+robot comes 0.8 m nearer meanwhile."""
+WIDTH_M = 0.6
+"""Wider things are walls, of which a moving robot sees new parts, not people."""
+STEP_M = 0.15
+"""Greatest difference of neighbouring ranges on one thing."""
+BEHIND_COS = -0.2
+"""What moves further behind than this is left behind."""
+HOLD_S = 0.4
+"""Something that stops stays a moving obstacle for this long."""
+
+
+@kernel
+def _has_moved(ranges, pose, old_ranges, old_pose, reach, forward, teammates, teammate_radius):
+    """Whether an end point within `reach` on something narrow lies well inside the free space of the old scan.
+
+    The beams beside its bearing must have been free as well: along a grazing wall, ranges of neighbours differ. Points
+    behind a robot that drives forward (1) or back (-1), or within teammate_radius of teammates (k, 2), do not count.
+    """
+    beams = ranges.shape[0]
+    per_beam = beams / (2.0 * math.pi)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    old_c, old_s = math.cos(old_pose[2]), math.sin(old_pose[2])
+    for i in range(beams):
+        if not 0.0 < ranges[i] < reach:
+            continue
+        ax, ay = ranges[i] * math.cos(i / per_beam), ranges[i] * math.sin(i / per_beam)
+        if forward * ax < BEHIND_COS * ranges[i]:
+            continue
+        is_teammate = False
+        for k in range(teammates.shape[0]):
+            is_teammate |= (ax - teammates[k, 0]) ** 2 + (ay - teammates[k, 1]) ** 2 < teammate_radius**2
+        if is_teammate:
+            continue
+        wx, wy = pose[0] + c * ax - s * ay - old_pose[0], pose[1] + s * ax + c * ay - old_pose[1]
+        dx, dy = old_c * wx + old_s * wy, old_c * wy - old_s * wx
+        away, beam = math.sqrt(dx * dx + dy * dy), int(np.floor(math.atan2(dy, dx) * per_beam))
+        is_free = True
+        for b in range(beam - 1, beam + 3):
+            is_free &= old_ranges[b % beams] > away + SHIFT_M
+        if is_free and _width(ranges, i) < WIDTH_M:
+            return True
+    return False
+
+
+@kernel
+def _width(ranges, i):
+    """Width [m] of the thing that beam i hit, up to a little more than `WIDTH_M`."""
+    beams = ranges.shape[0]
+    step = 2.0 * math.pi / beams
+    first = last = i
+    while last - first < beams and (last - first) * step * ranges[i] < WIDTH_M:
+        if abs(ranges[(first - 1) % beams] - ranges[first % beams]) < STEP_M:
+            first -= 1
+        elif abs(ranges[(last + 1) % beams] - ranges[last % beams]) < STEP_M:
+            last += 1
+        else:
+            break
+    a, b, angle = ranges[first % beams], ranges[last % beams], (last - first) * step
+    return math.sqrt(max(a * a + b * b - 2.0 * a * b * math.cos(angle), 0.0))
+
+
+def _teammates_of(belief: Belief) -> Array:
+    """(k, 2) believed positions of the teammates in the robot frame."""
+    if not belief.teammates:
+        return np.zeros((0, 2))
+    offset = np.array([pose[:2] for pose in belief.teammates.values()]) - belief.pose_map_robot[:2]
+    c, s = math.cos(belief.pose_map_robot[2]), math.sin(belief.pose_map_robot[2])
+    return np.stack([c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0]], axis=1)
+
+
+class MovingObstacles:
+    """Remembers the recent scans of one robot."""
+
+    def __init__(self, dynamics: DynamicsConfig):
+        self._time_step_s, self._radius_m = dynamics.time_step_s, dynamics.robot_radius_m
+        self._earlier: deque[tuple[Array, Array]] = deque(maxlen=max(1, round(LAG_S / dynamics.time_step_s)) + 1)
+        self._hold_steps = 0
+
+    def stop(self, belief: Belief, speed_m_s: float) -> bool:
+        """Whether a robot that wants this speed has to wait; call once per step."""
+        return self.are_near(belief.pose_odom, belief.ranges_m, speed_m_s, _teammates_of(belief))
+
+    def are_near(self, pose_odom: Array, ranges_m: Array | None, speed_m_s: float, teammates_m: Array) -> bool:
+        """Whether something moves nearby, not behind a robot of this speed, or did shortly before; call once per step.
+
+        pose_odom (3,): in a frame that does not jump; teammates_m (k, 2): positions of teammates in the robot frame,
+        which do not count.
+        """
+        if ranges_m is None or len(ranges_m) == 0:
+            return False
+        ranges = np.ascontiguousarray(ranges_m, float)
+        self._earlier.append((np.array(pose_odom, float), ranges))
+        old_pose, old_ranges = self._earlier[0]
+        forward = 1.0 if speed_m_s >= 0.0 else -1.0
+        moved = _has_moved(
+            ranges, self._earlier[-1][0], old_ranges, old_pose, self._radius_m + REACH_M, forward,
+            np.ascontiguousarray(teammates_m, float), 2.0 * self._radius_m,
+        )  # fmt: skip
+        self._hold_steps = round(HOLD_S / self._time_step_s) if moved else max(self._hold_steps - 1, 0)
+        return self._hold_steps > 0

@@ -1,0 +1,49 @@
+"""Robots that are lifted and put down elsewhere: when, and where. Their odometry does not see it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.config import FailureConfig
+from twc_env.records.random_streams import random_stream
+from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.starts import start_places
+
+_AWAY_M = 3.0
+"""Least distance of the new place to the old one, if the building has such a place ..."""
+_APART_M = 1.0
+"""... and to other robots."""
+
+
+class Kidnapping:
+    """The kidnappings of one episode, at most one of each robot per step."""
+
+    def __init__(self, config: FailureConfig, home: Floorplan, robots: int, time_step_s: float, seed: int):
+        self._step, self._last_robot = config.kidnap_step, robots - 1
+        self._chance = config.kidnaps_per_min * time_step_s / 60.0
+        self.is_nothing = not self._step and not self._chance
+        """Whether no robot is ever carried."""
+        self._random = random_stream(seed, "kidnap")
+        self._places = start_places(home)
+
+    def carried(self, step: int, poses: Array) -> list[tuple[int, Array]]:
+        """Robots carried before this step, and their new poses (3,); poses (n, 3) of all robots. Once per step."""
+        drawn = self._random.random(len(poses)) < self._chance if self._chance else np.zeros(len(poses), bool)
+        if step == self._step > 0:
+            drawn[self._last_robot] = True
+        if not drawn.any() or not len(self._places):
+            return []
+        now, moved = poses.copy(), []
+        for robot in np.flatnonzero(drawn).tolist():
+            own_m = np.hypot(*(self._places - now[robot, :2]).T)
+            others_m = [np.hypot(*(self._places - place).T) for place in np.delete(now, robot, axis=0)[:, :2]]
+            is_free = np.min([np.full(len(own_m), np.inf), *others_m], axis=0) >= _APART_M
+            chosen = np.flatnonzero(is_free & (own_m >= min(_AWAY_M, own_m[is_free].max(initial=0.0))))
+            if len(chosen):
+                place = self._places[chosen[self._random.integers(len(chosen))]]
+                now[robot] = *place, self._random.uniform(-math.pi, math.pi)
+                moved.append((robot, now[robot].copy()))
+        return moved

@@ -1,0 +1,1 @@
+"""People in the building: how they move, and how sensors notice them."""

@@ -1,0 +1,186 @@
+"""The people of one episode: where they are, and which robots touch them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.config.people import PeopleConfig
+from twc_env.errors import MapError
+from twc_env.kernels.compiled import BindsAnew, Lent, bound
+from twc_env.records.random_streams import random_stream
+from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.people.destinations import destinations_of
+from twc_env.world.people.sight import shorten
+from twc_env.world.people.walking import (
+    BODY_RADIUS_M,
+    COLUMNS,
+    FACING,
+    GAIT,
+    HOME_X,
+    HOME_Y,
+    LEFT,
+    PAUSE,
+    SITTING,
+    SPEED,
+    STANDING,
+    VX,
+    VY,
+    WALKING,
+    X,
+    Y,
+    place_legs,
+    touch,
+    walk,
+)
+from twc_env.world.sensors.noise import NormalPools
+from twc_env.world.starts import start_places
+
+_TRIPS = 64
+"""Places drawn per person, after which they repeat."""
+_FROM_ROBOTS_M = 1.0
+"""Least distance of people to robots at the start ..."""
+_APART_M = 0.5
+"""... and to each other."""
+_GROUP = 3
+"""People who stand together, facing each other ..."""
+_GROUP_RADIUS_M = 0.6
+"""... on a circle of this radius."""
+_SEAT_CLEARANCE_M = 0.9
+"""People sit no further from a wall than this."""
+_SPEED_MIN_M_S = 0.3
+
+
+class Crowd(BindsAnew):
+    """Moves the people; everything is in the home frame of the building."""
+
+    def __init__(
+        self,
+        config: PeopleConfig,
+        home: Floorplan,
+        robots: Array,
+        robot_radius_m: float,
+        time_step_s: float,
+        seed: int,
+    ):
+        """robots (r, 3): start poses. Raises MapError if the people do not fit into the building."""
+        random, count = random_stream(seed, "people"), config.count
+        ways = destinations_of(home)
+        self._state, self._kinds = _placed(config, home, robots, robot_radius_m, random)
+        trips = random.integers(0, max(len(ways.places_m), 1), (count, _TRIPS))
+        pauses = random.exponential(config.pause_mean_s, (count, _TRIPS))
+        # Some are on their way when the episode begins, the others still pause.
+        self._state[:, PAUSE] = np.where(random.random(count) < 0.5, 0.0, pauses[:, -1])
+        shape = len(robots), count
+        self.discs = np.empty((2 * count, 3))
+        """(2 people, 3) x, y [m] and radius [m] of the legs."""
+        self.bodies = self._state[:, :2]
+        """(people, 2) positions."""
+        self.is_touched = np.zeros(len(robots), np.bool_)
+        """(robots,) whether each robot touches a person."""
+        self.collisions = np.zeros(len(robots), np.int64)
+        """(robots,) contacts with people that each robot began by driving."""
+        self._arrays = (
+            self._state, self._kinds, trips, np.zeros(count, np.int64), pauses, ways.distances_m, ways.origin_m,
+            ways.cell_m, home.wall_index.buckets(), np.column_stack([robots[:, :2], np.zeros((len(robots), 2))]),
+            robot_radius_m, time_step_s, self.discs, np.zeros(shape, np.bool_), self.collisions,
+        )  # fmt: skip
+        self._noise = NormalPools([random_stream(seed, "people-lidar", robot) for robot in range(len(robots))], 4096)
+        place_legs(self._state, self._kinds, self.discs)
+        self._walk: Callable[..., None] | None = None
+        self._touch: Callable[..., None] | None = None
+        """`walk` and `touch` bound to the arrays."""
+
+    def __getstate__(self) -> dict:
+        return super().__getstate__() | {"bodies": None}
+
+    def __setstate__(self, state: dict) -> None:
+        self.__dict__.update(state)
+        self.bodies = self._state[:, :2]  # a view again
+
+    @property
+    def facing_rad(self) -> Array:
+        """(people,) directions of the bodies."""
+        return self._state[:, FACING]
+
+    @property
+    def is_sitting(self) -> Array:
+        """(people,) bool."""
+        return self._kinds == SITTING
+
+    @property
+    def upright(self) -> Array:
+        """(k, 2) positions of the people who do not sit: they hide signs and reach into the line of sight."""
+        return np.ascontiguousarray(self._state[self._kinds != SITTING, :2])
+
+    def step(self, poses: Array, commands: Array) -> Array:
+        """Advance one time step; poses (r, 3) of the robots before it. The commands (r, 2) that bumpers leave."""
+        left = commands.copy()
+        if self._walk is None:
+            lent = Lent(self._arrays)
+            self._walk = bound(walk, lent, poses, left)
+        self._walk(poses, left)
+        return left
+
+    def meet(self, poses: Array) -> None:
+        """Note who is touched by the robots, now at poses (r, 3)."""
+        if self._touch is None:
+            self._touch = bound(touch, Lent(self._arrays), poses, self.is_touched)
+        self._touch(poses, self.is_touched)
+
+    def show(self, poses: Array, directions: Array, range_max_m: float, range_std_m: float, ranges: Array) -> None:
+        """Shorten the ranges (r, beams) of beams that end at legs; directions (2, beams) of the beams."""
+        now = self.discs, poses, directions, range_max_m, range_std_m, *self._noise.arguments, ranges
+        while not shorten(*now):
+            self._noise.refill(directions.shape[1])
+
+
+def _placed(
+    config: PeopleConfig, home: Floorplan, robots: Array, robot_radius_m: float, random: np.random.Generator
+) -> tuple[Array, Array]:
+    """State (people, columns) and kind (people,) of the people at the start of an episode."""
+    count = config.count
+    walking = round(config.walking_share * count)
+    sitting = min(round(config.sitting_share * count), count - walking)
+    kinds = np.array([WALKING] * walking + [SITTING] * sitting + [STANDING] * (count - walking - sitting), np.int64)
+    places = start_places(home)
+    places = places[random.permutation(len(places))]
+    near_wall = home.wall_index.distance_m(places, _SEAT_CLEARANCE_M) < _SEAT_CLEARANCE_M
+    away = np.full(len(places), np.inf)
+    """Distance of each place to what is already there."""
+    for robot in robots:
+        away = np.minimum(away, np.hypot(*(places - robot[:2]).T) - (_FROM_ROBOTS_M + robot_radius_m - _APART_M))
+    state = np.zeros((count, COLUMNS))
+    state[:, FACING] = random.uniform(-math.pi, math.pi, count)
+    state[:, GAIT] = random.uniform(0.0, 2.0 * math.pi, count)
+    wanted = config.speed_mean_m_s + config.speed_std_m_s * random.standard_normal(count)
+    state[:, SPEED] = np.maximum(wanted, _SPEED_MIN_M_S)
+    state[:, LEFT] = np.inf
+    middle, standing = np.zeros(2), 0
+    for i in range(count):
+        is_free = away >= _APART_M
+        if kinds[i] == SITTING:
+            is_free = is_free & near_wall
+        if kinds[i] == STANDING and standing % _GROUP:
+            beside = np.abs(np.hypot(*(places - middle).T) - _GROUP_RADIUS_M) < 0.15
+            is_free = is_free & beside if (is_free & beside).any() else is_free
+        if not is_free.any():
+            raise MapError(f"map {home.name!r} has no room for {count} people; reduce people.count")
+        place = places[int(np.argmax(is_free))]
+        if kinds[i] == STANDING:
+            if standing % _GROUP == 0:
+                angle = state[i, FACING]
+                middle = place + _GROUP_RADIUS_M * np.array([math.cos(angle), math.sin(angle)])
+            standing += 1
+            state[i, FACING] = math.atan2(middle[1] - place[1], middle[0] - place[0])
+        state[i, [X, Y]], state[i, [HOME_X, HOME_Y]] = place, place
+        state[i, [VX, VY]] = 0.0
+        away = np.minimum(away, np.hypot(*(places - place).T))
+    return state, kinds
+
+
+HIDING_RADIUS_M = BODY_RADIUS_M
+"""Half width of what a body hides from cameras and radio."""
