@@ -5,6 +5,7 @@ identifies a config in logs and tables.
 """
 
 from twc_env.config.environment import ActionConfig, EnvConfig, ObservationConfig, RewardConfig
+from twc_env.config.lidar_presets import LIDAR_PRESETS
 from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.slam import (
     CuesConfig,
@@ -19,7 +20,7 @@ from twc_env.config.slam import (
     SlamConfig,
     VerificationConfig,
 )
-from twc_env.config.values import digest, from_dict, load, override, radio_preset, to_dict
+from twc_env.config.values import digest, from_dict, lidar_preset, load, override, radio_preset, to_dict
 from twc_env.config.world import (
     ROBOTS_MAX,
     BuildingConfig,
@@ -35,6 +36,7 @@ from twc_env.config.world import (
 )
 
 __all__ = [
+    "LIDAR_PRESETS",
     "RADIO_PRESETS",
     "ROBOTS_MAX",
     "ActionConfig",
@@ -64,6 +66,7 @@ __all__ = [
     "VerificationConfig",
     "digest",
     "from_dict",
+    "lidar_preset",
     "load",
     "override",
     "radio_preset",

@@ -25,9 +25,14 @@ def is_too_great(value: int) -> bool:
     return value.bit_length() > _BITS_MAX
 
 
-def number(default, minimum: float = -math.inf, maximum: float = math.inf):
-    """A numeric field with its allowed range (inclusive)."""
-    return field(default=default, metadata={"minimum": minimum, "maximum": maximum})
+def number(default, minimum: float = -math.inf, maximum: float = math.inf, *, is_later: bool = False):
+    """A numeric field with its allowed range (inclusive). is_later: as `later`."""
+    return field(default=default, metadata={"minimum": minimum, "maximum": maximum, "is_later": is_later})
+
+
+def later(default: bool):
+    """A field added after digests were published: at its default, which changes nothing, the digest leaves it out."""
+    return field(default=default, metadata={"is_later": True})
 
 
 def plain_value(value):

@@ -1,0 +1,125 @@
+"""Scans of any scanner as the engine holds them: a full circle of directions around the robot, at one time.
+
+The beams of a rolling scan are measured one after the other. Each is moved by the robot's motion since then, as
+odometry and gyro tell it (deskewing), and by the mounting of the scanner. The circle takes its ranges from the lines
+between neighbouring end points.
+"""
+
+from __future__ import annotations
+
+import math
+
+
+from twc_env.kernels.compiled import borrowing_kernel
+from twc_env.records.messages import UNSEEN_M
+
+SURFACE_GAP_M = 0.3
+"""End points of neighbouring beams further apart are not on one surface: nothing is interpolated between them."""
+_CLOSED_STEPS = 1.5
+"""The last beam is a neighbour of the first if they are at most this many steps apart."""
+_HIT, _OPEN, _UNKNOWN = 1.0, 0.0, -1.0
+"""Kinds of beams: with a return, without, without information."""
+_TIME, _X, _Y, _HEADING = 0, 1, 2, 3
+
+
+@borrowing_kernel
+def note_motion(time_s, motion, turn, track, latest):
+    """Append a pose to the ring of poses (k, 4) of a robot: time [s], x, y, heading; returns its row.
+
+    motion (3,): since the pose before, in the robot frame of that pose, with another turn [rad].
+    """
+    row = (latest + 1) % track.shape[0]
+    heading = track[latest, _HEADING]
+    c, s = math.cos(heading), math.sin(heading)
+    track[row, _TIME] = time_s
+    track[row, _X] = track[latest, _X] + c * motion[0] - s * motion[1]
+    track[row, _Y] = track[latest, _Y] + s * motion[0] + c * motion[1]
+    track[row, _HEADING] = heading + turn
+    return row
+
+
+@borrowing_kernel
+def deskew(ranges, scanner, end_s, track, latest, range_max, ends, out):
+    """Fill the circle out (directions,) with a scan (beams,) as seen from the latest pose of a track (k, 4).
+
+    scanner (9,): direction of beam 0, step, mount (3), minimum and maximum range, range that is free without return,
+    time of the sweep; end_s: time of its last beam. range_max: of the engine's scans, which is no return. ends
+    (4, beams) is a work array: bearing, range and kind of each beam from the robot's centre, and a spare row.
+    """
+    count, size = ranges.shape[0], track.shape[0]
+    now_x, now_y, now_heading = track[latest, _X], track[latest, _Y], track[latest, _HEADING]
+    c_now, s_now = math.cos(now_heading), math.sin(now_heading)
+    row, older = latest, (latest - 1) % size  # the poses that a beam's time is between, from the last beam backwards
+    passed = 0
+    for k in range(count):
+        b = count - 1 - k
+        time_s = end_s - (scanner[8] * k / (count - 1) if count > 1 else 0.0)
+        while time_s < track[older, _TIME] and passed < size - 2:
+            row, older, passed = older, (older - 1) % size, passed + 1
+        elapsed = track[row, _TIME] - track[older, _TIME]
+        share = min(max((track[row, _TIME] - time_s) / elapsed, 0.0), 1.0) if elapsed > 0.0 else 0.0
+        x = track[row, _X] + share * (track[older, _X] - track[row, _X])
+        y = track[row, _Y] + share * (track[older, _Y] - track[row, _Y])
+        turned = track[row, _HEADING] + share * (track[older, _HEADING] - track[row, _HEADING]) - now_heading
+        away_x, away_y = c_now * (x - now_x) + s_now * (y - now_y), c_now * (y - now_y) - s_now * (x - now_x)
+        c, s = math.cos(turned), math.sin(turned)
+        away_x += c * scanner[2] - s * scanner[3]
+        away_y += s * scanner[2] + c * scanner[3]
+        bearing, range_m = turned + scanner[4] + scanner[0] + b * scanner[1], ranges[b]
+        if range_m < 0.0:
+            ends[0, b], ends[1, b], ends[2, b] = bearing, 0.0, _UNKNOWN
+        elif range_m > 0.0 and scanner[5] <= range_m < scanner[6]:  # false for NaN
+            px, py = away_x + range_m * math.cos(bearing), away_y + range_m * math.sin(bearing)
+            ends[0, b], ends[1, b], ends[2, b] = math.atan2(py, px), math.hypot(px, py), _HIT
+        else:
+            far = min(scanner[7], range_max)
+            px, py = away_x + far * math.cos(bearing), away_y + far * math.sin(bearing)
+            ends[0, b], ends[1, b] = math.atan2(py, px), range_max
+            ends[2, b] = _OPEN if scanner[7] > 0.0 else _UNKNOWN
+    _fill_circle(ends, scanner[1], range_max, out)
+
+
+@borrowing_kernel
+def _fill_circle(ends, step, range_max, out):
+    """Fill the circle (directions,) from the ends (4, beams) of neighbouring beams, the nearest where they overlap."""
+    count, directions = ends.shape[1], out.shape[0]
+    per_rad = directions / (2.0 * math.pi)
+    for d in range(directions):
+        out[d] = UNSEEN_M
+    for b in range(count):
+        other = b + 1 if b + 1 < count else 0
+        first, last = (b, other) if step > 0.0 else (other, b)
+        gap = (ends[0, last] - ends[0, first] + math.pi) % (2.0 * math.pi) - math.pi
+        if gap < 0.0 or (other == 0 and gap > _CLOSED_STEPS * abs(step)):
+            continue
+        begin = ends[0, first] * per_rad
+        low, high = int(math.ceil(begin - 1e-6)), int(math.floor(begin + gap * per_rad + 1e-6))
+        if high < low:
+            continue
+        here, there = ends[1, first], ends[1, last]
+        c, s = math.cos(gap), math.sin(gap)
+        ex, ey = there * c - here, there * s  # from one end point to the other, in axes along the first beam
+        is_surface = ends[2, first] == _HIT and ends[2, last] == _HIT and ex * ex + ey * ey <= SURFACE_GAP_M**2
+        for k in range(low, high + 1):
+            angle = k / per_rad - ends[0, first]
+            nearer = first if 2.0 * angle <= gap else last
+            if is_surface:
+                closing = math.cos(angle) * ey - math.sin(angle) * ex
+                range_m = here * ey / closing if closing > 1e-9 else ends[1, nearer]
+            elif ends[2, nearer] == _UNKNOWN:
+                continue
+            else:
+                range_m = ends[1, nearer]
+            range_m = min(range_m, range_max)
+            d = k % directions
+            if out[d] == UNSEEN_M or range_m < out[d]:
+                out[d] = range_m
+
+
+@borrowing_kernel
+def limit_open(ranges, range_max, free_m):
+    """Make beams without return that are free only up to `free_m` negative."""
+    if free_m < range_max:
+        for b in range(ranges.shape[0]):
+            if ranges[b] >= range_max:
+                ranges[b] = -free_m
