@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 
-
 from twc_env.kernels.compiled import borrowing_kernel
 from twc_env.records.messages import UNSEEN_M
 

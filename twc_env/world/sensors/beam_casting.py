@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 
-
 from twc_env.kernels.compiled import borrowing_kernel
 
 NOTHING = -1
