@@ -12,7 +12,8 @@ import math
 LIDAR_PRESETS: dict[str, dict] = {
     "ideal": {},
     # ROBOTIS e-Manual, TurtleBot3, appendix LDS-01: 120-3,500 mm, 300 rpm, 360 degrees by 1 degree, 1.8 kHz; precision
-    # +- 10 mm below 500 mm and +- 3.5 % above, accuracy +- 15 mm and +- 5 %.
+    # +- 10 mm below 500 mm and +- 3.5 % above, accuracy +- 15 mm and +- 5 %. Its range, of no surface
+    # named, is taken as that of ordinary walls (of a white surface: 4.7 m).
     "lds-01": {
         "beam_count": 360,
         "range_min_m": 0.12,
@@ -21,7 +22,7 @@ LIDAR_PRESETS: dict[str, dict] = {
         "is_rolling": True,
         "range_noise_std_m": 0.005,
         "range_noise_per_m": 0.0175,
-        "detection_range_m": 3.5,
+        "detection_range_m": 4.7,
         "beam_divergence_rad": 0.006,
     },
     # Slamtec, RPLIDAR A1M8 data sheet, figure 2-1: 0.15-12 m on white objects, 5.5 Hz (1-10 Hz) with 360 samples;

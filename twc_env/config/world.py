@@ -11,6 +11,8 @@ from twc_env.records.scanner import DARK_REFLECTIVITY, WHITE_REFLECTIVITY, Scann
 
 ROBOTS_MAX = 64
 """Largest team."""
+TYPICAL_RANGE_M = 3.4
+"""Root mean square of the default scanner's ranges in the test buildings: for the noise that the engine expects."""
 CIRCLE_BEAMS_MIN, CIRCLE_BEAMS_MAX = 8, 360
 """Limits of `LidarConfig.circle_beam_count` for scanners other than the default kind; more directions cost the engine
 time and give it nothing: neighbouring beams of finer scanners hit the same walls."""
@@ -140,6 +142,12 @@ class LidarConfig(Checked):
             self.detection_range_m * math.sqrt(DARK_REFLECTIVITY / WHITE_REFLECTIVITY) or math.inf,
             1.0 / self.rate_hz * (self.beam_count - 1) * abs(step_rad) / (2 * math.pi) if self.is_rolling else 0.0,
         )
+
+    @property
+    def typical_noise_std_m(self) -> float:
+        """Standard deviation of range noise at the typical range of walls."""
+        range_m = min(TYPICAL_RANGE_M, 0.5 * self.range_max_m)
+        return math.hypot(self.range_noise_std_m, self.range_noise_per_m * range_m)
 
     @property
     def circle_beam_count(self) -> int:

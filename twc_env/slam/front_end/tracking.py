@@ -198,7 +198,7 @@ class Tracker(BindsAnew):
             self.radio.widen(macs.shape[1])
             self._run = None
         ages_s = ages_of(frames.wifi) if frames.may_repeat_readings else NO_AGES
-        has_scan = self._all_scanned if frames.has_scan is None else frames.has_scan
+        has_scan = self._all_scanned[: len(robots)] if frames.has_scan is None else frames.has_scan
         now = (
             robots, frames.ranges_m, has_scan, frames.odometry, frames.turn_rates_rad_s, frames.time_s, self.poses_odom,
             whose, macs, rssi_dbm, ages_s, counts,

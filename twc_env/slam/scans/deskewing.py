@@ -71,7 +71,7 @@ def deskew(ranges, scanner, end_s, track, latest, range_max, ends, out):
             px, py = away_x + range_m * math.cos(bearing), away_y + range_m * math.sin(bearing)
             ends[0, b], ends[1, b], ends[2, b] = math.atan2(py, px), math.hypot(px, py), _HIT
         else:
-            far = min(scanner[7], range_max)
+            far = min(scanner[7], range_max) if scanner[7] > 0.0 else range_max
             px, py = away_x + far * math.cos(bearing), away_y + far * math.sin(bearing)
             ends[0, b], ends[1, b] = math.atan2(py, px), range_max
             ends[2, b] = _OPEN if scanner[7] > 0.0 else _UNKNOWN

@@ -17,8 +17,9 @@ PATCH_M = 1.0
 """Side of the squares in which all surfaces are dark or none is."""
 FADING = 0.2
 """Detection falls from certain to impossible between 1 - this and 1 + this of the detection range."""
-EDGE_MIN_M = 0.1
-"""Least difference of ranges at an edge; slanted walls differ by less from beam to beam."""
+EDGE_MIN_M, EDGE_SLOPE = 0.1, 3.0
+"""Least difference of the ranges of neighbouring beams at an edge, in metres and as a multiple of the distance between
+them: two walls that meet in a corner, seen up to this slope, are none."""
 _MIX = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -124,20 +125,24 @@ def lose_returns(near, beams, hit, chance, detection, dark, lattice, seed, range
 
 
 @borrowing_kernel
-def mix_pixels(hit, chance, width, range_max, is_closed, mixed, ranges):
-    """Mix ranges at edges: width [beams] of a beam's cone, chance (2, beams) in [0, 1), mixed (beams,) a work array.
+def mix_pixels(hit, chance, cone, step, range_max, is_closed, mixed, ranges):
+    """Mix ranges at edges: cone of a beam and angle between beams [rad], chance (2, beams) in [0, 1).
+
+    mixed (beams,) is a work array.
 
     Between two beams on different surfaces the edge is anywhere. If it is in the cone of one of them, which it covers
     by half at most, that beam measures a mean of both ranges, weighted by what it covers of each surface (Ye and
     Borenstein 2002, section 5).
     """
-    count = ranges.shape[0]
+    count, width = ranges.shape[0], cone / step
     for b in range(count):
         mixed[b] = ranges[b]
     for b in range(count if is_closed else count - 1):
         other = b + 1 if b + 1 < count else 0
         here, there = ranges[b], ranges[other]
-        if here >= range_max or there >= range_max or abs(here - there) < EDGE_MIN_M:
+        if here >= range_max or there >= range_max:
+            continue
+        if abs(here - there) < max(EDGE_MIN_M, EDGE_SLOPE * step * min(here, there)):
             continue
         if hit[b] == hit[other] or chance[0, b] >= width:
             continue

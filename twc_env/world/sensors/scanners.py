@@ -85,13 +85,12 @@ class Scanners:
             return self._ranges, np.zeros(len(poses), np.bool_)
         lidar, draws = self._config, {name: draw.next() for name, draw in self._draws.items()}
         ranges, none = np.empty_like(self._ranges), self._none
-        width = lidar.beam_divergence_rad / abs(self.scanner.step_rad)
         _scan(
             self._walls, self._near, self._geometry, self._room, paths, self._radii, self._panes, self._mirrors,
             draws.get("lidar-glass", none), lidar.glass_return_probability, lidar.glass_incidence_max_rad,
             draws.get("lidar-mirror", none), lidar.mirror_probability,
             draws.get("lidar-loss", none), lidar.detection_range_m, *self._dark,
-            draws.get("lidar-edge", none), width, lidar.is_full_circle,
+            draws.get("lidar-edge", none), lidar.beam_divergence_rad, lidar.is_full_circle,
             draws.get("lidar", none), lidar.range_noise_std_m, lidar.range_noise_per_m, lidar.range_min_m,
             draws.get("lidar-dropout", none), lidar.dropout_probability, ranges,
         )  # fmt: skip
@@ -139,7 +138,7 @@ def _split(plan: Floorplan, lidar: LidarConfig) -> tuple[WallIndex, Array, Array
 @borrowing_kernel
 def _scan(
     index, looked_up, geometry, room, paths, radii, panes, mirrors, glass_chance, glass_probability, incidence_max,
-    mirror_chance, mirror_probability, loss_chance, detection, dark_share, lattice, dark_seed, edge_chance, width,
+    mirror_chance, mirror_probability, loss_chance, detection, dark_share, lattice, dark_seed, edge_chance, cone,
     is_closed, deviates, std, std_per_m, range_min, drop_chance, drop_probability, ranges,
 ):  # fmt: skip
     """Fill ranges (robots, beams); random numbers with a row per robot, without columns where an error is off."""
@@ -174,7 +173,7 @@ def _scan(
             lose_returns(near[i], beams, hit, loss_chance[i], detection, dark_share, lattice, dark_seed, range_max, row)
         if edge_chance.shape[1] > 0:
             chance = edge_chance[i].reshape(2, count)
-            mix_pixels(hit, chance, width, range_max, is_closed, work, row)
+            mix_pixels(hit, chance, cone, abs(step), range_max, is_closed, work, row)
         if deviates.shape[1] > 0:
             add_noise(deviates[i], std, std_per_m, range_min, range_max, row)
         else:
