@@ -54,15 +54,15 @@ LIDAR_PRESETS: dict[str, dict] = {
         "beam_divergence_rad": 0.0044,
     },
     # SICK, LMS 200 technical description: 180 degrees by 1 degree in 13.3 ms, 75 Hz; 10 m at 10 % reflectivity;
-    # statistical error (1 sigma) 5 mm up to 8 m, resolution 10 mm. Mirror, cone and mixed pixels: Ye and Borenstein,
-    # Characterization of a 2-D laser scanner for mobile robot obstacle negotiation, ICRA 2002.
+    # statistical error (1 sigma) 5 mm, systematic error +- 15 mm, resolution 10 mm, together 10 mm. Cone and mixed
+    # pixels: Ye and Borenstein, Characterization of a 2-D laser scanner for mobile robot obstacle negotiation, ICRA 2002.
     "lms-200": {
         "beam_count": 181,
         "field_of_view_rad": math.pi,
         "range_max_m": 30.0,
         "rate_hz": 75.0,
         "is_rolling": True,
-        "range_noise_std_m": 0.006,
+        "range_noise_std_m": 0.01,
         "detection_range_m": 30.0,
         "beam_divergence_rad": 0.0044,
     },

@@ -20,7 +20,8 @@ from twc_env.running.finished_parts import FinishedParts
 from twc_env.running.worker_processes import in_processes
 
 TABLES = (
-    "matching", "ble-lidar", "intel", "merging", "odometry", "ocr", "radio-model", "twc-table1", "twc-table2",
+    "matching", "ble-lidar", "intel", "merging", "lidar-effects", "lidar-model", "odometry", "ocr", "radio-model",
+    "twc-table1", "twc-table2",
     "real-places", "robustness", "solver", "stress", "bare-places", "sfw-table1", "sfw-routers", "sfw-authors",
     "sfw-ble", "sfw-houseexpo", "radio-table1", "radio-scale", "building-axes", "real-radio",
 )  # fmt: skip
