@@ -4,9 +4,10 @@ import pickle
 
 import numpy as np
 import pytest
+from twc_env.agents.policy import make_policy
 
 import twc_env
-from twc_env.config import LIDAR_PRESETS, EnvConfig, override
+from twc_env.config import LIDAR_PRESETS, EnvConfig
 from twc_env.datasets.logs.frame_log import read_frame_log, write_frame_log
 from twc_env.exploration.observation.observations import ObservationBuilder
 from twc_env.records.messages import SensorFrame
@@ -105,34 +106,31 @@ def test_observations_of_every_preset_are_in_their_space(name):
 
 
 def test_a_team_with_different_scanners_merges_into_one_map():
-    """Frames of three episodes in one building, each with another scanner, given to one engine."""
-    presets = "ideal", "rplidar-a1", "lms-200"
-    worlds = []
-    for name in presets:
-        env = make(config={"lidar.preset": name, "lidar.glass_return_probability": 1.0})
-        worlds.append(played_along(env, 700))
-    config = override(EnvConfig(robots=3), {"lidar.beam_count": 180})
-    engine = CooperativeSlam(config, 3)
-    for frames in zip(*worlds, strict=True):
-        engine.update(
-            [of_robot for robot, all_of in enumerate(frames) for of_robot in all_of if of_robot.robot == robot]
-        )
-    assert len({frame.scanner for frames in worlds for frame in frames[0]}) == 3
+    """The same drives in three worlds, each with another scanner, of which one engine gets the frames of one robot."""
+    frames, actions = explored(make(config={}), 700)
+    teams = [frames]
+    for name in ("rplidar-a1", "lms-200"):
+        env = make(config={"lidar.preset": name})
+        env.reset(seed=2)
+        teams.append([list(env.frames), *(env.step(some) and list(env.frames) for some in actions)])
+    engine = CooperativeSlam(EnvConfig(robots=3), 3)
+    for step in zip(*teams, strict=True):
+        engine.update([of_team[robot] for robot, of_team in enumerate(step)])
+    assert len({of_team[0][robot].scanner for robot, of_team in enumerate(teams)}) == 3
     assert [group.robots for group in engine.team.groups] == [(0, 1, 2)]
 
 
-def played_along(env, steps: int) -> list[list[SensorFrame]]:
-    """Frames of a team that explores."""
-    from twc_env.agents.policy import make_policy
-
+def explored(env, steps: int) -> tuple[list[list[SensorFrame]], list[dict]]:
+    """Frames and actions of a team that explores."""
     env.reset(seed=2)
     policy = make_policy("nearest-frontier", env.config)
     policy.reset(2, env.agents)
-    frames = [list(env.frames)]
+    frames, actions = [list(env.frames)], []
     for _ in range(steps):
-        env.step(policy.act({agent: env.belief(agent) for agent in env.agents}))
+        actions.append(policy.act({agent: env.belief(agent) for agent in env.agents}))
+        env.step(actions[-1])
         frames.append(list(env.frames))
-    return frames
+    return frames, actions
 
 
 def test_rolling_scans_undone_by_odometry_cost_little():
@@ -140,7 +138,7 @@ def test_rolling_scans_undone_by_odometry_cost_little():
     for undoes in (True, False):
         settings = {"lidar.rate_hz": 5.0, "lidar.is_rolling": True, "slam.undoes_rolling": undoes}
         env = make(config=settings)
-        played_along(env, 400)
+        explored(env, 400)
         errors[undoes] = env.result().figures["team_ate_m"]
     assert errors[True] < 0.04
     assert errors[False] > 3 * errors[True]

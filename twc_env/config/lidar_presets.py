@@ -55,7 +55,8 @@ LIDAR_PRESETS: dict[str, dict] = {
     },
     # SICK, LMS 200 technical description: 180 degrees by 1 degree in 13.3 ms, 75 Hz; 10 m at 10 % reflectivity;
     # statistical error (1 sigma) 5 mm, systematic error +- 15 mm, resolution 10 mm, together 10 mm. Cone and mixed
-    # pixels: Ye and Borenstein, Characterization of a 2-D laser scanner for mobile robot obstacle negotiation, ICRA 2002.
+    # pixels: Ye and Borenstein, Characterization of a 2-D laser scanner for mobile robot obstacle negotiation, ICRA
+    # 2002.
     "lms-200": {
         "beam_count": 181,
         "field_of_view_rad": math.pi,

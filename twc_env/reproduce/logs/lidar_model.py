@@ -96,7 +96,7 @@ def _figures(log: ScanLog, scans_max: int, seed: int) -> dict[str, dict]:
     plan = plan_of(real_m, angles_rad, poses)
     simulated_m = simulated(plan, angles_rad, poses, seed)
     ideal_m = simulated(plan, angles_rad, poses, seed, {"detection_range_m": 0.0})
-    figures = {}
+    figures: dict[str, dict] = {}
     for quantity, measure in MEASURES.items():
         real, model = (measure(ranges_m, angles_rad, poses) for ranges_m in (real_m, simulated_m))
         summary = _robust_std if quantity == "residual" else _share
@@ -131,9 +131,9 @@ def plan_of(scans_m: Array, angles_rad: Array, poses: Array) -> Floorplan:
     whose, cloud = np.repeat(np.arange(len(points)), [len(p) for p in points]), np.concatenate(points)
     walls = _map_of(scans_m, angles_rad, poses).level_at(cloud) > 0
     whose, cloud = whose[walls], cloud[walls]
-    cells, first, of_cell = np.unique(np.floor(cloud / CELL_M), axis=0, return_index=True, return_inverse=True)
-    middles = np.column_stack([np.bincount(of_cell.ravel(), cloud[:, axis]) for axis in (0, 1)])
-    middles /= np.bincount(of_cell.ravel())[:, None]
+    _, of_cell, counts = np.unique(np.floor(cloud / CELL_M), axis=0, return_inverse=True, return_counts=True)
+    sums = np.column_stack([np.bincount(of_cell.ravel(), cloud[:, axis]) for axis in (0, 1)])
+    middles = sums / counts[:, None]
     pieces = []
     for middle, near in zip(middles, cKDTree(cloud).query_ball_point(middles, LINE_REACH_M), strict=True):
         if len(near) < 3 or len(set(whose[near])) < 2:

@@ -38,12 +38,13 @@ def note_motion(time_s, motion, turn, track, latest):
 
 
 @borrowing_kernel
-def deskew(ranges, scanner, end_s, track, latest, range_max, ends, out):
+def deskew(ranges, scanner, end_s, track, latest, range_max, directions, ends, out):
     """Fill the circle out (directions,) with a scan (beams,) as seen from the latest pose of a track (k, 4).
 
     scanner (9,): direction of beam 0, step, mount (3), minimum and maximum range, range that is free without return,
-    time of the sweep; end_s: time of its last beam. range_max: of the engine's scans, which is no return. ends
-    (4, beams) is a work array: bearing, range and kind of each beam from the robot's centre, and a spare row.
+    time of the sweep; end_s: time of its last beam. range_max: of the engine's scans, which is no return. directions
+    (directions, 2): cosine and sine. ends (5, beams) is a work array: bearing, range and kind of each beam from the
+    robot's centre, and its end point.
     """
     count, size = ranges.shape[0], track.shape[0]
     now_x, now_y, now_heading = track[latest, _X], track[latest, _Y], track[latest, _HEADING]
@@ -69,18 +70,19 @@ def deskew(ranges, scanner, end_s, track, latest, range_max, ends, out):
             ends[0, b], ends[1, b], ends[2, b] = bearing, 0.0, _UNKNOWN
         elif range_m > 0.0 and scanner[5] <= range_m < scanner[6]:  # false for NaN
             px, py = away_x + range_m * math.cos(bearing), away_y + range_m * math.sin(bearing)
-            ends[0, b], ends[1, b], ends[2, b] = math.atan2(py, px), math.hypot(px, py), _HIT
+            ends[0, b], ends[1, b], ends[2, b] = math.atan2(py, px), math.sqrt(px * px + py * py), _HIT
+            ends[3, b], ends[4, b] = px, py
         else:
             far = min(scanner[7], range_max) if scanner[7] > 0.0 else range_max
             px, py = away_x + far * math.cos(bearing), away_y + far * math.sin(bearing)
             ends[0, b], ends[1, b] = math.atan2(py, px), range_max
             ends[2, b] = _OPEN if scanner[7] > 0.0 else _UNKNOWN
-    _fill_circle(ends, scanner[1], range_max, out)
+    _fill_circle(ends, scanner[1], range_max, directions, out)
 
 
 @borrowing_kernel
-def _fill_circle(ends, step, range_max, out):
-    """Fill the circle (directions,) from the ends (4, beams) of neighbouring beams, the nearest where they overlap."""
+def _fill_circle(ends, step, range_max, rays, out):
+    """Fill the circle (directions,) from the ends (5, beams) of neighbouring beams, the nearest where they overlap."""
     count, directions = ends.shape[1], out.shape[0]
     per_rad = directions / (2.0 * math.pi)
     for d in range(directions):
@@ -95,22 +97,20 @@ def _fill_circle(ends, step, range_max, out):
         low, high = int(math.ceil(begin - 1e-6)), int(math.floor(begin + gap * per_rad + 1e-6))
         if high < low:
             continue
-        here, there = ends[1, first], ends[1, last]
-        c, s = math.cos(gap), math.sin(gap)
-        ex, ey = there * c - here, there * s  # from one end point to the other, in axes along the first beam
+        px, py = ends[3, first], ends[4, first]
+        ex, ey = ends[3, last] - px, ends[4, last] - py
         is_surface = ends[2, first] == _HIT and ends[2, last] == _HIT and ex * ex + ey * ey <= SURFACE_GAP_M**2
         for k in range(low, high + 1):
-            angle = k / per_rad - ends[0, first]
-            nearer = first if 2.0 * angle <= gap else last
+            d = k % directions
+            nearer = first if 2.0 * (k / per_rad - ends[0, first]) <= gap else last
             if is_surface:
-                closing = math.cos(angle) * ey - math.sin(angle) * ex
-                range_m = here * ey / closing if closing > 1e-9 else ends[1, nearer]
+                closing = rays[d, 0] * ey - rays[d, 1] * ex
+                range_m = (px * ey - py * ex) / closing if closing > 1e-9 else ends[1, nearer]
             elif ends[2, nearer] == _UNKNOWN:
                 continue
             else:
                 range_m = ends[1, nearer]
             range_m = min(range_m, range_max)
-            d = k % directions
             if out[d] == UNSEEN_M or range_m < out[d]:
                 out[d] = range_m
 

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, LidarConfig
-from twc_env.kernels.compiled import borrowing_kernel
+from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of
 from twc_env.records.random_streams import random_stream
 from twc_env.records.scanner import Scanner
 from twc_env.world.building.floorplan import Floorplan
@@ -71,6 +72,8 @@ class Scanners:
         dark = np.random.default_rng([int(plan.digest, 16), zlib.crc32(b"dark")])
         self._dark = lidar.dark_share, dark.random(2), int(dark.integers(2**62))
         self._none = np.zeros((robots, 0))
+        self._run: Callable[..., None] | None = None
+        """`_scan` with what does not change."""
         self._ranges = np.full((robots, lidar.beam_count), lidar.range_max_m)
 
     def scan(self, step: int, poses: Array) -> tuple[Array, Array | None]:
@@ -83,19 +86,32 @@ class Scanners:
         paths[0], self._is_begun = poses, True
         if step % self.period_steps:
             return self._ranges, np.zeros(len(poses), np.bool_)
-        lidar, draws = self._config, {name: draw.next() for name, draw in self._draws.items()}
+        draws = {name: draw.next() for name, draw in self._draws.items()}
         ranges, none = np.empty_like(self._ranges), self._none
-        _scan(
-            self._walls, self._near, self._geometry, self._room, paths, self._radii, self._panes, self._mirrors,
-            draws.get("lidar-glass", none), lidar.glass_return_probability, lidar.glass_incidence_max_rad,
-            draws.get("lidar-mirror", none), lidar.mirror_probability,
-            draws.get("lidar-loss", none), lidar.detection_range_m, *self._dark,
-            draws.get("lidar-edge", none), lidar.beam_divergence_rad, lidar.is_full_circle,
-            draws.get("lidar", none), lidar.range_noise_std_m, lidar.range_noise_per_m, lidar.range_min_m,
-            draws.get("lidar-dropout", none), lidar.dropout_probability, ranges,
-        )  # fmt: skip
+        now = paths, *[draws.get(name, none) for name in _NAMES], ranges
+        if self._run is None:
+            self._run = bound(_scan, self._packed(), *now)
+        self._run(*now)
         self._ranges = ranges
         return ranges, None if self.period_steps == 1 else np.ones(len(poses), np.bool_)
+
+    def _packed(self) -> Lent:
+        """The constant arguments of `_scan`."""
+        lidar = self._config
+        return Lent((
+            self._walls, self._near, self._geometry, self._room, self._radii, self._panes, self._mirrors,
+            (lidar.glass_return_probability, lidar.glass_incidence_max_rad, lidar.mirror_probability),
+            (lidar.detection_range_m, *self._dark),
+            (lidar.beam_divergence_rad, lidar.is_full_circle),
+            (lidar.range_noise_std_m, lidar.range_noise_per_m, lidar.range_min_m, lidar.dropout_probability),
+        ))  # fmt: skip
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_run": None}
+
+
+_NAMES = "lidar-glass", "lidar-mirror", "lidar-loss", "lidar-edge", "lidar", "lidar-dropout"
+"""Names of the random numbers, in the order in which `_scan` takes them."""
 
 
 def needs_scanners(lidar: LidarConfig) -> bool:
@@ -137,15 +153,18 @@ def _split(plan: Floorplan, lidar: LidarConfig) -> tuple[WallIndex, Array, Array
 
 @borrowing_kernel
 def _scan(
-    index, looked_up, geometry, room, paths, radii, panes, mirrors, glass_chance, glass_probability, incidence_max,
-    mirror_chance, mirror_probability, loss_chance, detection, dark_share, lattice, dark_seed, edge_chance, cone,
-    is_closed, deviates, std, std_per_m, range_min, drop_chance, drop_probability, ranges,
+    apparatus, paths, glass_chance, mirror_chance, loss_chance, edge_chance, deviates, drop_chance, ranges
 ):  # fmt: skip
     """Fill ranges (robots, beams); random numbers with a row per robot, without columns where an error is off."""
+    index, looked_up, geometry, room, radii, panes, mirrors, shiny, loss, edges, limits = parts_of(apparatus)
     walls, origin, bucket, rows, columns, first_member, members = index
     near, near_counts, anchors = looked_up
     taus, mount, first, step, range_max, margin = geometry
     scratch, stamps, work, beams, hit = room
+    glass_probability, incidence_max, mirror_probability = shiny
+    detection, dark_share, lattice, dark_seed = loss
+    cone, is_closed = edges
+    std, std_per_m, range_min, drop_probability = limits
     count = ranges.shape[1]
     for i in range(ranges.shape[0]):
         begin, mean_step, spread = place_beams(paths[:, i], taus, mount, first, step, work, beams)
