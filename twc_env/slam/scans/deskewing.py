@@ -12,8 +12,12 @@ import math
 from twc_env.kernels.compiled import borrowing_kernel
 from twc_env.records.messages import UNSEEN_M
 
-SURFACE_GAP_M = 0.3
-"""End points of neighbouring beams further apart are not on one surface: nothing is interpolated between them."""
+SURFACE_GAP_M, SURFACE_GAP_STEPS = 0.3, 4.0
+"""End points of neighbouring beams further apart, in metres or as a multiple of the distance between beams there, are
+not on one surface: nothing is interpolated between them."""
+_NEAR_TIMES = 2.0
+"""A gap of beams without return beside a return nearer than this multiple of the minimum range is taken for a surface
+too near to be measured, not for an opening."""
 _CLOSED_STEPS = 1.5
 """The last beam is a neighbour of the first if they are at most this many steps apart."""
 _HIT, _OPEN, _UNKNOWN = 1.0, 0.0, -1.0
@@ -77,14 +81,52 @@ def deskew(ranges, scanner, end_s, track, latest, range_max, directions, ends, o
             px, py = away_x + far * math.cos(bearing), away_y + far * math.sin(bearing)
             ends[0, b], ends[1, b] = math.atan2(py, px), range_max
             ends[2, b] = _OPEN if scanner[7] > 0.0 else _UNKNOWN
+    if scanner[5] > 0.0:
+        _mark_too_near(ends, _NEAR_TIMES * scanner[5], count * abs(scanner[1]) > 2.0 * math.pi - 0.5 * abs(scanner[1]))
     _fill_circle(ends, scanner[1], range_max, directions, out)
 
 
 @borrowing_kernel
+def _mark_too_near(ends, near_m, is_closed):
+    """Beams without return that may have met something below the minimum range have no information."""
+    count = ends.shape[1]
+    for side in (1, -1):
+        is_near = False
+        for k in range(2 * count if is_closed else count):
+            b = k % count if side > 0 else count - 1 - k % count
+            if ends[2, b] == _HIT:
+                is_near = ends[1, b] < near_m
+            elif is_near and ends[2, b] == _OPEN:
+                ends[2, b] = _UNKNOWN
+
+
+@borrowing_kernel
+def _is_surface(ends, a, b, step):
+    """Whether two neighbouring beams met one surface."""
+    ex, ey = ends[3, b] - ends[3, a], ends[4, b] - ends[4, a]
+    gap_m = min(SURFACE_GAP_M, SURFACE_GAP_STEPS * abs(step) * min(ends[1, a], ends[1, b]))
+    return ends[2, a] == _HIT and ends[2, b] == _HIT and ex * ex + ey * ey <= gap_m * gap_m
+
+
+@borrowing_kernel
+def _range_on_line(ends, a, b, dx, dy):
+    """Range at which a ray from the robot's centre meets the line through two beams' end points; infinite: not."""
+    px, py = ends[3, a], ends[4, a]
+    ex, ey = ends[3, b] - px, ends[4, b] - py
+    closing = dx * ey - dy * ex
+    range_m = (px * ey - py * ex) / closing
+    return range_m if abs(closing) > 1e-9 and range_m > 0.0 else math.inf
+
+
+@borrowing_kernel
 def _fill_circle(ends, step, range_max, rays, out):
-    """Fill the circle (directions,) from the ends (5, beams) of neighbouring beams, the nearest where they overlap."""
+    """Fill the circle (directions,) from the ends (5, beams) of neighbouring beams, the nearest where they overlap.
+
+    Between two beams on one surface the range is that of the line between their end points. At an edge, it is that of
+    the surface of the nearer beam, a little extended.
+    """
     count, directions = ends.shape[1], out.shape[0]
-    per_rad = directions / (2.0 * math.pi)
+    per_rad, side = directions / (2.0 * math.pi), 1 if step > 0.0 else -1
     for d in range(directions):
         out[d] = UNSEEN_M
     for b in range(count):
@@ -97,19 +139,19 @@ def _fill_circle(ends, step, range_max, rays, out):
         low, high = int(math.ceil(begin - 1e-6)), int(math.floor(begin + gap * per_rad + 1e-6))
         if high < low:
             continue
-        px, py = ends[3, first], ends[4, first]
-        ex, ey = ends[3, last] - px, ends[4, last] - py
-        is_surface = ends[2, first] == _HIT and ends[2, last] == _HIT and ex * ex + ey * ey <= SURFACE_GAP_M**2
+        is_surface = _is_surface(ends, first, last, step)
         for k in range(low, high + 1):
             d = k % directions
-            nearer = first if 2.0 * (k / per_rad - ends[0, first]) <= gap else last
-            if is_surface:
-                closing = rays[d, 0] * ey - rays[d, 1] * ex
-                range_m = (px * ey - py * ex) / closing if closing > 1e-9 else ends[1, nearer]
-            elif ends[2, nearer] == _UNKNOWN:
+            is_first_nearer = 2.0 * (k / per_rad - ends[0, first]) <= gap
+            nearer, beyond = (first, (first - side) % count) if is_first_nearer else (last, (last + side) % count)
+            if ends[2, nearer] == _UNKNOWN:
                 continue
-            else:
-                range_m = ends[1, nearer]
+            range_m = ends[1, nearer]
+            if is_surface:
+                range_m = min(_range_on_line(ends, first, last, rays[d, 0], rays[d, 1]), range_m + SURFACE_GAP_M)
+            elif _is_surface(ends, nearer, beyond, step):
+                extended_m = _range_on_line(ends, nearer, beyond, rays[d, 0], rays[d, 1])
+                range_m = extended_m if abs(extended_m - range_m) <= SURFACE_GAP_M else range_m
             range_m = min(range_m, range_max)
             if out[d] == UNSEEN_M or range_m < out[d]:
                 out[d] = range_m
