@@ -35,7 +35,7 @@ class FrontEnds:
     def __init__(self, config: EnvConfig, count: int):
         self.intake = ScanIntake(config, count)
         """Makes the scans of the frames given to the engine those that the front ends take."""
-        self._tracker = Tracker(config, count, self.intake.free_m)
+        self._tracker = Tracker(config, count, self.intake)
         self.poses_odom = self._tracker.poses_odom
         """(n, 3) estimates after the latest frames; a new array after every update."""
         self._taker = KeyframeTaker(config, self._tracker)

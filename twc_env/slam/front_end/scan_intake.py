@@ -27,7 +27,7 @@ GYRO_GAP_MAX_S = 1.0
 def _take_in(held, ranges, has_scan, odometry, turn_rates, now_s, circles, new):
     """Note the motion of all robots, and keep and deskew their scans: circles (robots, directions), and the same with
     rows without information where there is no new scan."""
-    scans, ends_s, tracks, latest, scanner, undoes_motion, range_max, rays, work = parts_of(held)
+    scans, ends_s, tracks, latest, scanner, undoes_motion, limits, rays, work, is_soft = parts_of(held)
     for i in range(ranges.shape[0]):
         track = tracks[i]
         elapsed_s = now_s - track[latest[i], 0]
@@ -39,10 +39,9 @@ def _take_in(held, ranges, has_scan, odometry, turn_rates, now_s, circles, new):
                 scans[i, b] = ranges[i, b]
         if math.isnan(ends_s[i]):
             circles[i, :] = UNSEEN_M
-        elif undoes_motion:
-            deskew(scans[i], scanner, ends_s[i], track, latest[i], range_max, rays, work, circles[i])
         else:
-            deskew(scans[i], scanner, now_s, track, latest[i], range_max, rays, work, circles[i])
+            end_s = ends_s[i] if undoes_motion else now_s
+            deskew(scans[i], scanner, end_s, track, latest[i], *limits, rays, work, circles[i], is_soft[i])
         for d in range(circles.shape[1]):
             new[i, d] = circles[i, d] if has_scan[i] else UNSEEN_M
 
@@ -51,10 +50,13 @@ class ScanIntake(BindsAnew):
     """Undoes rolling scans and mountings, robot by robot; frames without a `scanner` pass unchanged."""
 
     def __init__(self, config: EnvConfig, robot_count: int):
-        self._beam_count, self._range_max_m = config.lidar.circle_beam_count, config.lidar.range_max_m
+        self._beam_count = config.lidar.circle_beam_count
+        self._limits = float(config.lidar.range_max_m), float(config.lidar.typical_noise_std_m)
         self._undoes_motion, self._rays = config.slam.undoes_rolling, beam_directions(self._beam_count)
         self.free_m = np.full(robot_count, np.inf)
         """(robots,) range up to which the floor is free in directions without return, as the latest scanner says."""
+        self.is_soft = np.zeros((robot_count, self._beam_count), np.bool_)
+        """(robots, directions) whether the latest scan is unsure of the wall in a direction, see `deskewing.deskew`."""
         self._tracks = np.zeros((robot_count, _POSES_KEPT, 4))
         """Rings of the robots' poses by odometry and gyro, see `deskewing.note_motion`."""
         self._tracks[:, :, 0] = -np.inf
@@ -110,7 +112,7 @@ class ScanIntake(BindsAnew):
         work = np.empty((5, ranges_m.shape[1]))
         return Lent((
             scans, self._ends_s, self._tracks, self._latest, self._numbers(scanner), self._undoes_motion,
-            self._range_max_m, self._rays, work,
+            self._limits, self._rays, work, self.is_soft,
         ))  # fmt: skip
 
     def _taken_in(self, frame: SensorFrame) -> Array:
@@ -121,6 +123,7 @@ class ScanIntake(BindsAnew):
         turn = frame.turn_rate_rad_s * elapsed_s if elapsed_s <= GYRO_GAP_MAX_S else float(odometry[2])
         self._latest[robot] = note_motion(now_s, odometry, turn, track, self._latest[robot])
         if frame.scanner is None:
+            self.is_soft[robot] = False
             return frame.ranges_m
         if len(frame.ranges_m):
             self._scans[robot], self._scanners[robot] = np.array(frame.ranges_m, float), frame.scanner
@@ -130,7 +133,8 @@ class ScanIntake(BindsAnew):
         if held is not None and scanner is not None and math.isfinite(self._ends_s[robot]):
             end_s = float(self._ends_s[robot]) if self._undoes_motion else now_s
             numbers, work = self._numbers(scanner), np.empty((5, len(held)))
-            deskew(held, numbers, end_s, track, self._latest[robot], self._range_max_m, self._rays, work, out)
+            latest, is_soft = self._latest[robot], self.is_soft[robot]
+            deskew(held, numbers, end_s, track, latest, *self._limits, self._rays, work, out, is_soft)
         return out
 
     def _numbers(self, scanner: Scanner) -> Array:

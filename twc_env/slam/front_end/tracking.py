@@ -16,6 +16,7 @@ from twc_env.kernels.compiled import BindsAnew, Lent, borrowing_kernel, bound, p
 from twc_env.records.geometry import beam_directions
 from twc_env.records.messages import UNSEEN_M
 from twc_env.records.team_messages import TeamFrames
+from twc_env.slam.front_end.scan_intake import ScanIntake
 from twc_env.slam.matching.scan_matching import LineFields, match_scan, matching_room
 from twc_env.slam.odometry.filters import make_filters
 from twc_env.slam.odometry.odometry_filter import (
@@ -33,8 +34,8 @@ from twc_env.slam.scans.teammate_detection import DISCS_MAX, mark_teammates
 
 @borrowing_kernel
 def _see(
-    robots, ranges, has_scan, states, directions, opening, free, mate_radius, marked, discs, disc_counts, cells, lines,
-    origins, rule, has_lidar, room, matched, information, is_matched, is_clear, explained,
+    robots, ranges, has_scan, states, directions, opening, free, is_soft, mate_radius, marked, discs, disc_counts,
+    cells, lines, origins, rule, has_lidar, room, matched, information, is_matched, is_clear, explained,
 ):  # fmt: skip
     """Mark lost beams and mates in the scans and match the rest to the fields, near the robots' states.
 
@@ -53,6 +54,7 @@ def _see(
         disc_counts[k] = mark_teammates(scan, rule[0], mate_radius, directions, is_jump, jumps, marked[k], discs[k])
         if has_lost:
             mark_lost(is_lost, marked[k])
+        mark_lost(is_soft[k], marked[k])
         limit_open(marked[k], rule[0], free[k])
         if has_lidar:
             is_matched[k], is_clear[k], explained[k] = match_scan(
@@ -108,8 +110,8 @@ def _track(
     """A complete step with the compiled filters, including WiFi scans; returns whether any robot needs a new
     keyframe."""
     (
-        states, covariances, noise, believes_scans, directions, opening, free, mate_radius, marked, discs, disc_counts,
-        cells, lines, origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels,
+        states, covariances, noise, believes_scans, directions, opening, free, is_soft, mate_radius, marked, discs,
+        disc_counts, cells, lines, origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels,
         steps, is_new, by_odometry, dts, matched, is_matched, is_clear, explained, before, kept_scans,
     ) = parts_of(apparatus)  # fmt: skip
     keep(kept_scans, now_s, robots, whose, macs, levels, ages, heard)
@@ -121,7 +123,7 @@ def _track(
         if dts[a] > 0.0:
             predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise)
     _see(
-        robots, ranges, has_scan, states, directions, opening, free, mate_radius, marked, discs, disc_counts, cells,
+        robots, ranges, has_scan, states, directions, opening, free, is_soft, mate_radius, marked, discs, disc_counts, cells,
         lines, origins, match_rule, has_lidar, room, matched, information, is_matched, is_clear, explained,
     )  # fmt: skip
     for a in range(robots.shape[0]):
@@ -143,8 +145,8 @@ def _track(
 class Tracker(BindsAnew):
     """Poses of all robots, each in its own odom frame (start at 0, 0, 0), matched to their local maps."""
 
-    def __init__(self, config: EnvConfig, count: int, free_m: Array | None = None):
-        """free_m: as `ScanIntake.free_m`, which may change later; None: infinite."""
+    def __init__(self, config: EnvConfig, count: int, intake: ScanIntake | None = None):
+        """intake: that of the scans; None: they come from scanners without limits."""
         self.radio = ScanWindows(count, config.slam.keyframe.fingerprint_scans_max)
         """Recent WiFi scans of each robot."""
         noise, beams, rule = config.slam.odometry_filter, config.lidar.circle_beam_count, config.slam.keyframe
@@ -176,9 +178,9 @@ class Tracker(BindsAnew):
         masks = rule.mask_teammates and config.robots > 1
         mate_radius_m = robot_radius_m if masks else 0.0
         opening = opening_beams(beams, config.lidar.dropout_probability)
-        free_m = np.full(count, np.inf) if free_m is None else free_m
+        intake = intake or ScanIntake(config, count)
         self._marking = (
-            beam_directions(beams), opening, free_m, mate_radius_m, self.marked_m, self.discs, self.disc_counts,
+            beam_directions(beams), opening, intake.free_m, intake.is_soft, mate_radius_m, self.marked_m, self.discs, self.disc_counts,
         )  # fmt: skip
         self._all_scanned = np.ones(count, bool)
         for_mates = np.empty(beams, bool), np.empty(beams + 1, np.int64)

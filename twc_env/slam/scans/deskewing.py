@@ -15,6 +15,11 @@ from twc_env.records.messages import UNSEEN_M
 SURFACE_GAP_M, SURFACE_GAP_STEPS = 0.3, 4.0
 """End points of neighbouring beams further apart, in metres or as a multiple of the distance between beams there, are
 not on one surface: nothing is interpolated between them."""
+STRAIGHT_M, STRAIGHT_NOISES = 0.04, 5.0
+"""Four end points in a row are on one straight wall if the last is at most this far from the line through the first
+two, in metres and as a multiple of the noise."""
+ALIGNED_STEPS = 0.15
+"""A direction this close to a beam, in steps between beams, has the beam's own range."""
 _NEAR_TIMES = 2.0
 """A gap of beams without return beside a return nearer than this multiple of the minimum range is taken for a surface
 too near to be measured, not for an opening."""
@@ -42,11 +47,14 @@ def note_motion(time_s, motion, turn, track, latest):
 
 
 @borrowing_kernel
-def deskew(ranges, scanner, end_s, track, latest, range_max, directions, ends, out):
+def deskew(ranges, scanner, end_s, track, latest, range_max, noise, directions, ends, out, is_soft):
     """Fill the circle out (directions,) with a scan (beams,) as seen from the latest pose of a track (k, 4).
 
+    is_soft (directions,): whether the wall of a direction is unsure, between two beams at a corner or an edge.
+
     scanner (9,): direction of beam 0, step, mount (3), minimum and maximum range, range that is free without return,
-    time of the sweep; end_s: time of its last beam. range_max: of the engine's scans, which is no return. directions
+    time of the sweep; end_s: time of its last beam. range_max: of the engine's scans, which is no return; noise: of
+    ranges, standard deviation [m]. directions
     (directions, 2): cosine and sine. ends (5, beams) is a work array: bearing, range and kind of each beam from the
     robot's centre, and its end point.
     """
@@ -83,7 +91,7 @@ def deskew(ranges, scanner, end_s, track, latest, range_max, directions, ends, o
             ends[2, b] = _OPEN if scanner[7] > 0.0 else _UNKNOWN
     if scanner[5] > 0.0:
         _mark_too_near(ends, _NEAR_TIMES * scanner[5], count * abs(scanner[1]) > 2.0 * math.pi - 0.5 * abs(scanner[1]))
-    _fill_circle(ends, scanner[1], range_max, directions, out)
+    _fill_circle(ends, scanner[1], range_max, max(STRAIGHT_M, STRAIGHT_NOISES * noise), directions, out, is_soft)
 
 
 @borrowing_kernel
@@ -119,16 +127,25 @@ def _range_on_line(ends, a, b, dx, dy):
 
 
 @borrowing_kernel
-def _fill_circle(ends, step, range_max, rays, out):
+def _continues(ends, a, b, c, step, straight):
+    """Whether beams a and b met one surface, and the end point of beam c lies on the line through theirs."""
+    ex, ey = ends[3, b] - ends[3, a], ends[4, b] - ends[4, a]
+    across = ex * (ends[4, c] - ends[4, a]) - ey * (ends[3, c] - ends[3, a])
+    return _is_surface(ends, a, b, step) and across * across <= straight * straight * (ex * ex + ey * ey)
+
+
+@borrowing_kernel
+def _fill_circle(ends, step, range_max, straight, rays, out, is_soft):
     """Fill the circle (directions,) from the ends (5, beams) of neighbouring beams, the nearest where they overlap.
 
-    Between two beams on one surface the range is that of the line between their end points. At an edge, it is that of
-    the surface of the nearer beam, a little extended.
+    Between two beams on one surface the range is that of the line between their end points, soft unless the wall goes
+    on straight on one side. At an edge it is that of the surface of the nearer beam, a little extended, and soft.
     """
     count, directions = ends.shape[1], out.shape[0]
     per_rad, side = directions / (2.0 * math.pi), 1 if step > 0.0 else -1
+    aligned = ALIGNED_STEPS * abs(step)
     for d in range(directions):
-        out[d] = UNSEEN_M
+        out[d], is_soft[d] = UNSEEN_M, False
     for b in range(count):
         other = b + 1 if b + 1 < count else 0
         first, last = (b, other) if step > 0.0 else (other, b)
@@ -139,11 +156,17 @@ def _fill_circle(ends, step, range_max, rays, out):
         low, high = int(math.ceil(begin - 1e-6)), int(math.floor(begin + gap * per_rad + 1e-6))
         if high < low:
             continue
+        before, after = (first - side) % count, (last + side) % count
         is_surface = _is_surface(ends, first, last, step)
+        is_straight = is_surface and (
+            _continues(ends, before, first, last, step, straight)
+            or _continues(ends, after, last, first, step, straight)
+        )
         for k in range(low, high + 1):
             d = k % directions
-            is_first_nearer = 2.0 * (k / per_rad - ends[0, first]) <= gap
-            nearer, beyond = (first, (first - side) % count) if is_first_nearer else (last, (last + side) % count)
+            from_first = k / per_rad - ends[0, first]
+            is_first_nearer = 2.0 * from_first <= gap
+            nearer, beyond = (first, before) if is_first_nearer else (last, after)
             if ends[2, nearer] == _UNKNOWN:
                 continue
             range_m = ends[1, nearer]
@@ -153,8 +176,11 @@ def _fill_circle(ends, step, range_max, rays, out):
                 extended_m = _range_on_line(ends, nearer, beyond, rays[d, 0], rays[d, 1])
                 range_m = extended_m if abs(extended_m - range_m) <= SURFACE_GAP_M else range_m
             range_m = min(range_m, range_max)
-            if out[d] == UNSEEN_M or range_m < out[d]:
-                out[d] = range_m
+            is_unsure = not is_straight and min(from_first, gap - from_first) > aligned and range_m < range_max
+            if out[d] == UNSEEN_M or range_m < out[d] - 1e-9:
+                out[d], is_soft[d] = range_m, is_unsure
+            elif range_m <= out[d] + 1e-9:
+                is_soft[d] &= is_unsure
 
 
 @borrowing_kernel
