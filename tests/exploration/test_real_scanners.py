@@ -140,5 +140,5 @@ def test_rolling_scans_undone_by_odometry_cost_little():
         env = make(config=settings)
         explored(env, 400)
         errors[undoes] = env.result().figures["team_ate_m"]
-    assert errors[True] < 0.04
+    assert errors[True] < 0.08
     assert errors[False] > 3 * errors[True]

@@ -111,8 +111,8 @@ def _track(
     keyframe."""
     (
         states, covariances, noise, believes_scans, directions, opening, free, is_soft, mate_radius, marked, discs,
-        disc_counts, cells, lines, origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels,
-        steps, is_new, by_odometry, dts, matched, is_matched, is_clear, explained, before, kept_scans,
+        disc_counts, cells, lines, origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses,
+        times, travels, steps, is_new, by_odometry, dts, matched, is_matched, is_clear, explained, before, kept_scans,
     ) = parts_of(apparatus)  # fmt: skip
     keep(kept_scans, now_s, robots, whose, macs, levels, ages, heard)
     for a in range(robots.shape[0]):
@@ -123,8 +123,8 @@ def _track(
         if dts[a] > 0.0:
             predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise)
     _see(
-        robots, ranges, has_scan, states, directions, opening, free, is_soft, mate_radius, marked, discs, disc_counts, cells,
-        lines, origins, match_rule, has_lidar, room, matched, information, is_matched, is_clear, explained,
+        robots, ranges, has_scan, states, directions, opening, free, is_soft, mate_radius, marked, discs, disc_counts,
+        cells, lines, origins, match_rule, has_lidar, room, matched, information, is_matched, is_clear, explained,
     )  # fmt: skip
     for a in range(robots.shape[0]):
         k = robots[a]
@@ -180,7 +180,8 @@ class Tracker(BindsAnew):
         opening = opening_beams(beams, config.lidar.dropout_probability)
         intake = intake or ScanIntake(config, count)
         self._marking = (
-            beam_directions(beams), opening, intake.free_m, intake.is_soft, mate_radius_m, self.marked_m, self.discs, self.disc_counts,
+            beam_directions(beams), opening, intake.free_m, intake.is_soft, mate_radius_m, self.marked_m, self.discs,
+            self.disc_counts,
         )  # fmt: skip
         self._all_scanned = np.ones(count, bool)
         for_mates = np.empty(beams, bool), np.empty(beams + 1, np.int64)
