@@ -98,7 +98,12 @@ def _fault_of_ranges(frame: SensorFrame, beam_count: int) -> str | None:
             f"has {beams[0]} beams {scanner.step_rad:g} rad apart: they must be on one circle; give step_rad in radians"
         )
     numbers = (scanner.first_rad, *scanner.mount, scanner.range_min_m, scanner.sweep_s)
-    if not all(map(math.isfinite, numbers)) or len(scanner.mount) != 3 or scanner.sweep_s < 0.0:
+    if (
+        not all(map(math.isfinite, numbers))
+        or not (scanner.free_m >= 0.0 and scanner.range_max_m > 0.0)
+        or len(scanner.mount) != 3
+        or scanner.sweep_s < 0.0
+    ):
         return f"has {scanner!r}: give finite numbers, a pose as mount, and a time above 0 as sweep_s"
     return None
 
