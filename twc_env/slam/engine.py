@@ -95,7 +95,6 @@ class CooperativeSlam(CopiedWhole):
         self.poses_odom = self._front_ends.poses_odom
         """(robots, 3) front-end poses, each in the robot's odom frame."""
         self._beam_count = config.lidar.circle_beam_count
-        self._intake = self._front_ends.intake
         self._is_central = config.link.topology == "central"
         homes = [None] if self._is_central else range(robot_count)
         self.mappers = [TeamMapper(config, robot_count, home) for home in homes]
@@ -189,7 +188,7 @@ class CooperativeSlam(CopiedWhole):
             frames = [self._clocks.corrected(frame, self._is_first(frame.robot)) for frame in frames]
         if self._cues is not None:
             frames = [cues.restricted_frame(frame, self._cues) for frame in frames]
-        frames, circles = self._intake.on_circle(frames)
+        frames, circles = self._front_ends.intake.on_circle(frames)
         if isinstance(frames, TeamFrames):
             self._latest_scans = [frames.step] * len(frames.signs), circles
         else:
