@@ -1,6 +1,6 @@
 """The scanner model against real laser logs: four figures of each log and of its simulation, by the same estimators.
 
-A plan is made of each log: where its scans agree on a wall, short pieces follow it. The scanner `lms-200`, with which
+A plan is made of each log: short pieces follow the walls of the map of its scans. The scanner `lms-200`, with which
 all these logs were recorded, is simulated at the poses of the log in that plan. So both have the same geometry, and
 differ by what scanner, people, furniture and the poses of the log do.
 
@@ -61,7 +61,8 @@ LINE_REACH_M, LINE_THICK_M = 0.25, 0.1
 """Their greatest distance, and the greatest standard deviation across a line."""
 AROUND = 6
 """Scans before and after one that make its map."""
-PIECE_M = 0.16
+PIECE_M, PIECE_REACH_M = 0.16, 0.8
+"""Least length of a piece of wall, and the greatest distance of the end points that make it."""
 BLOCK, DRAWS = 20, 1000
 
 
@@ -126,25 +127,29 @@ def ends_of(ranges_m: Array, angles_rad: Array, pose: Array, far_m: float = FAR_
 
 
 def plan_of(scans_m: Array, angles_rad: Array, poses: Array) -> Floorplan:
-    """Walls of short pieces along the lines on which the end points of at least two scans lie, one per cell."""
+    """Walls of short pieces along the lines on which neighbouring end points lie, one for each cell with some."""
     points = [ends_of(scan, angles_rad, pose, NO_RETURN_M) for scan, pose in zip(scans_m, poses, strict=True)]
-    whose, cloud = np.repeat(np.arange(len(points)), [len(p) for p in points]), np.concatenate(points)
-    walls = _map_of(scans_m, angles_rad, poses).level_at(cloud) > 0
-    whose, cloud = whose[walls], cloud[walls]
+    cloud = np.concatenate(points)
+    cloud = cloud[_map_of(scans_m, angles_rad, poses).level_at(cloud) > 0]
     _, of_cell, counts = np.unique(np.floor(cloud / CELL_M), axis=0, return_inverse=True, return_counts=True)
     sums = np.column_stack([np.bincount(of_cell.ravel(), cloud[:, axis]) for axis in (0, 1)])
     middles = sums / counts[:, None]
+    apart, nearest = cKDTree(cloud).query(middles, NEIGHBOURS, distance_upper_bound=PIECE_REACH_M)
     pieces = []
-    for middle, near in zip(middles, cKDTree(cloud).query_ball_point(middles, LINE_REACH_M), strict=True):
-        if len(near) < 3 or len(set(whose[near])) < 2:
+    for middle, near in zip(middles, (row[far < np.inf] for row, far in zip(nearest, apart, strict=True)), strict=True):
+        if len(near) < 3:
             continue
-        away = cloud[near] - cloud[near].mean(axis=0)
+        centre = cloud[near].mean(axis=0)
+        away = cloud[near] - centre
         variances, axes = np.linalg.eigh(away.T @ away / len(near))
         if variances[0] > LINE_THICK_M**2:
             continue
         along = axes[:, 1]
-        centre = cloud[near].mean(axis=0) + along * ((middle - cloud[near].mean(axis=0)) @ along)
-        pieces.append([centre - 0.5 * PIECE_M * along, centre + 0.5 * PIECE_M * along])
+        here, others = (middle - centre) @ along, np.sort(away @ along)
+        ahead = others[others > here + 0.5 * PIECE_M][:1]  # to the next end point, which may be some way off
+        behind = others[others < here - 0.5 * PIECE_M][-1:]
+        low, high = min([here - 0.5 * PIECE_M, *behind]), max([here + 0.5 * PIECE_M, *ahead])
+        pieces.append([centre + low * along, centre + high * along])
     return Floorplan("log", np.array(pieces), np.zeros(len(pieces)))
 
 

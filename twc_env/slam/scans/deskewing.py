@@ -16,8 +16,10 @@ SURFACE_GAP_M, SURFACE_GAP_STEPS = 0.3, 4.0
 """End points of neighbouring beams further apart, in metres or as a multiple of the distance between beams there, are
 not on one surface: nothing is interpolated between them."""
 STRAIGHT_M, STRAIGHT_NOISES = 0.04, 5.0
-"""Four end points in a row are on one straight wall if the last is at most this far from the line through the first
+"""Three end points in a row are on one straight wall if the last is at most this far from the line through the first
 two, in metres and as a multiple of the noise."""
+STRIDE_TIMES, STRIDE_M = 3.0, 1.5
+"""Such points are this far apart at most, as a multiple of the distance between the two before, and in metres."""
 ALIGNED_STEPS = 0.15
 """A direction this close to a beam, in steps between beams, has the beam's own range."""
 _NEAR_TIMES = 2.0
@@ -127,11 +129,15 @@ def _range_on_line(ends, a, b, dx, dy):
 
 
 @borrowing_kernel
-def _continues(ends, a, b, c, step, straight):
-    """Whether beams a and b met one surface, and the end point of beam c lies on the line through theirs."""
+def _continues(ends, a, b, c, straight):
+    """Whether the end points of beams a, b and c are in a row on one straight wall, c not much further than b."""
+    if ends[2, a] != _HIT or ends[2, b] != _HIT or ends[2, c] != _HIT:
+        return False
     ex, ey = ends[3, b] - ends[3, a], ends[4, b] - ends[4, a]
-    across = ex * (ends[4, c] - ends[4, a]) - ey * (ends[3, c] - ends[3, a])
-    return _is_surface(ends, a, b, step) and across * across <= straight * straight * (ex * ex + ey * ey)
+    fx, fy = ends[3, c] - ends[3, b], ends[4, c] - ends[4, b]
+    base, across = ex * ex + ey * ey, ex * fy - ey * fx
+    is_onwards = ex * fx + ey * fy > 0.0 and fx * fx + fy * fy <= min(STRIDE_TIMES**2 * base, STRIDE_M**2)
+    return is_onwards and across * across <= straight * straight * base
 
 
 @borrowing_kernel
@@ -157,11 +163,8 @@ def _fill_circle(ends, step, range_max, straight, rays, out, is_soft):
         if high < low:
             continue
         before, after = (first - side) % count, (last + side) % count
-        is_surface = _is_surface(ends, first, last, step)
-        is_straight = is_surface and (
-            _continues(ends, before, first, last, step, straight)
-            or _continues(ends, after, last, first, step, straight)
-        )
+        is_straight = _continues(ends, before, first, last, straight) or _continues(ends, after, last, first, straight)
+        is_surface = is_straight or _is_surface(ends, first, last, step)
         for k in range(low, high + 1):
             d = k % directions
             from_first = k / per_rad - ends[0, first]
