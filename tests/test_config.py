@@ -9,7 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twc_env.config import EnvConfig, LidarConfig, digest, from_dict, load, override, radio_preset, to_dict
+from twc_env.config import (
+    EnvConfig,
+    LidarConfig,
+    digest,
+    from_dict,
+    lidar_preset,
+    load,
+    override,
+    radio_preset,
+    to_dict,
+)
 from twc_env.errors import ConfigError
 
 
@@ -157,6 +167,19 @@ def test_a_radio_preset_is_applied_before_other_settings():
     for order in (1, -1):
         settings = dict(list({"radio.preset": "twc", "radio.noise_std_db": "0.5"}.items())[::order])
         assert override(EnvConfig(), settings).radio == dataclasses.replace(radio_preset("twc"), noise_std_db=0.5)
+
+
+def test_a_lidar_preset_is_applied_before_other_settings():
+    config = override(EnvConfig(), {"lidar.beam_count": 90, "lidar.preset": "lms-200"})
+    assert config.lidar == dataclasses.replace(lidar_preset("lms-200"), beam_count=90)
+    assert from_dict({"lidar": {"preset": "lds-01"}}).lidar == lidar_preset("lds-01")
+    with pytest.raises(ConfigError, match=r"lidar.preset must be one of ideal, lds-01, .*; did you mean 'lms-200'\?"):
+        override(EnvConfig(), {"lidar.preset": "lms-20"})
+
+
+def test_settings_added_later_change_the_digest_only_beside_their_default():
+    assert digest(override(EnvConfig(), {"lidar.range_min_m": 0.0, "lidar.is_rolling": False})) == digest(EnvConfig())
+    assert digest(override(EnvConfig(), {"lidar.range_min_m": 0.1})) != digest(EnvConfig())
 
 
 def test_override_does_not_change_the_original():

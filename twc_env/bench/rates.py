@@ -22,7 +22,7 @@ from twc_env.config import EnvConfig, override
 from twc_env.errors import ConfigError
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
-from twc_env.records.messages import UNSEEN_M
+from twc_env.records.messages import UNSEEN_M, SensorFrame
 from twc_env.world.building.floorplan import Floorplan
 
 PEOPLE = 12
@@ -66,11 +66,18 @@ def wander(env: ExplorationEnv, seed: int) -> Iterator[dict[str, Array]]:
         )
     drivers = {agent: Wanderer(seed * 1000 + robot) for robot, agent in enumerate(env.agents)}
     while env.agents:
-        seen = {f.robot: f.ranges_m for f in env.frames}  # failed robots have no frame, and do not move
+        frames = {frame.robot: frame for frame in env.frames}  # failed robots have no frame, and do not move
         yield {
-            agent: drivers[agent].act(seen[robot]) if robot in seen else np.zeros(2)
+            agent: drivers[agent].act(_circle(env, agent, frames[robot])) if robot in frames else np.zeros(2)
             for robot, agent in enumerate(env.agents)
         }
+
+
+def _circle(env: ExplorationEnv, agent: str, frame: SensorFrame) -> Array:
+    """The scan of a frame all around the robot; of scanners of another kind, as its engine holds it."""
+    ranges_m = frame.ranges_m if frame.scanner is None else env.belief(agent).ranges_m
+    assert ranges_m is not None
+    return ranges_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,6 +5,7 @@ identifies a config in logs and tables.
 """
 
 from twc_env.config.environment import ActionConfig, EnvConfig, EpisodeConfig, ObservationConfig, RewardConfig
+from twc_env.config.lidar_presets import LIDAR_PRESETS
 from twc_env.config.people import PEOPLE_MAX, PeopleConfig
 from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.slam import (
@@ -20,7 +21,16 @@ from twc_env.config.slam import (
     SlamConfig,
     VerificationConfig,
 )
-from twc_env.config.values import code_named_in, digest, from_dict, load, override, radio_preset, to_dict
+from twc_env.config.values import (
+    code_named_in,
+    digest,
+    from_dict,
+    lidar_preset,
+    load,
+    override,
+    radio_preset,
+    to_dict,
+)
 from twc_env.config.world import (
     ROBOTS_MAX,
     BuildingConfig,
@@ -36,6 +46,7 @@ from twc_env.config.world import (
 )
 
 __all__ = [
+    "LIDAR_PRESETS",
     "PEOPLE_MAX",
     "RADIO_PRESETS",
     "ROBOTS_MAX",
@@ -69,6 +80,7 @@ __all__ = [
     "code_named_in",
     "digest",
     "from_dict",
+    "lidar_preset",
     "load",
     "override",
     "radio_preset",

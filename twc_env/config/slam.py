@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from twc_env.config.checks import Checked, choice, number
+from twc_env.config.checks import Checked, choice, later, number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -257,6 +257,9 @@ class SlamConfig(Checked):
     which is used as is, without scan matching or loop closures."""
     resolution_m: float = number(0.1, 0.02, 0.5)
     """Cell size of the merged map."""
+    undoes_rolling: bool = later(True)
+    """Whether scans whose beams were measured one after the other are undone by odometry and gyro; false shows what
+    that is worth."""
     cues: CuesConfig = field(default_factory=CuesConfig)
     odometry_filter: OdometryFilterConfig = field(default_factory=OdometryFilterConfig)
     local_map: LocalMapConfig = field(default_factory=LocalMapConfig)

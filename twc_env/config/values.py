@@ -15,8 +15,9 @@ from typing import Any
 
 from twc_env.config.checks import is_too_great, plain_value
 from twc_env.config.environment import EnvConfig
+from twc_env.config.lidar_presets import LIDAR_PRESETS
 from twc_env.config.radio_presets import RADIO_PRESETS
-from twc_env.config.world import RadioConfig
+from twc_env.config.world import LidarConfig, RadioConfig
 from twc_env.errors import ConfigError, did_you_mean
 from twc_env.records.class_file import is_in_file
 from twc_env.records.json_values import table_of
@@ -24,10 +25,27 @@ from twc_env.records.json_values import table_of
 
 def radio_preset(name: str) -> RadioConfig:
     """Radio settings for one type of place. Raises ConfigError for an unknown name."""
-    if name not in RADIO_PRESETS:
-        known = ", ".join(RADIO_PRESETS)
-        raise ConfigError(f"radio.preset must be one of {known}; got {name!r}{_near(name, RADIO_PRESETS)}")
-    return from_dict(RADIO_PRESETS[name], RadioConfig, "radio")
+    return _preset(RadioConfig, name)
+
+
+def lidar_preset(name: str) -> LidarConfig:
+    """Settings of one model of laser scanner. Raises ConfigError for an unknown name."""
+    return _preset(LidarConfig, name)
+
+
+_PRESETS: dict[type, tuple[str, dict[str, dict]]] = {
+    RadioConfig: ("radio", RADIO_PRESETS),
+    LidarConfig: ("lidar", LIDAR_PRESETS),
+}
+"""Sections with presets: their names, and the differences of each preset from the defaults."""
+
+
+def _preset(section: type, name: str):
+    where, known = _PRESETS[section]
+    if name not in known:
+        names = ", ".join(known)
+        raise ConfigError(f"{where}.preset must be one of {names}; got {name!r}{_near(name, known)}")
+    return from_dict(known[name], section, where)
 
 
 @lru_cache(maxsize=16)
@@ -81,9 +99,9 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
         raise ConfigError(f"{where or 'a config'} must be a table of settings; got {values!r}")
     types = typing.get_type_hints(cls)
     arguments: dict = {}
-    if cls is RadioConfig and "preset" in values:
+    if cls in _PRESETS and "preset" in values:
         values = dict(values)
-        values = _merged(dataclasses.asdict(radio_preset(values.pop("preset"))), values)
+        values = _merged(dataclasses.asdict(_preset(cls, values.pop("preset"))), values)
     for key, value in values.items():
         name = f"{where}.{key}" if where else str(key)
         if key not in types:
@@ -149,14 +167,16 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
     """A copy with dotted keys replaced: `override(config, {"lidar.beam_count": 360})`, or nested ones, which leave the
     other settings of their section as they are.
 
-    Strings are converted to the type of the field, as for command lines. `radio.preset` is applied before the others.
+    Strings are converted to the type of the field, as for command lines. `radio.preset` and `lidar.preset` are applied
+    before the others.
     Raises ConfigError for an unknown key or an invalid value.
     """
     if not isinstance(assignments, Mapping) or not all(isinstance(key, str) for key in assignments):
         raise ConfigError(f"settings must be a dict with names as keys, such as {{'robots': 2}}; got {assignments!r}")
     values, assignments = to_dict(config), dotted_keys(assignments)
-    if "radio.preset" in assignments:
-        values["radio"] = dataclasses.asdict(radio_preset(str(assignments.pop("radio.preset"))))
+    for section, (where, _) in _PRESETS.items():
+        if f"{where}.preset" in assignments:
+            values[where] = dataclasses.asdict(_preset(section, str(assignments.pop(f"{where}.preset"))))
     for dotted, value in assignments.items():
         node, parts = values, dotted.split(".")
         for depth, part in enumerate(parts):

@@ -5,10 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from twc_env.config.checks import Checked, choice, number
+from twc_env.config.checks import Checked, choice, later, number
+from twc_env.errors import ConfigError
+from twc_env.records.scanner import DARK_REFLECTIVITY, WHITE_REFLECTIVITY, Scanner
 
 ROBOTS_MAX = 64
 """Largest team."""
+TYPICAL_RANGE_M = 3.4
+"""Root mean square of the default scanner's ranges in the test buildings: for the noise that the engine expects."""
+CIRCLE_BEAMS_MIN, CIRCLE_BEAMS_MAX = 8, 360
+"""Limits of `LidarConfig.circle_beam_count` for scanners other than the default kind; more directions cost the engine
+time and give it nothing: neighbouring beams of finer scanners hit the same walls."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,10 +56,14 @@ class OdometryConfig(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LidarConfig(Checked):
-    """2D laser scanner with a 360 degree field of view; beam 0 points ahead, beams run counter-clockwise."""
+    """2D laser scanner. By default it sees all around at once: beam 0 points ahead, beams run counter-clockwise.
+
+    Every setting from the field of view on is one error or limit of real scanners, off by default. `preset` in the
+    lidar table of a config file, or `lidar.preset`, sets them as the data sheet of a scanner says: `ideal` (the
+    defaults), `lds-01`, `rplidar-a1`, `utm-30lx`, `lms-200` (docs/world.md)."""
 
     beam_count: int = number(180, 8, 4096)
-    """With fewer than 90, robots merge later."""
+    """With fewer than 90 per circle, robots merge later."""
     range_max_m: float = number(10.0, 0.5, 100.0)
     range_noise_std_m: float = number(0.01, 0.0, 1.0)
     dropout_probability: float = number(0.0, 0.0, 1.0)
@@ -62,6 +73,96 @@ class LidarConfig(Checked):
     """Probability that a beam is returned by glass at normal incidence; 1 makes glass an ordinary wall."""
     glass_incidence_max_rad: float = number(0.6, 0.01, math.pi / 2)
     """Angle of incidence at which that probability has fallen to 0; beyond it beams always pass through glass."""
+    field_of_view_rad: float = number(2 * math.pi, 0.1, 2 * math.pi, is_later=True)
+    """Angle from the first to the last beam, symmetric to the direction ahead of the scanner. On a full circle, beam 0
+    points ahead and the last one stops one step before it."""
+    is_clockwise: bool = later(False)
+    """Whether beams run clockwise, from left to right."""
+    mount_x_m: float = number(0.0, -1.0, 1.0, is_later=True)
+    """Place of the scanner ahead of the robot's centre ..."""
+    mount_y_m: float = number(0.0, -1.0, 1.0, is_later=True)
+    """... and left of it,"""
+    mount_yaw_rad: float = number(0.0, -math.pi, math.pi, is_later=True)
+    """and the direction in which it looks, counter-clockwise from ahead."""
+    range_min_m: float = number(0.0, 0.0, 5.0, is_later=True)
+    """Nothing nearer gives a return."""
+    rate_hz: float = number(0.0, 0.0, 1000.0, is_later=True)
+    """Scans per second, rounded to whole time steps between scans; 0, or more than one per time step: one in each."""
+    is_rolling: bool = later(False)
+    """Whether beams are measured one after the other while the robot moves, in one turn of the scanner's mirror
+    (1 / `rate_hz`, which must be set). The last beam is measured at the time of the frame."""
+    range_noise_per_m: float = number(0.0, 0.0, 0.5, is_later=True)
+    """Standard deviation of range noise per metre of range, in addition to `range_noise_std_m` (the root of the sum of
+    squares)."""
+    detection_range_m: float = number(0.0, 0.0, 1000.0, is_later=True)
+    """Range at which a white surface facing the scanner is still detected; 0: everything within `range_max_m` is. It
+    falls with the root of what a surface reflects: walls less than white ones, dark ones and grazing incidence far
+    less."""
+    dark_share: float = number(0.0, 0.0, 1.0, is_later=True)
+    """Share of all surfaces that are dark, in patches of a metre; without `detection_range_m` they look like others."""
+    beam_divergence_rad: float = number(0.0, 0.0, 0.1, is_later=True)
+    """Angle of the cone of a beam. A cone that meets two surfaces, at an edge, measures a range between both (a mixed
+    pixel)."""
+    mirror_probability: float = number(0.0, 0.0, 1.0, is_later=True)
+    """Probability that a beam that meets a wall of material `mirror` measures what it sees in the mirror, as far away
+    as the whole path is long; 0 makes mirrors ordinary walls."""
+
+    @property
+    def is_full_circle(self) -> bool:
+        """Whether the last beam would meet the first."""
+        return self.field_of_view_rad >= 2 * math.pi - 1e-9
+
+    @property
+    def scanner(self) -> Scanner | None:
+        """The geometry of its scans; None: a full circle around the robot at one time, with a return from everything in
+        range, which frames need not tell."""
+        fields = self.__dataclass_fields__
+        names = (
+            "is_clockwise",
+            "mount_x_m",
+            "mount_y_m",
+            "mount_yaw_rad",
+            "range_min_m",
+            "rate_hz",
+            "is_rolling",
+        )
+        is_plain = self.is_full_circle and not self.detection_range_m
+        if is_plain and all(getattr(self, name) == fields[name].default for name in names):
+            return None
+        gaps = self.beam_count if self.is_full_circle else self.beam_count - 1
+        side = -1.0 if self.is_clockwise else 1.0
+        step_rad = side * self.field_of_view_rad / gaps
+        first_rad = 0.0 if self.is_full_circle else -0.5 * side * self.field_of_view_rad
+        return Scanner(
+            first_rad,
+            step_rad,
+            (self.mount_x_m, self.mount_y_m, self.mount_yaw_rad),
+            self.range_min_m,
+            self.range_max_m,
+            self.detection_range_m * math.sqrt(DARK_REFLECTIVITY / WHITE_REFLECTIVITY) or math.inf,
+            1.0 / self.rate_hz * (self.beam_count - 1) * abs(step_rad) / (2 * math.pi) if self.is_rolling else 0.0,
+        )
+
+    @property
+    def typical_noise_std_m(self) -> float:
+        """Standard deviation of range noise at the typical range of walls."""
+        range_m = min(TYPICAL_RANGE_M, 0.5 * self.range_max_m)
+        return math.hypot(self.range_noise_std_m, self.range_noise_per_m * range_m)
+
+    @property
+    def circle_beam_count(self) -> int:
+        """Directions of the full circle around the robot in which the engine holds scans."""
+        scanner = self.scanner
+        if scanner is None:
+            return self.beam_count
+        return min(max(round(2 * math.pi / abs(scanner.step_rad)), CIRCLE_BEAMS_MIN), CIRCLE_BEAMS_MAX)
+
+    def __post_init__(self) -> None:
+        Checked.__post_init__(self)
+        if self.is_rolling and not self.rate_hz:
+            raise ConfigError(
+                "lidar.is_rolling is true and lidar.rate_hz 0: set the scans per second, in which a mirror turns once"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

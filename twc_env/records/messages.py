@@ -14,6 +14,8 @@ from typing import NoReturn, TypeVar, dataclass_transform
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.records.scanner import Scanner
+
 _Record = TypeVar("_Record")
 
 
@@ -64,12 +66,16 @@ class SensorFrame:
     turn_rate_rad_s: float
     """Gyro turn rate, averaged since the previous frame."""
     ranges_m: Array
-    """(beams,) beam i points to 2 pi i / beams in the robot frame; no return is the scanner's maximum range.
+    """(beams,) beam i points to 2 pi i / beams in the robot frame; no return is the scanner's maximum range. (0,) if no
+    scan was completed in this step.
 
-    A negative range means free up to there but no wall; `UNSEEN_M` means no information; 0 is rejected."""
+    A negative range means free up to there but no wall; `UNSEEN_M` means no information; 0 is rejected. Of a frame with
+    a `scanner`, that tells how to read them."""
     wifi: WifiScan | None = None
     """The WiFi scan completed in this step, if any."""
     signs: tuple[SignReading, ...] = ()
+    scanner: Scanner | None = None
+    """Geometry of the scan; None: as told above, all beams at once."""
 
 
 @_record

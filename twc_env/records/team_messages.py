@@ -13,7 +13,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.records.messages import Belief, GridMap, KnownSign, SensorFrame, SignReading, WifiScan
+from twc_env.records.messages import UNSEEN_M, Belief, GridMap, KnownSign, SensorFrame, SignReading, WifiScan
+from twc_env.records.scanner import Scanner
 
 _Record = TypeVar("_Record")
 
@@ -85,7 +86,8 @@ class TeamFrames(_Team[SensorFrame]):
     """The frames of all robots in one step."""
 
     __slots__ = (
-        "_wifi", "may_repeat_readings", "odometry", "ranges_m", "scans", "signs", "step", "time_s", "turn_rates_rad_s",
+        "_wifi", "has_scan", "may_repeat_readings", "odometry", "ranges_m", "scanner", "scans", "signs", "step",
+        "time_s", "turn_rates_rad_s",
     )  # fmt: skip
 
     def __init__(
@@ -97,22 +99,31 @@ class TeamFrames(_Team[SensorFrame]):
         ranges_m: Array,
         wifi: WifiScans | Sequence[WifiScan | None],
         signs: Sequence[tuple[SignReading, ...]],
+        scanner: Scanner | None = None,
+        has_scan: Array | None = None,
     ):
         """One row per robot, as the fields of `SensorFrame`; records hold read-only views of the rows.
 
         Arrays are float64 and contiguous. `scans` are those of `wifi` in arrays; `may_repeat_readings` says whether a
-        scan may hold readings of earlier sweeps (never if `wifi` is given as arrays).
+        scan may hold readings of earlier sweeps (never if `wifi` is given as arrays). scanner: that of all robots.
+        has_scan (robots,) bool: whether each completed a scan in this step, else its row repeats the latest one; None:
+        all did.
         """
         self._records = None
         self.step, self.time_s = step, time_s
         self.odometry, self.turn_rates_rad_s, self.ranges_m = odometry, turn_rates_rad_s, ranges_m
-        self.signs = signs
+        self.signs, self.scanner, self.has_scan = signs, scanner, has_scan
         self._wifi: Sequence[WifiScan | None] | None
         if isinstance(wifi, WifiScans):
             self.scans, self._wifi, self.may_repeat_readings = wifi, None, False
         else:
             self.scans, self._wifi = WifiScans.of(wifi), wifi
             self.may_repeat_readings = any([scan is not None and scan.age_s is not None for scan in wifi])
+
+    @property
+    def raw_wifi(self) -> WifiScans | Sequence[WifiScan | None]:
+        """The WiFi scans in the form in which they were given."""
+        return self.scans if self._wifi is None else self._wifi
 
     @property
     def wifi(self) -> Sequence[WifiScan | None]:
@@ -123,17 +134,22 @@ class TeamFrames(_Team[SensorFrame]):
 
     @classmethod
     def of(cls, frames: Sequence[SensorFrame]) -> TeamFrames:
-        """Frames of one step, stacked, one row per frame."""
+        """Frames of one step, stacked, one row per frame: all scans of one length or none, in one geometry."""
         if isinstance(frames, TeamFrames):
             return frames
+        beams = [len(frame.ranges_m) for frame in frames]
+        has_scan = None if all(beams) else np.array(beams) > 0
+        unseen = () if has_scan is None else np.full(max(beams), UNSEEN_M)
         team = cls(
             frames[0].step,
             float(frames[0].time_s),
             np.array([frame.odometry for frame in frames], float),
             np.array([frame.turn_rate_rad_s for frame in frames], float),
-            np.array([frame.ranges_m for frame in frames], float),
+            np.array([frame.ranges_m if len(frame.ranges_m) else unseen for frame in frames], float),
             [frame.wifi for frame in frames],
             [frame.signs for frame in frames],
+            frames[0].scanner,
+            has_scan,
         )
         team._records = list(frames)
         return team
@@ -142,9 +158,16 @@ class TeamFrames(_Team[SensorFrame]):
         return len(self.signs)
 
     def _make(self) -> list[SensorFrame]:
-        odometry, ranges_m = read_only(self.odometry), read_only(self.ranges_m)
+        odometry, ranges_m = read_only(self.odometry), self._scans_each()
         rows = zip(odometry, self.turn_rates_rad_s.tolist(), ranges_m, self.wifi, self.signs, strict=True)
-        return [SensorFrame(robot, self.step, self.time_s, *row) for robot, row in enumerate(rows)]
+        return [SensorFrame(robot, self.step, self.time_s, *row, self.scanner) for robot, row in enumerate(rows)]
+
+    def _scans_each(self) -> Sequence[Array]:
+        """The new scan of each robot; (0,) without one."""
+        ranges_m = read_only(self.ranges_m)
+        if self.has_scan is None:
+            return list(ranges_m)
+        return [row if has_scan else row[:0] for row, has_scan in zip(ranges_m, self.has_scan.tolist(), strict=True)]
 
 
 class KnownSigns(_Team[KnownSign]):

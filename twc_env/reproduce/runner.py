@@ -37,6 +37,11 @@ TABLES = {
         needs_data=True,
     ),
     "merging": Table("map merging from unknown start frames in 100 unseen generated buildings"),
+    "lidar-model": Table(
+        "the scanner model against five real laser logs: noise, lost returns, points off the map, change",
+        needs_data=True,
+    ),
+    "lidar-effects": Table("cost of each limit and error of laser scanners, and of the presets, one at a time"),
     "odometry": Table(
         "raw odometry of the Intel Lab log against the simulated platform, at the same relations", needs_data=True
     ),

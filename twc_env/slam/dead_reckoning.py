@@ -13,6 +13,7 @@ from twc_env.kernels.compiled import BindsAnew, borrowing_kernel, bound
 from twc_env.records.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.records.team_messages import TeamBeliefs, TeamFrames, nobody, read_only
 from twc_env.slam.engine import View
+from twc_env.slam.front_end.scan_intake import ScanIntake
 from twc_env.slam.team import TeamMapper
 
 
@@ -27,7 +28,7 @@ class DeadReckoning(BindsAnew):
         self.team = TeamMapper(config, robot_count)
         self.mappers = [self.team]
         self._grid = self.team.grid_of(0)
-        self._everyone = np.arange(robot_count)
+        self._everyone, self._intake = np.arange(robot_count), ScanIntake(config, robot_count)
         self._shape = robot_count, 3, 3
         self._poses = np.zeros(self._shape)
         """(robots, 3, 3) as `TeamBeliefs.poses`."""
@@ -53,15 +54,16 @@ class DeadReckoning(BindsAnew):
 
     def track(self, frames: Sequence[SensorFrame]) -> list[Keyframe]:
         """Integrate the odometry of each frame; returns no keyframes."""
+        frames, circles = self._intake.on_circle(frames)
         team, robots, before = TeamFrames.of(frames), self._everyone, self._poses
         if len(team.signs) == len(robots):
-            self._ranges_m, self._steps = team.ranges_m, team.step
+            self._ranges_m, self._steps = circles, team.step
         else:
             robots = np.array([frame.robot for frame in frames])
             steps = self._steps
             self._ranges_m = list(self._ranges_m)
             self._steps = [steps] * len(self._everyone) if isinstance(steps, int) else list(steps)
-            for robot, ranges_m in zip(robots.tolist(), team.ranges_m, strict=True):
+            for robot, ranges_m in zip(robots.tolist(), circles, strict=True):
                 self._ranges_m[robot], self._steps[robot] = ranges_m, team.step
         self._poses = np.empty(self._shape)
         moves = team.odometry, before, self._poses

@@ -99,7 +99,7 @@ class CooperativeSlam(CopiedWhole):
         self._front_ends = FrontEnds(config, robot_count)
         self.poses_odom = self._front_ends.poses_odom
         """(robots, 3) front-end poses, each in the robot's odom frame."""
-        self._beam_count = config.lidar.beam_count
+        self._beam_count = config.lidar.circle_beam_count
         self._is_central = config.link.topology == "central"
         homes = [None] if self._is_central else range(robot_count)
         self.mappers = [TeamMapper(config, robot_count, home) for home in homes]
@@ -192,15 +192,16 @@ class CooperativeSlam(CopiedWhole):
         self._beliefs = None
         if not isinstance(frames, TeamFrames):
             check_frames(frames, self._clocks.times_s, self._beam_count)
-            frames = [self._clocks.corrected(frame, len(self._latest_scans[1][frame.robot]) == 0) for frame in frames]
+            frames = [self._clocks.corrected(frame, self._is_first(frame.robot)) for frame in frames]
         if self._cues is not None:
             frames = [cues.restricted_frame(frame, self._cues) for frame in frames]
+        frames, circles = self._front_ends.intake.on_circle(frames)
         if isinstance(frames, TeamFrames):
-            self._latest_scans = [frames.step] * len(frames.signs), frames.ranges_m
+            self._latest_scans = [frames.step] * len(frames.signs), circles
         else:
             steps, ranges_m = map(list, self._latest_scans)  # copies: earlier beliefs refer to the old lists
-            for frame in frames:
-                steps[frame.robot], ranges_m[frame.robot] = frame.step, frame.ranges_m
+            for frame, circle in zip(frames, circles, strict=True):
+                steps[frame.robot], ranges_m[frame.robot] = frame.step, circle
             self._latest_scans = steps, ranges_m
         keyframes = self._front_ends.update(frames, self._listening.last_step + 1)
         self.poses_odom = self._front_ends.poses_odom
@@ -210,6 +211,10 @@ class CooperativeSlam(CopiedWhole):
         for keyframe in keyframes:
             self._exchange.add(keyframe)
         return keyframes
+
+    def _is_first(self, robot: int) -> bool:
+        """Whether no frame of this robot has come in yet."""
+        return len(self._latest_scans[1][robot]) == 0 and self._clocks.times_s[robot] == -math.inf
 
     def absorb(self, step: int, contacts: Contacts | None = None) -> None:
         """Exchange messages as the contacts of this step allow (None: all are in contact) and update the mappers."""

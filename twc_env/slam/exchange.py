@@ -56,7 +56,7 @@ class Exchange:
         self._on_request = config.link.scan_on_request
         self._is_central = config.link.topology == "central"
         mappers = 1 if self._is_central else robot_count
-        self._beam_count = config.lidar.beam_count
+        self._beam_count = config.lidar.circle_beam_count
         self._paths: list[list[Keyframe]] = [[] for _ in range(robot_count)]
         """Of each robot: stored keyframes, which some mapper may still lack ..."""
         self._released = [0] * robot_count

@@ -17,6 +17,7 @@ from twc_env.config import EnvConfig
 from twc_env.records.messages import Keyframe, SensorFrame, SignObservation, SignReading
 from twc_env.records.team_messages import TeamFrames
 from twc_env.slam.front_end.keyframe_taking import KeyframeTaker
+from twc_env.slam.front_end.scan_intake import ScanIntake
 from twc_env.slam.front_end.tracking import Tracker
 from twc_env.slam.matching.scan_matching import LineField
 
@@ -33,7 +34,9 @@ class FrontEnds:
     """
 
     def __init__(self, config: EnvConfig, count: int):
-        self._tracker = Tracker(config, count)
+        self.intake = ScanIntake(config, count)
+        """Makes the scans of the frames given to the engine those that the front ends take."""
+        self._tracker = Tracker(config, count, self.intake)
         self.poses_odom = self._tracker.poses_odom
         """(n, 3) estimates after the latest frames; a new array after every update."""
         self._taker = KeyframeTaker(config, self._tracker)

@@ -49,7 +49,7 @@ class TeamMapper:
         """Mappers take turns: only one per step re-evaluates merges and does the expensive work of large maps."""
         scale_std = None if config.slam.cues.lidar else config.slam.odometry_filter.odometry_scale_std
         keeps_refused = config.slam.pose_graph.robust == "ours"
-        self._graph = TeamGraph(robot_count, config.lidar.beam_count, keeps_refused, scale_std)
+        self._graph = TeamGraph(robot_count, config.lidar.circle_beam_count, keeps_refused, scale_std)
         self._maps = GroupMaps(config, self._graph, home, robot_count)
         self.groups: list[Group] = self._maps.groups
         """Groups of robots that share a map."""

@@ -59,4 +59,6 @@ def silenced(frames: TeamFrames, is_alive: Array) -> TeamFrames:
         np.where(is_alive[:, None], frames.ranges_m, UNSEEN_M),
         [scan if lives else _DEAF for scan, lives in zip(frames.wifi, alive, strict=True)],
         [signs if lives else () for signs, lives in zip(frames.signs, alive, strict=True)],
+        frames.scanner,
+        frames.has_scan,
     )

@@ -29,6 +29,7 @@ from twc_env.world.sensors.noise import STEPS
 from twc_env.world.sensors.odometry import Odometry, measure
 from twc_env.world.sensors.radio import Bodies, RadioModel
 from twc_env.world.sensors.reception import WifiReceiver, WifiReceivers, hear
+from twc_env.world.sensors.scanners import Scanners, needs_scanners
 from twc_env.world.sensors.sign_cameras import SignCameras
 from twc_env.world.sensors.signs import look
 from twc_env.world.starts import start_poses
@@ -89,6 +90,8 @@ class World:
         """(n,) bool: whether each robot touches a wall or a robot."""
         self._odometry = Odometry(config.odometry, config.dynamics.time_step_s, robots, seed)
         self._lidar = Lidar(config.lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
+        self._scanners = Scanners(config, self._home, seed) if needs_scanners(config.lidar) else None
+        """Simulates scanners with limits and errors; None: `_lidar` does all."""
         offsets_db = [0.0] * (robots - 1) + [config.failure.device_offset_db]
         self._receivers = [
             WifiReceiver(config.radio, self._radio, robot, seed, offset_db)
@@ -100,7 +103,8 @@ class World:
         """For each step of a WiFi period, the robots whose scans are computed by `_move_and_sense`."""
         self._buffers: list[Iterator[tuple]] = [iter(()) for _ in self._scanning_robots]
         """For each step of a WiFi period, output arrays: poses, odometry, turn rates, ranges, scans."""
-        laser = (robots, config.lidar.beam_count) if self._lidar.is_plain else (0, 0)
+        self._is_laser_compiled = self._lidar.is_plain and self._scanners is None
+        laser = (robots, config.lidar.beam_count) if self._is_laser_compiled else (0, 0)
         self._shapes = [_step_shapes(robots, laser, len(own), len(self._radio.macs)) for own in self._listeners]
         self._cameras = SignCameras(config, self._home, seed, self._camera_period)
         self._bound_crossings = None
@@ -201,7 +205,11 @@ class World:
                     run = self._bind(arguments)
             sighted = run(_NO_COMMANDS, *arguments)
         self.contacts = dynamics.contacts
-        if not self._lidar.is_plain:
+        scanner = has_scan = None
+        if self._scanners is not None:
+            scanner = self._scanners.scanner
+            ranges, has_scan = self._scanners.scan(step, poses)
+        elif not self._lidar.is_plain:
             ranges = self._lidar.scan(poses)
         if step == 0:
             odometry[:], turn_rates[:] = 0.0, 0.0
@@ -210,7 +218,7 @@ class World:
         if self.crowd is not None:
             self._show_people(self.crowd, step, poses, ranges, bool(sighted))
         signs, self.sighted_signs = self._cameras.read(step) if sighted else self._cameras.nothing
-        return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, signs)
+        return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, signs, scanner, has_scan)
 
     def _carry(self) -> None:
         """Put down elsewhere the robots that are carried before this step; their odometry does not see it."""
@@ -238,7 +246,7 @@ class World:
         """Draw the random numbers of the next steps."""
         self._noise_block = self._step // STEPS
         self._odometry.noise.hold(self._step)
-        if self._lidar.is_plain:
+        if self._is_laser_compiled:
             self._lidar.noise.hold(self._step)
         if self._scans_compiled:
             self._wifi.hold(self._step // self._wifi_period)

@@ -8,6 +8,7 @@ import pytest
 from twc_env.config import EnvConfig, override
 from twc_env.errors import ConfigError, DataError, TwcError
 from twc_env.records.messages import UNSEEN_M, SensorFrame, SignReading, WifiScan
+from twc_env.records.scanner import Scanner
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.matching.scan_matching import LineField
 
@@ -160,3 +161,50 @@ def test_clocks_may_start_at_any_time(begun_s):
         assert np.allclose(found.pose_std, expected.pose_std, rtol=1e-3)
         times_s = [[keyframe.time_s for keyframe in each.team.keyframes[robot]] for each in (engine, same)]
         assert np.allclose(*times_s, atol=1e-5)
+
+
+LASER = Scanner(-1.5, 0.05, range_max_m=10.0)
+
+
+@pytest.mark.parametrize(
+    ("scanner", "beams", "message"),
+    [
+        ("lms-200", 61, r"has 'lms-200' as scanner: give a twc_env.records.scanner.Scanner"),
+        (
+            replace(LASER, step_rad=1.0),
+            61,
+            "61 beams 1 rad apart: they must be on one circle; give step_rad in radians",
+        ),
+        (replace(LASER, step_rad=0.0), 61, "61 beams 0 rad apart"),
+        (replace(LASER, first_rad=float("nan")), 61, "give finite numbers"),
+        (replace(LASER, mount=(0.0, 0.0)), 61, "a pose as mount"),
+        (replace(LASER, mount=None), 61, "values of another kind"),
+        (replace(LASER, sweep_s=-0.1), 61, "a time above 0 as sweep_s"),
+        (replace(LASER, free_m=float("nan")), 61, "give finite numbers"),
+        (LASER, (2, 61), r"has ranges of shape \(2, 61\)"),
+    ],
+)
+def test_a_frame_with_an_impossible_scanner_is_rejected(scanner, beams, message):
+    engine = CooperativeSlam(CONFIG, 2)
+    with pytest.raises(DataError, match=message):
+        engine.update([replace(SOUND, scanner=scanner, ranges_m=np.full(beams, 3.0))])
+    engine.update([replace(SOUND, scanner=LASER, ranges_m=np.full(61, 3.0)), replace(SOUND, robot=1)])
+    assert engine.belief(0).grid.log_odds.any()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 126])
+def test_scans_of_any_number_of_beams_are_taken(count):
+    engine = CooperativeSlam(CONFIG, 2)
+    engine.update([replace(SOUND, scanner=LASER, ranges_m=np.full(count, 3.0))])
+    assert engine.belief(0).ranges_m.shape == (60,)
+
+
+def test_robots_without_a_scan_in_a_step_keep_their_place_and_take_no_keyframe():
+    engine = CooperativeSlam(CONFIG, 2)
+    for step in range(30):
+        moved = {"step": step, "time_s": 0.1 * step, "odometry": np.array([0.1 * (step > 0), 0.0, 0.0])}
+        keyframes = engine.track([replace(SOUND, ranges_m=np.zeros(0), **moved)])
+        engine.absorb(step)
+        assert not keyframes
+    assert engine.belief(0).pose_odom[0] == pytest.approx(2.9, abs=0.3)
+    assert engine.track([replace(SOUND, step=30, time_s=3.0)])

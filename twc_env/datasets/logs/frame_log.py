@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Sequence
@@ -23,6 +24,7 @@ from twc_env.datasets.logs.arrays_file import (
 )
 from twc_env.errors import DataError, TwcError
 from twc_env.records.messages import Contacts, SensorFrame, SignReading, WifiScan
+from twc_env.records.scanner import Scanner
 
 FORMAT = "twc_env/frames-1"
 TRUTH_FORMAT = "twc_env/truth-1"
@@ -52,12 +54,13 @@ def write_frame_log(
     frames = [frame for step in steps for frame in step]
     if not frames:
         raise DataError(f"no frames to write to {path}: record at least one step in which a robot works")
-    robots, beams = {frame.robot for frame in frames}, {np.shape(frame.ranges_m) for frame in frames}
+    robots = {frame.robot for frame in frames}
+    beams = {np.shape(f.ranges_m) for f in frames if f.scanner is None and len(f.ranges_m)}
     if not all(robot in range(config.robots) for robot in robots):
         raise DataError(
             f"config.robots is {config.robots}, but there are frames of robots {', '.join(map(str, robots))}"
         )
-    if beams != {(config.lidar.beam_count,)}:
+    if beams - {(config.lidar.beam_count,)}:
         raise DataError(
             f"config.lidar.beam_count is {config.lidar.beam_count}, but there are scans of shape "
             f"{', '.join(map(str, sorted(beams)))}: set it to that of the scanner"
@@ -77,7 +80,7 @@ def write_frame_log(
         time_s=np.array([f.time_s for f in frames]),
         odometry=np.array([f.odometry for f in frames]),
         turn_rate_rad_s=np.array([f.turn_rate_rad_s for f in frames]),
-        ranges_m=np.array([f.ranges_m for f in frames]),
+        **_scans(frames),
         wifi_count=np.array([-1 if wifi is None else len(wifi.macs) for wifi in heard], np.int32),
         wifi_macs=np.concatenate([s.macs for s in scans]) if scans else np.zeros(0, np.int64),
         wifi_rssi_dbm=np.concatenate([s.rssi_dbm for s in scans]) if scans else np.zeros(0),
@@ -88,6 +91,35 @@ def write_frame_log(
         contacts_tried=np.array([c.tried for c in contacts], bool),
         contacts_heard=np.array([c.heard for c in contacts], bool),
     )
+
+
+def _scans(frames: Sequence[SensorFrame]) -> dict[str, Any]:
+    """Columns of laser scans. Those of scanners that frames name, of any length, are filled up with NaN, and have
+    columns of their lengths, of the numbers of their scanners, and of these scanners."""
+    scanners = list(dict.fromkeys(frame.scanner for frame in frames if frame.scanner is not None))
+    counts = [len(frame.ranges_m) for frame in frames]
+    if not scanners and len(set(counts)) == 1:
+        return {"ranges_m": np.array([frame.ranges_m for frame in frames])}
+    ranges_m = np.full((len(frames), max(counts)), np.nan)
+    for row, frame, count in zip(ranges_m, frames, counts, strict=True):
+        row[:count] = frame.ranges_m
+    numbers = {scanner: k for k, scanner in enumerate(scanners)}
+    return {
+        "ranges_m": ranges_m,
+        "ranges_count": np.array(counts, np.int32),
+        "scanner_number": np.array([numbers.get(f.scanner, -1) if f.scanner else -1 for f in frames], np.int32),
+        "scanners": np.array(json.dumps([dataclasses.asdict(scanner) for scanner in scanners])),
+    }
+
+
+def _scanners(log: dict[str, Array]) -> list[Scanner | None]:
+    """The scanner of each frame."""
+    if "scanner_number" not in log:
+        return [None] * len(log["robot"])
+    known = [
+        Scanner(**values | {"mount": tuple(map(float, values["mount"]))}) for values in json.loads(str(log["scanners"]))
+    ]
+    return [known[k] if k >= 0 else None for k in log["scanner_number"].tolist()]
 
 
 def _ages(scans: Sequence[WifiScan]) -> dict[str, Any]:
@@ -199,6 +231,13 @@ def _fault(log: dict[str, Array]) -> str | None:
         return f"odometry of shape {log['odometry'].shape} and ranges_m of {log['ranges_m'].shape}"
     if (counts < -1).any() or np.maximum(counts, 0).sum() != readings:
         return f"wifi_count counts {np.maximum(counts, 0).sum()} readings and wifi_macs holds {readings}"
+    for key in ("ranges_count", "scanner_number"):
+        if key in log and (log[key].shape != (frames,) or log[key].dtype.kind not in "iu"):
+            return f"{key} of shape {log[key].shape} and type {log[key].dtype}, a whole number per frame is possible"
+    if "ranges_count" in log and not (
+        0 <= log["ranges_count"].min() <= log["ranges_count"].max() <= len(log["ranges_m"].T)
+    ):
+        return f"ranges_count up to {log['ranges_count'].max()}, and scans of {log['ranges_m'].shape[1]} beams"
     if "wifi_age_s" in log and log["wifi_age_s"].shape != (readings,):
         return f"wifi_age_s of shape {log['wifi_age_s'].shape} for {readings} readings"
     counted = log.get("step_frames", np.ones(0, int))
@@ -217,6 +256,8 @@ def _steps(log: dict[str, Array]) -> list[tuple[SensorFrame, ...]]:
     for frame, (bearing, range_m), text in zip(log["sign_frame"].tolist(), log["sign_place"], texts, strict=True):
         signs.setdefault(frame, []).append(SignReading(text, float(bearing), float(range_m)))
     ends = np.cumsum(np.maximum(log["wifi_count"], 0))
+    beams = log["ranges_count"] if "ranges_count" in log else np.full(len(log["robot"]), log["ranges_m"].shape[1])
+    scanners = _scanners(log)
     frames: list[SensorFrame] = []
     for k, step in enumerate(log["step"].tolist()):
         count = int(log["wifi_count"][k])
@@ -229,9 +270,10 @@ def _steps(log: dict[str, Array]) -> list[tuple[SensorFrame, ...]]:
             time_s=float(log["time_s"][k]),
             odometry=log["odometry"][k],
             turn_rate_rad_s=float(log["turn_rate_rad_s"][k]),
-            ranges_m=log["ranges_m"][k],
+            ranges_m=log["ranges_m"][k, : beams[k]],
             wifi=wifi,
             signs=tuple(signs.get(k, ())),
+            scanner=scanners[k],
         )
         frames.append(frame)
     if "step_frames" in log:

@@ -211,7 +211,7 @@ def _taken(engine: Engine, robots: int) -> tuple[list[Array], Array]:
 
 def _drawn_at(poses: Array, steps: list[Array], scans: Array, config: EnvConfig) -> GridMap:
     """The map of scans (keyframes, beams) drawn at poses (steps + 1, robots, 3); steps: of each robot's keyframes."""
-    grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
+    grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.circle_beam_count)
     grid.integrate(_poses_of(poses, steps), scans)
     return grid.snapshot()
 

@@ -26,7 +26,7 @@ def seen_share(true_poses: Array, scans: Array, config: EnvConfig, cells: Cells)
     reach_m = min(float(np.abs(scans).max()), far_m) + OccupancyGrid.PADDING_M
     first = np.floor((true_poses[:, :2].min(axis=0) - reach_m) / cell_m)
     columns, rows = (np.ceil((true_poses[:, :2].max(axis=0) + reach_m) / cell_m) - first).astype(int).tolist()
-    sparse = SparseScans(config.lidar.beam_count, far_m)
+    sparse = SparseScans(config.lidar.circle_beam_count, far_m)
     seen = np.zeros((columns // WORD_CELLS + 2, rows), np.uint64)
     marks, is_inside, _, *room = folding_room(sparse.beam_count, int(2 * far_m / cell_m) + 8)
     x, y = (first * cell_m).tolist()

@@ -66,12 +66,23 @@ class SmallBlocks:
         self._frames: TeamFrames | None = None
         """What was noticed last; taken in once it is shown, or once there is more."""
         self._is_taken_in = True
+        self._scans = np.zeros((robots, config.lidar.beam_count))
+        """Latest scans, of scanners that do not complete one in each step."""
 
     def notice(self, frames: TeamFrames, beliefs: TeamBeliefs) -> None:
         """Take in one step of all robots, whether or not it is ever shown: path and radio."""
         if not self._is_taken_in:
             self._fill(0, self._unseen, False)
         self._frames, self._beliefs, self._is_taken_in = frames, beliefs, False
+        if frames.scanner is not None:
+            self._hold(frames)
+
+    def _hold(self, frames: TeamFrames) -> None:
+        """Keep the latest scan of each robot, as not every step completes one."""
+        if frames.has_scan is None:
+            self._scans = frames.ranges_m
+        elif frames.has_scan.any():
+            self._scans = np.where(frames.has_scan[:, None], frames.ranges_m, self._scans)
 
     def build(self) -> list[tuple[Array, ...]]:
         """The blocks `SMALL` of each robot after the step that was noticed last."""
@@ -91,8 +102,9 @@ class SmallBlocks:
     def _fill(self, first: int, blocks: tuple[Array, ...], is_shown: bool) -> None:
         frames, beliefs = self._frames, self._beliefs
         assert frames is not None
+        ranges_m = frames.ranges_m if frames.scanner is None else self._scans
         now = (
-            not self._is_taken_in, is_shown, first, frames.time_s, frames.step, *frames.scans, frames.ranges_m,
+            not self._is_taken_in, is_shown, first, frames.time_s, frames.step, *frames.scans, ranges_m,
             beliefs.poses, beliefs.since_closure_m, beliefs.contact_steps, beliefs.teammates, beliefs.teammate_poses,
             *blocks,
         )  # fmt: skip

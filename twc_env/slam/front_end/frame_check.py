@@ -11,6 +11,7 @@ from numpy.typing import NDArray as Array
 from twc_env.errors import DataError
 from twc_env.records.fingerprint_validation import fault_of_readings
 from twc_env.records.messages import SensorFrame, SignReading, WifiScan
+from twc_env.records.scanner import Scanner
 
 JUMP_MAX_M = 1000.0
 """Largest motion between two frames; larger values are in millimetres, or positions instead of motions."""
@@ -55,12 +56,8 @@ def _is_whole(value: object) -> bool:
 def _fault(frame: SensorFrame, beam_count: int) -> str | None:
     if not _is_whole(frame.step):
         return "has a step that is not a whole number"
-    if np.shape(frame.ranges_m) != (beam_count,):
-        beams = np.shape(frame.ranges_m)
-        return f"has ranges of shape {beams}, but lidar.beam_count is {beam_count}: set it to that of the scanner"
-    ranges_m = np.asarray(frame.ranges_m)
-    if not ((ranges_m > -np.inf) & (ranges_m != 0.0)).all():
-        return "has ranges that are 0 or no numbers: a beam without return reads the maximum, an unseen one UNSEEN_M"
+    if fault := _fault_of_ranges(frame, beam_count):
+        return fault
     if np.shape(frame.odometry) != (3,) or not (np.abs(frame.odometry) <= JUMP_MAX_M).all():
         return f"has odometry {frame.odometry!r}: give the motion since the last frame, x [m], y [m] and turn [rad]"
     if not math.isfinite(frame.turn_rate_rad_s) or not math.isfinite(frame.time_s):
@@ -75,6 +72,40 @@ def _fault(frame: SensorFrame, beam_count: int) -> str | None:
         if not sign.text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in sign.text):
             return f"holds {sign!r}: its text has surrogates, which stand for no character; decode it anew"
     return None if frame.wifi is None else _fault_of_scan(frame.wifi)
+
+
+def _fault_of_ranges(frame: SensorFrame, beam_count: int) -> str | None:
+    """Error of ranges that are not as `SensorFrame` or the frame's `scanner` says."""
+    beams, scanner = np.shape(frame.ranges_m), frame.scanner
+    if beams == (0,):
+        return None
+    ranges_m = np.asarray(frame.ranges_m)
+    if scanner is None:
+        if beams != (beam_count,):
+            return f"has ranges of shape {beams}, but lidar.beam_count is {beam_count}: set it to that of the scanner"
+        if not ((ranges_m > -np.inf) & (ranges_m != 0.0)).all():
+            return (
+                "has ranges that are 0 or no numbers: a beam without return reads the maximum, an unseen one UNSEEN_M"
+            )
+        return None
+    if not isinstance(scanner, Scanner):
+        return f"has {scanner!r} as scanner: give a twc_env.records.scanner.Scanner"
+    if len(beams) != 1 or ranges_m.dtype.kind not in "iuf":
+        return f"has ranges of shape {beams} and type {ranges_m.dtype}: give one number per beam"
+    turn_rad = abs(scanner.step_rad) * (beams[0] - 1)
+    if not 0.0 < turn_rad <= 2.0 * math.pi + 1e-6 and beams[0] > 1:
+        return (
+            f"has {beams[0]} beams {scanner.step_rad:g} rad apart: they must be on one circle; give step_rad in radians"
+        )
+    numbers = (scanner.first_rad, *scanner.mount, scanner.range_min_m, scanner.sweep_s)
+    if (
+        not all(map(math.isfinite, numbers))
+        or not (scanner.free_m >= 0.0 and scanner.range_max_m > 0.0)
+        or len(scanner.mount) != 3
+        or scanner.sweep_s < 0.0
+    ):
+        return f"has {scanner!r}: give finite numbers, a pose as mount, and a time above 0 as sweep_s"
+    return None
 
 
 def _fault_of_time(frame: SensorFrame, last_s: float) -> str | None:

@@ -77,7 +77,7 @@ class KeyframeTaker(BindsAnew):
     """Creates the keyframes of all robots from the tracker's poses, scans and recent WiFi readings."""
 
     def __init__(self, config: EnvConfig, tracker: Tracker):
-        self._tracker, self._beams = tracker, config.lidar.beam_count
+        self._tracker, self._beams = tracker, config.lidar.circle_beam_count
         count, noise, rule = len(tracker.poses_odom), config.slam.odometry_filter, config.slam.keyframe
         self._discs_seen, self._following = np.full((count, MEMORY, 4), np.inf), np.zeros(count, np.int64)
         """Memory of static discs of each robot, see `unmark`."""

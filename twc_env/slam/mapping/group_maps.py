@@ -222,7 +222,7 @@ class GroupMaps:
         self.changes += grid.log_odds is not cells
 
     def _new_grid(self) -> OccupancyGrid:
-        return OccupancyGrid(self._resolution_m, self._lidar.range_max_m, self._lidar.beam_count)
+        return OccupancyGrid(self._resolution_m, self._lidar.range_max_m, self._lidar.circle_beam_count)
 
     def _may_draw_all(self, group: int) -> bool:
         """Whether missing scans may be drawn, too: a robot alone in its map draws them itself (central mapper)."""

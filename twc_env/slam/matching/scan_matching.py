@@ -274,13 +274,13 @@ class LineFields:
         storage = field_storage(rule.size_m, rule.resolution_m, count)
         self.cells, self.lines, self.origins_m, self.drawn = storage
         self.inverse_m, self.range_max_m = 1.0 / rule.resolution_m, lidar.range_max_m
-        self.range_noise_std_m = lidar.range_noise_std_m
+        self.range_noise_std_m = lidar.typical_noise_std_m
         searched = rule.match_distance_max_m, rule.degenerate_share, variance_m2, rule.match_iterations_max
         wall_min_m = 2 * robot_radius_m + WALL_MARGIN_M
         self.rule = np.array([lidar.range_max_m, self.inverse_m, *searched, wall_min_m])
         """What `match_scan` goes by."""
         self.each = [
-            LineField(rule.size_m, rule.resolution_m, lidar.range_max_m, lidar.range_noise_std_m, part)
+            LineField(rule.size_m, rule.resolution_m, lidar.range_max_m, lidar.typical_noise_std_m, part)
             for part in zip(*storage, strict=True)
         ]
 

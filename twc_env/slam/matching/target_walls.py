@@ -147,7 +147,7 @@ class TargetWalls:
         self._variance_m2 = variance_m2
         self.field = LineField(size_m, FIELD_CELL_M, lidar.range_max_m)
         """For correlative search far from a guess."""
-        self._noise_m = lidar.range_noise_std_m
+        self._noise_m = lidar.typical_noise_std_m
         self._bound: _Kernels | None = None
         self._beams = 0
         """Beam count for which the kernels are bound."""

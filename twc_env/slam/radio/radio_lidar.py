@@ -56,7 +56,7 @@ def solve(keyframes: Sequence[Keyframe], config: EnvConfig, cues: Sequence[str] 
         found = _matched(keyframes, poses, reach_m, source, config)
         poses, closures = _optimised(keyframes, poses, found, config)
     poses = scan_alignment.aligned(keyframes, poses, config.lidar.range_max_m)
-    grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.beam_count)
+    grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.circle_beam_count)
     grid.integrate(poses, np.array([k.ranges_m for k in keyframes]))
     return RadioLidarResult(poses, closures, grid.snapshot(), radio)
 

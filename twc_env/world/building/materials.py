@@ -18,11 +18,14 @@ class Material:
     """Loss per crossing at 2.4 GHz, at 5 GHz and of LTE below 2 GHz."""
     is_glass: bool = False
     """Whether laser beams may pass (`lidar.glass_return_probability`)."""
+    is_mirror: bool = False
+    """Whether it may show lasers what stands before it (`lidar.mirror_probability`)."""
 
 
 MATERIALS = {
     "glass": Material((3.0, 5.0, 2.5), is_glass=True),
     "coated-glass": Material((12.0, 20.0, 11.0), is_glass=True),
+    "mirror": Material((12.0, 20.0, 11.0), is_mirror=True),
     "wood": Material((3.5, 6.0, 3.0)),
     "plasterboard": Material((4.0, 5.0, 3.5)),
     "shelf": Material((3.0, 4.5, 2.5)),

@@ -1,0 +1,195 @@
+"""Scans of any scanner as the engine holds them: a full circle of directions around the robot, at one time.
+
+The beams of a rolling scan are measured one after the other. Each is moved by the robot's motion since then, as
+odometry and gyro tell it (deskewing), and by the mounting of the scanner. The circle takes its ranges from the lines
+between neighbouring end points.
+"""
+
+from __future__ import annotations
+
+import math
+
+from twc_env.kernels.compiled import borrowing_kernel
+from twc_env.records.messages import UNSEEN_M
+
+SURFACE_GAP_M, SURFACE_GAP_STEPS = 0.3, 4.0
+"""End points of neighbouring beams further apart, in metres or as a multiple of the distance between beams there, are
+not on one surface: nothing is interpolated between them."""
+STRAIGHT_M, STRAIGHT_NOISES = 0.04, 5.0
+"""Three end points in a row are on one straight wall if the last is at most this far from the line through the first
+two, in metres and as a multiple of the noise."""
+STRIDE_TIMES, STRIDE_M = 3.0, 1.5
+"""Such points are this far apart at most, as a multiple of the distance between the two before, and in metres."""
+ALIGNED_STEPS = 0.15
+"""A direction this close to a beam, in steps between beams, has the beam's own range."""
+_NEAR_TIMES = 2.0
+"""A gap of beams without return beside a return nearer than this multiple of the minimum range is taken for a surface
+too near to be measured, not for an opening."""
+_CLOSED_STEPS = 1.5
+"""The last beam is a neighbour of the first if they are at most this many steps apart."""
+_HIT, _OPEN, _UNKNOWN = 1.0, 0.0, -1.0
+"""Kinds of beams: with a return, without, without information."""
+_TIME, _X, _Y, _HEADING = 0, 1, 2, 3
+
+
+@borrowing_kernel
+def note_motion(time_s, motion, turn, track, latest):
+    """Append a pose to the ring of poses (k, 4) of a robot: time [s], x, y, heading; returns its row.
+
+    motion (3,): since the pose before, in the robot frame of that pose, with another turn [rad].
+    """
+    row = (latest + 1) % track.shape[0]
+    heading = track[latest, _HEADING]
+    c, s = math.cos(heading), math.sin(heading)
+    track[row, _TIME] = time_s
+    track[row, _X] = track[latest, _X] + c * motion[0] - s * motion[1]
+    track[row, _Y] = track[latest, _Y] + s * motion[0] + c * motion[1]
+    track[row, _HEADING] = heading + turn
+    return row
+
+
+@borrowing_kernel
+def deskew(ranges, scanner, end_s, track, latest, range_max, noise, directions, ends, out, is_soft):
+    """Fill the circle out (directions,) with a scan (beams,) as seen from the latest pose of a track (k, 4).
+
+    is_soft (directions,): whether the wall of a direction is unsure, between two beams at a corner or an edge.
+
+    scanner (9,): direction of beam 0, step, mount (3), minimum and maximum range, range that is free without return,
+    time of the sweep; end_s: time of its last beam. range_max: of the engine's scans, which is no return; noise: of
+    ranges, standard deviation [m]. directions
+    (directions, 2): cosine and sine. ends (5, beams) is a work array: bearing, range and kind of each beam from the
+    robot's centre, and its end point.
+    """
+    count, size = ranges.shape[0], track.shape[0]
+    now_x, now_y, now_heading = track[latest, _X], track[latest, _Y], track[latest, _HEADING]
+    c_now, s_now = math.cos(now_heading), math.sin(now_heading)
+    row, older = latest, (latest - 1) % size  # the poses that a beam's time is between, from the last beam backwards
+    passed = 0
+    for k in range(count):
+        b = count - 1 - k
+        time_s = end_s - (scanner[8] * k / (count - 1) if count > 1 else 0.0)
+        while time_s < track[older, _TIME] and passed < size - 2:
+            row, older, passed = older, (older - 1) % size, passed + 1
+        elapsed = track[row, _TIME] - track[older, _TIME]
+        share = min(max((track[row, _TIME] - time_s) / elapsed, 0.0), 1.0) if elapsed > 0.0 else 0.0
+        x = track[row, _X] + share * (track[older, _X] - track[row, _X])
+        y = track[row, _Y] + share * (track[older, _Y] - track[row, _Y])
+        turned = track[row, _HEADING] + share * (track[older, _HEADING] - track[row, _HEADING]) - now_heading
+        away_x, away_y = c_now * (x - now_x) + s_now * (y - now_y), c_now * (y - now_y) - s_now * (x - now_x)
+        c, s = math.cos(turned), math.sin(turned)
+        away_x += c * scanner[2] - s * scanner[3]
+        away_y += s * scanner[2] + c * scanner[3]
+        bearing, range_m = turned + scanner[4] + scanner[0] + b * scanner[1], ranges[b]
+        if range_m < 0.0:
+            ends[0, b], ends[1, b], ends[2, b] = bearing, 0.0, _UNKNOWN
+        elif range_m > 0.0 and scanner[5] <= range_m < scanner[6]:  # false for NaN
+            px, py = away_x + range_m * math.cos(bearing), away_y + range_m * math.sin(bearing)
+            ends[0, b], ends[1, b], ends[2, b] = math.atan2(py, px), math.sqrt(px * px + py * py), _HIT
+            ends[3, b], ends[4, b] = px, py
+        else:
+            far = min(scanner[7], range_max) if scanner[7] > 0.0 else range_max
+            px, py = away_x + far * math.cos(bearing), away_y + far * math.sin(bearing)
+            ends[0, b], ends[1, b] = math.atan2(py, px), range_max
+            ends[2, b] = _OPEN if scanner[7] > 0.0 else _UNKNOWN
+    if scanner[5] > 0.0:
+        _mark_too_near(ends, _NEAR_TIMES * scanner[5], count * abs(scanner[1]) > 2.0 * math.pi - 0.5 * abs(scanner[1]))
+    _fill_circle(ends, scanner[1], range_max, max(STRAIGHT_M, STRAIGHT_NOISES * noise), directions, out, is_soft)
+
+
+@borrowing_kernel
+def _mark_too_near(ends, near_m, is_closed):
+    """Beams without return that may have met something below the minimum range have no information."""
+    count = ends.shape[1]
+    for side in (1, -1):
+        is_near = False
+        for k in range(2 * count if is_closed else count):
+            b = k % count if side > 0 else count - 1 - k % count
+            if ends[2, b] == _HIT:
+                is_near = ends[1, b] < near_m
+            elif is_near and ends[2, b] == _OPEN:
+                ends[2, b] = _UNKNOWN
+
+
+@borrowing_kernel
+def _is_surface(ends, a, b, step):
+    """Whether two neighbouring beams met one surface."""
+    ex, ey = ends[3, b] - ends[3, a], ends[4, b] - ends[4, a]
+    gap_m = min(SURFACE_GAP_M, SURFACE_GAP_STEPS * abs(step) * min(ends[1, a], ends[1, b]))
+    return ends[2, a] == _HIT and ends[2, b] == _HIT and ex * ex + ey * ey <= gap_m * gap_m
+
+
+@borrowing_kernel
+def _range_on_line(ends, a, b, dx, dy):
+    """Range at which a ray from the robot's centre meets the line through two beams' end points; infinite: not."""
+    px, py = ends[3, a], ends[4, a]
+    ex, ey = ends[3, b] - px, ends[4, b] - py
+    closing = dx * ey - dy * ex
+    range_m = (px * ey - py * ex) / closing
+    return range_m if abs(closing) > 1e-9 and range_m > 0.0 else math.inf
+
+
+@borrowing_kernel
+def _continues(ends, a, b, c, straight):
+    """Whether the end points of beams a, b and c are in a row on one straight wall, c not much further than b."""
+    if ends[2, a] != _HIT or ends[2, b] != _HIT or ends[2, c] != _HIT:
+        return False
+    ex, ey = ends[3, b] - ends[3, a], ends[4, b] - ends[4, a]
+    fx, fy = ends[3, c] - ends[3, b], ends[4, c] - ends[4, b]
+    base, across = ex * ex + ey * ey, ex * fy - ey * fx
+    is_onwards = ex * fx + ey * fy > 0.0 and fx * fx + fy * fy <= min(STRIDE_TIMES**2 * base, STRIDE_M**2)
+    return is_onwards and across * across <= straight * straight * base
+
+
+@borrowing_kernel
+def _fill_circle(ends, step, range_max, straight, rays, out, is_soft):
+    """Fill the circle (directions,) from the ends (5, beams) of neighbouring beams, the nearest where they overlap.
+
+    Between two beams on one surface the range is that of the line between their end points, soft unless the wall goes
+    on straight on one side. At an edge it is that of the surface of the nearer beam, a little extended, and soft.
+    """
+    count, directions = ends.shape[1], out.shape[0]
+    per_rad, side = directions / (2.0 * math.pi), 1 if step > 0.0 else -1
+    aligned = ALIGNED_STEPS * abs(step)
+    for d in range(directions):
+        out[d], is_soft[d] = UNSEEN_M, False
+    for b in range(count):
+        other = b + 1 if b + 1 < count else 0
+        first, last = (b, other) if step > 0.0 else (other, b)
+        gap = (ends[0, last] - ends[0, first] + math.pi) % (2.0 * math.pi) - math.pi
+        if gap < 0.0 or (other == 0 and gap > _CLOSED_STEPS * abs(step)):
+            continue
+        begin = ends[0, first] * per_rad
+        low, high = int(math.ceil(begin - 1e-6)), int(math.floor(begin + gap * per_rad + 1e-6))
+        if high < low:
+            continue
+        before, after = (first - side) % count, (last + side) % count
+        is_straight = _continues(ends, before, first, last, straight) or _continues(ends, after, last, first, straight)
+        is_surface = is_straight or _is_surface(ends, first, last, step)
+        for k in range(low, high + 1):
+            d = k % directions
+            from_first = k / per_rad - ends[0, first]
+            is_first_nearer = 2.0 * from_first <= gap
+            nearer, beyond = (first, before) if is_first_nearer else (last, after)
+            if ends[2, nearer] == _UNKNOWN:
+                continue
+            range_m = ends[1, nearer]
+            if is_surface:
+                range_m = min(_range_on_line(ends, first, last, rays[d, 0], rays[d, 1]), range_m + SURFACE_GAP_M)
+            elif _is_surface(ends, nearer, beyond, step):
+                extended_m = _range_on_line(ends, nearer, beyond, rays[d, 0], rays[d, 1])
+                range_m = extended_m if abs(extended_m - range_m) <= SURFACE_GAP_M else range_m
+            range_m = min(range_m, range_max)
+            is_unsure = not is_straight and min(from_first, gap - from_first) > aligned and range_m < range_max
+            if out[d] == UNSEEN_M or range_m < out[d] - 1e-9:
+                out[d], is_soft[d] = range_m, is_unsure
+            elif range_m <= out[d] + 1e-9:
+                is_soft[d] &= is_unsure
+
+
+@borrowing_kernel
+def limit_open(ranges, range_max, free_m):
+    """Make beams without return that are free only up to `free_m` negative."""
+    if free_m < range_max:
+        for b in range(ranges.shape[0]):
+            if ranges[b] >= range_max:
+                ranges[b] = -free_m

@@ -1,0 +1,203 @@
+"""Laser scanners with limits and errors of real ones: field of view, mounting, rate, rolling scan, and lost returns.
+
+`lidar.Lidar` simulates the default scanner, which has none of them, faster.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.config import EnvConfig, LidarConfig
+from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of
+from twc_env.records.random_streams import random_stream
+from twc_env.records.scanner import Scanner
+from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.building.materials import MATERIALS
+from twc_env.world.building.wall_index import WallIndex, index_walls
+from twc_env.world.sensors.beam_casting import NOTHING, cast, cast_discs, place_beams
+from twc_env.world.sensors.near_walls import gather_near
+from twc_env.world.sensors.noise import StepNoise
+from twc_env.world.sensors.scanner_errors import (
+    add_noise,
+    look_in_mirrors,
+    lose_returns,
+    mix_pixels,
+    reflect_glass,
+)
+
+_LOOK_UP_MARGIN_M = 0.5
+"""Walls are looked up again when a scanner is further than this from where it was at the last look."""
+_FAR_M = 1e6
+"""Where a wall stands that replaces none."""
+_NOT_OCCLUDED_M = 1e3
+"""A margin of `gather_near` with which no wall occludes another."""
+
+
+class Scanners:
+    """The scanners of all robots in one building for one episode."""
+
+    def __init__(self, config: EnvConfig, plan: Floorplan, seed: int):
+        """plan: in the home frame."""
+        lidar, robots = config.lidar, config.robots
+        self._config = lidar
+        scanner = lidar.scanner
+        self.scanner = scanner or Scanner(0.0, 2 * math.pi / lidar.beam_count, range_max_m=lidar.range_max_m)
+        """Geometry of the scans."""
+        step_s = config.dynamics.time_step_s
+        self.period_steps = max(1, round(1.0 / (lidar.rate_hz * step_s))) if lidar.rate_hz else 1
+        """Time steps from one scan to the next."""
+        taus = self.scanner.sweep_s / step_s * (1.0 - np.arange(lidar.beam_count) / max(lidar.beam_count - 1, 1))
+        self._paths = np.zeros((math.ceil(taus.max()) + 2, robots, 3))
+        """True poses of all robots in the last steps, the latest first."""
+        self._is_begun = False
+        solid, self._panes, self._mirrors = _split(plan, lidar)
+        self._walls, walls = solid.buckets(), len(solid.walls_m)
+        mount = np.array(self.scanner.mount)
+        reach_m = config.dynamics.speed_max_m_s * self.scanner.sweep_s + 2.0 * math.hypot(*mount[:2]) + 0.05
+        # A mirror shows walls that the robot itself does not see.
+        margin_m = _NOT_OCCLUDED_M if len(self._mirrors) else _LOOK_UP_MARGIN_M + reach_m
+        self._near = np.empty((robots, 4, walls)), np.zeros(robots, np.int64), np.full((robots, 2), np.nan)
+        self._room = (
+            np.empty((8, walls)), np.empty(walls, np.bool_), np.empty(lidar.beam_count),
+            np.empty((4, lidar.beam_count)), np.empty(lidar.beam_count, np.int64),
+        )  # fmt: skip
+        self._geometry = taus, mount, self.scanner.first_rad, self.scanner.step_rad, lidar.range_max_m, margin_m
+        self._radii = np.full(robots, config.dynamics.robot_radius_m)
+        self._draws = {name: StepNoise(*draw) for name, draw in _draws(lidar, robots, seed)}
+        dark = np.random.default_rng([int(plan.digest, 16), zlib.crc32(b"dark")])
+        self._dark = lidar.dark_share, dark.random(2), int(dark.integers(2**62))
+        self._none = np.zeros((robots, 0))
+        self._run: Callable[..., None] | None = None
+        """`_scan` with what does not change."""
+        self._ranges = np.full((robots, lidar.beam_count), lidar.range_max_m)
+
+    def scan(self, step: int, poses: Array) -> tuple[Array, Array | None]:
+        """Latest ranges (robots, beams) [m] and whether each robot completed a scan in this step (None: all did).
+
+        poses: true ones (robots, 3), in each step once. No return is the maximum range.
+        """
+        paths = self._paths
+        paths[1:] = paths[:-1] if self._is_begun else poses
+        paths[0], self._is_begun = poses, True
+        if step % self.period_steps:
+            return self._ranges, np.zeros(len(poses), np.bool_)
+        draws = {name: draw.next() for name, draw in self._draws.items()}
+        ranges, none = np.empty_like(self._ranges), self._none
+        now = paths, *[draws.get(name, none) for name in _NAMES], ranges
+        if self._run is None:
+            self._run = bound(_scan, self._packed(), *now)
+        self._run(*now)
+        self._ranges = ranges
+        return ranges, None if self.period_steps == 1 else np.ones(len(poses), np.bool_)
+
+    def _packed(self) -> Lent:
+        """The constant arguments of `_scan`."""
+        lidar = self._config
+        return Lent((
+            self._walls, self._near, self._geometry, self._room, self._radii, self._panes, self._mirrors,
+            (lidar.glass_return_probability, lidar.glass_incidence_max_rad, lidar.mirror_probability),
+            (lidar.detection_range_m, *self._dark),
+            (lidar.beam_divergence_rad, lidar.is_full_circle),
+            (lidar.range_noise_std_m, lidar.range_noise_per_m, lidar.range_min_m, lidar.dropout_probability),
+        ))  # fmt: skip
+
+    def __getstate__(self) -> dict:
+        return self.__dict__ | {"_run": None}
+
+
+_NAMES = "lidar-glass", "lidar-mirror", "lidar-loss", "lidar-edge", "lidar", "lidar-dropout"
+"""Names of the random numbers, in the order in which `_scan` takes them."""
+
+
+def needs_scanners(lidar: LidarConfig) -> bool:
+    """Whether `Scanners` must simulate this scanner, as it has limits or errors that `Lidar` does not know."""
+    known = "range_noise_per_m", "beam_divergence_rad", "mirror_probability"
+    return lidar.scanner is not None or any(getattr(lidar, name) > 0.0 for name in known)
+
+
+def _draws(lidar: LidarConfig, robots: int, seed: int):
+    """Name, streams, count and kind of the random numbers that this scanner needs for a scan."""
+    beams = lidar.beam_count
+    needed = {
+        "lidar": (lidar.range_noise_std_m + lidar.range_noise_per_m, beams, "standard_normal"),
+        "lidar-glass": (1.0 - lidar.glass_return_probability, beams, "random"),
+        "lidar-mirror": (lidar.mirror_probability, beams, "random"),
+        "lidar-loss": (lidar.detection_range_m, beams, "random"),
+        "lidar-edge": (lidar.beam_divergence_rad, 2 * beams, "random"),
+        "lidar-dropout": (lidar.dropout_probability, beams, "random"),
+    }
+    for name, (amount, count, kind) in needed.items():
+        if amount > 0.0:
+            yield name, ([random_stream(seed, name, robot) for robot in range(robots)], count, kind)
+
+
+def _split(plan: Floorplan, lidar: LidarConfig) -> tuple[WallIndex, Array, Array]:
+    """Index of the walls that return every beam; panes (k, 4) and mirrors (k, 4) that do not, by the plan's
+    materials."""
+    walls_m = plan.wall_index.walls_m
+    materials = [MATERIALS.get(name) for name in plan.wall_materials] or [None] * len(walls_m)
+    is_pane = np.array([bool(m and m.is_glass) for m in materials]) & (lidar.glass_return_probability < 1.0)
+    is_mirror = np.array([bool(m and m.is_mirror) for m in materials]) & (lidar.mirror_probability > 0.0)
+    is_solid = ~(is_pane | is_mirror)
+    if is_solid.all():
+        return plan.wall_index, walls_m[:0], walls_m[:0]
+    solid = walls_m[is_solid] if is_solid.any() else walls_m[:1] + _FAR_M
+    index = index_walls(solid.reshape(-1, 2, 2), np.zeros(len(solid)))
+    return index, np.ascontiguousarray(walls_m[is_pane]), np.ascontiguousarray(walls_m[is_mirror])
+
+
+@borrowing_kernel
+def _scan(
+    apparatus, paths, glass_chance, mirror_chance, loss_chance, edge_chance, deviates, drop_chance, ranges
+):  # fmt: skip
+    """Fill ranges (robots, beams); random numbers with a row per robot, without columns where an error is off."""
+    index, looked_up, geometry, room, radii, panes, mirrors, shiny, loss, edges, limits = parts_of(apparatus)
+    walls, origin, bucket, rows, columns, first_member, members = index
+    near, near_counts, anchors = looked_up
+    taus, mount, first, step, range_max, margin = geometry
+    scratch, stamps, work, beams, hit = room
+    glass_probability, incidence_max, mirror_probability = shiny
+    detection, dark_share, lattice, dark_seed = loss
+    cone, is_closed = edges
+    std, std_per_m, range_min, drop_probability = limits
+    count = ranges.shape[1]
+    for i in range(ranges.shape[0]):
+        begin, mean_step, spread = place_beams(paths[:, i], taus, mount, first, step, work, beams)
+        x, y = beams[0, count - 1], beams[1, count - 1]
+        if not (x - anchors[i, 0]) ** 2 + (y - anchors[i, 1]) ** 2 < _LOOK_UP_MARGIN_M * _LOOK_UP_MARGIN_M:
+            anchors[i, 0], anchors[i, 1] = x, y
+            near_counts[i] = gather_near(
+                walls, origin, bucket, rows, columns, first_member, members, x, y, range_max, margin, stamps, scratch,
+                near[i],
+            )  # fmt: skip
+        reach = 0.0
+        for b in range(count):
+            ranges[i, b], hit[b] = range_max, NOTHING
+            reach = max(reach, math.hypot(beams[0, b] - x, beams[1, b] - y))
+        row, centre = ranges[i], beams[:2, count - 1]
+        cast(near[i], near_counts[i], beams, centre, begin, mean_step, spread, reach, range_max, row, hit)
+        cast_discs(paths, taus, radii, i, beams, centre, reach, range_max, row, hit)
+        if panes.shape[0] > 0:
+            reflect_glass(panes, beams, glass_chance[i], glass_probability, incidence_max, row, hit)
+        if mirrors.shape[0] > 0:
+            look_in_mirrors(
+                mirrors, near[i], near_counts[i], beams, mirror_chance[i], mirror_probability, range_max, row, hit
+            )
+        if loss_chance.shape[1] > 0:
+            lose_returns(near[i], beams, hit, loss_chance[i], detection, dark_share, lattice, dark_seed, range_max, row)
+        if edge_chance.shape[1] > 0:
+            chance = edge_chance[i].reshape(2, count)
+            mix_pixels(hit, chance, cone, abs(step), range_max, is_closed, work, row)
+        if deviates.shape[1] > 0:
+            add_noise(deviates[i], std, std_per_m, range_min, range_max, row)
+        else:
+            add_noise(work, 0.0, 0.0, range_min, range_max, row)
+        if drop_chance.shape[1] > 0:
+            for b in range(count):
+                if drop_chance[i, b] < drop_probability:
+                    row[b] = range_max
