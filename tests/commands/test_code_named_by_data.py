@@ -24,7 +24,7 @@ class Trap:
     def propose(self, keyframe, skipped_robots=()):
         return []
 
-    def forget(self, is_held):
+    def sparsify(self, is_held):
         pass
 
     def solve(self, poses, edges, measured, information, is_closure, fixed):
