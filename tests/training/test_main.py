@@ -1,7 +1,10 @@
 """Training commands: invalid input gives an error message of one line."""
 
+import os
+import signal
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 
@@ -92,3 +95,32 @@ def test_an_interrupted_training_reports_it_on_a_new_line(tmp_path, monkeypatch,
     )
     *_, last = capsys.readouterr().err.splitlines()
     assert last == "interrupted; --resume continues from the last saved model, if any"
+
+
+@pytest.mark.usefixtures("torch")
+@pytest.mark.parametrize(("end", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_training_ended_from_outside_keeps_its_last_model_and_resumes(end, status, tmp_path, monkeypatch, capsys):
+    from twc_env.training import ppo
+
+    monkeypatch.setattr(ppo, "Settings", partial(ppo.Settings, environments=2, rollout_steps=16, batch_size=32))
+    rollouts, saved = [], ppo.save_model
+
+    def save(model, path):
+        saved(model, path)
+        rollouts.append(model.num_timesteps)
+        if len(rollouts) == 2:
+            assert signal.getsignal(signal.Signals[end]) is not signal.SIG_DFL
+            os.kill(os.getpid(), signal.Signals[end])
+
+    monkeypatch.setattr(ppo, "save_model", save)
+    train = ["train", "ppo", "--workers", "0", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path)]
+    assert main([*train, "--steps", "100000"]) == status
+    assert capsys.readouterr().err.endswith("interrupted; --resume continues from the last saved model, if any\n")
+    assert sorted(path.name for path in tmp_path.iterdir() if path.is_file()) == [
+        "config.json", "metrics.csv", "model.zip",
+    ]  # fmt: skip
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    rollouts += [0] * 9
+    assert main([*train, "--steps", "192", "--resume"]) == 0
+    with (tmp_path / "metrics.csv").open() as file:
+        assert [row.split(",")[0] for row in file] == ["steps", "64", "128", "192"]

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from numpy.typing import NDArray as Array
 
 from twc_env.bench import probes as bench_probes
@@ -137,8 +137,6 @@ def _kinds(config: EnvConfig, count: int, actions: Array) -> list[tuple[str, Cal
     team = partial(GymnasiumTeams, config, 1)
     group = partial(GymnasiumTeams, config, count // WORKERS)
     places = np.zeros(count, np.int64)
-    never: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}
-    spawned: dict[str, Any] = {**never, "context": "spawn"}
     return [
         (NONE, partial(VectorTeams, count, config), _lockstep),
         ("VectorTeams.step, two workers", partial(VectorTeams, count, config, WORKERS), _lockstep),
@@ -147,11 +145,11 @@ def _kinds(config: EnvConfig, count: int, actions: Array) -> list[tuple[str, Cal
             partial(VectorTeams, count, config, WORKERS),
             lambda teams, window: _asynchronous(teams, actions, places, window.shape[0] * count),
         ),
-        ("SyncVectorEnv", lambda: SyncVectorEnv([team] * count, **never), partial(_grouped, count)),
-        ("AsyncVectorEnv", lambda: AsyncVectorEnv([team] * count, **spawned), partial(_grouped, count)),
+        ("SyncVectorEnv", lambda: SyncVectorEnv([team] * count), partial(_grouped, count)),
+        ("AsyncVectorEnv", lambda: AsyncVectorEnv([team] * count, context="spawn"), partial(_grouped, count)),
         (
             "AsyncVectorEnv of two groups",
-            lambda: AsyncVectorEnv([group] * WORKERS, **spawned),
+            lambda: AsyncVectorEnv([group] * WORKERS, context="spawn"),
             partial(_grouped, WORKERS),
         ),
     ]

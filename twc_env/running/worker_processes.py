@@ -26,7 +26,7 @@ def in_processes(work: Callable[[Any], Any], parts: Sequence, count: int) -> Ite
         yield from enumerate(map(work, parts))
         return
     before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=end_with_parent)
     try:
         with single_threaded(), deaf_to_interrupts():
             waiting = {pool.submit(work, part): k for k, part in enumerate(parts)}
@@ -42,7 +42,7 @@ def in_processes(work: Callable[[Any], Any], parts: Sequence, count: int) -> Ite
         raise
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """End this process when its parent process dies, which sends it no signal."""
     parent = multiprocessing.parent_process()
 
