@@ -30,7 +30,7 @@ def test_an_episode_is_terminated_once_the_share_is_mapped_and_not_truncated():
     assert not any(any(step[2].values()) or any(step[3].values()) for step in steps[:-1])
     assert infos["robot_0"]["steps"] == len(steps)
     assert sum(step[4]["robot_0"]["reward_terms"]["coverage"] for step in steps) >= 0.2
-    best = max(verdict.correct_area_m2 for verdict in env.episode.verdicts()) / floor_m2(env.floorplan.cells())
+    best = max(score.correct_area_m2 for score in env.episode.map_scores()) / floor_m2(env.floorplan.cells())
     assert env.episode.coverage == best, "the last map is evaluated exactly"
     with pytest.raises(twc_env.TwcError, match="call reset"):
         env.step({})
