@@ -109,3 +109,7 @@ def test_a_set_of_buildings_gives_each_seed_its_own_and_options_choose_among_its
     assert env.floorplan.name.startswith("gen:office+ring:150:test/")
     env.reset(seed=1)
     assert env.floorplan.name == names[1]
+    own = twc_env.load_map("twin-01")
+    given = twc_env.parallel_env(map="gen:office+ring:150:train", robots=1, max_cycles=5, floorplan=own)
+    given.reset(seed=0)
+    assert given.floorplan.name == "twin-01"

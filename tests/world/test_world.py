@@ -154,7 +154,7 @@ def test_a_plan_built_in_memory_is_validated_too(changes, expected):
 @pytest.mark.parametrize(
     ("starts", "error", "expected"),
     [
-        ("here", ConfigError, "'random', 'map' or poses; got 'here'"),
+        ("here", ConfigError, "'random', 'entrance', 'map' or poses; got 'here'"),
         (np.zeros((2, 3)), ConfigError, r"starts must be 3 finite poses .* got shape \(2, 3\)"),
         (np.full((3, 3), -50.0), ConfigError, r"starts\[0\] at \(-50, -50\) is not on the free floor"),
         (np.full((3, 3), 1e300), ConfigError, r"starts\[0\] at \(1e\+300, 1e\+300\) is not on the free floor"),

@@ -31,7 +31,7 @@ from twc_env.records.messages import Belief, Contacts, SensorFrame
 from twc_env.records.one_thread import OneThread
 from twc_env.slam.modes import Engine
 from twc_env.world.building.floorplan import Floorplan
-from twc_env.world.building.splits import one_of
+from twc_env.world.building.splits import is_set, one_of
 from twc_env.world.building.subsampling import subsampled
 from twc_env.world.world import World
 
@@ -113,9 +113,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     time step at `metadata["render_fps"]`; closing it ends the display, not the episode.
 
     `reset(options=...)` applies to one episode. `{"starts": "map"}` uses the map's own start poses instead of random
-    ones, `{"starts": [(x, y, heading), ...]}` the given ones, in the building frame; robots that would overlap a wall
-    or each other are refused. `{"map": NAME}` plays in another building, `{"split": "train"}` (or validation, test)
-    in a building of that split drawn by the seed, of the family of `map` if it has one; `floorplan.name` is its name.
+    ones, `{"starts": "entrance"}` poses side by side, `{"starts": [(x, y, heading), ...]}` the given ones, in the
+    building frame; robots that would overlap a wall or each other are refused. `{"map": NAME}` plays in another
+    building, `{"split": "train"}` (or validation, test) in a building of that split drawn by the seed, of the family of
+    `map` if it has one; `floorplan.name` is its name.
 
     `belief(agent)` is what a robot knows, for planners; `result()` evaluates the episode so far against ground truth;
     `snapshot()` and `restore()` save and restore the exact state.
@@ -157,6 +158,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._watch = None if self._viewer is None else self._viewer.follow
         self._spectators: list[Callable[[], None]] = []
         self._own_floorplan = floorplan if floorplan is not None else load_map(one_of(self.config.map, 0))
+        self._draws_building = floorplan is None and is_set(self.config.map)
         self._plan: Floorplan | None = None
         self._move_into(None)
         count = self.config.robots
@@ -201,6 +203,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self.agents, self._begun = [], None
         seed = self._next_seed() if seed is None else whole_number("seed", seed, 0)
         starts, building = read_options(options, seed, self.config)
+        if building is None and self._draws_building:
+            building = one_of(self.config.map, seed)
         config = self._move_into(building)
         self._seed = seed
         episode = self._begun = Episode(config, self._world, seed, starts)

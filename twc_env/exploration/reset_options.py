@@ -9,7 +9,7 @@ from typing import Any
 
 from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError
-from twc_env.world.building.splits import drawn_from, family_of, is_set, one_of
+from twc_env.world.building.splits import drawn_from, family_of, one_of
 
 NAMES = ("starts", "map", "split")
 
@@ -32,5 +32,5 @@ def read_options(options: Mapping[str, Any] | None, seed: int, config: EnvConfig
     starts = options.get("starts", config.episode.starts)
     if "split" in options:
         return starts, drawn_from(options["split"], family_of(config.map), seed)
-    building = options.get("map", config.map if is_set(config.map) else None)
+    building = options.get("map")
     return starts, building if building is None else one_of(str(building), seed)
