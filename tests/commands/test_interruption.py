@@ -66,10 +66,10 @@ def test_a_second_ctrl_c_ends_a_command_at_once_and_a_second_sigterm_does_not():
 @pytest.mark.parametrize(("command", "report"), [(EXPLORE, "report.json"), (RECORD, "truth.npz")])
 def test_an_episode_ended_by_sigterm_is_saved_as_by_ctrl_c(command, report, tmp_path):
     program = (
-        "import os, signal, sys, twc_env.commands.explore as explore, twc_env.commands.logs as logs\n"
+        "import os, signal, sys, twc_env.commands.explore as explore, twc_env.commands.record as record\n"
         "from twc_env.__main__ import main\n"
         "end = lambda done, *_, **__: done == 30 and os.kill(os.getpid(), signal.SIGTERM)\n"
-        "explore.show_count = logs.show_count = end\n"
+        "explore.show_count = record.show_count = end\n"
         "sys.exit(main(sys.argv[1:]))"
     )
     call = [sys.executable, "-c", program, *command, "--out", str(tmp_path)]

@@ -72,7 +72,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     | key | shape | range | meaning |
     |---|---|---|---|
-    | `lidar` | (beams,) | [0, 1] | range / maximum range; beam 0 ahead, counter-clockwise |
+    | `lidar` | (beams,) | [0, 1] | range / maximum range; beam 0 ahead, counter-clockwise, or as `lidar` settings say |
     | `map` | (7, 64, 64) uint8 | 0, 255 | egocentric, robot facing +column: free, wall, unknown, frontier, |
     | | | | own path, teammates, signs |
     | `overview` | (4, 32, 32) uint8 | 0..255 | the merged map, downscaled: free, wall, this robot, teammates; robots |
