@@ -14,6 +14,8 @@ from twc_env.errors import ConfigError, did_you_mean
 from twc_env.records.class_file import class_in, is_in_file
 from twc_env.records.messages import Belief
 
+from .roster import TEAMS
+
 
 class Policy(Protocol):
     """Controls a whole team from the robots' beliefs. Subclasses must implement `act` only."""
@@ -32,22 +34,9 @@ class Policy(Protocol):
         """Whether there is nothing left to do, so that the episode may end early."""
 
 
-_POLICIES = {
-    "nearest-frontier": ("nearest_frontier", "NearestFrontier"),
-    "cost-utility": ("frontier_teams", "CostUtility"),
-    "assignment": ("frontier_teams", "Assignment"),
-    "voronoi": ("frontier_teams", "Voronoi"),
-    "radio-frontier": ("radio_frontier", "RadioFrontier"),
-    "radio-walk": ("radio_walk", "RadioWalk"),
-    "random": ("random_walk", "RandomWalk"),
-    "wall-follower": ("wall_follower", "WallFollower"),
-}
-"""Module and class of each team; imported when a team is made, so that `--help` starts quickly."""
-
-
 def policy_names() -> tuple[str, ...]:
     """Names `make_policy` knows."""
-    return tuple(sorted(_POLICIES))
+    return tuple(sorted(TEAMS))
 
 
 def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
@@ -55,17 +44,18 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
 
     Raises ConfigError for an unknown name, and unless `action.kind` is `velocity`.
     """
-    if name not in _POLICIES and not is_in_file(str(name)):
+    if name not in TEAMS and not is_in_file(str(name)):
         known = f"choose one of {', '.join(policy_names())}, or FILE.py:CLASS"
-        raise ConfigError(f"unknown agent {name!r}; {known}{did_you_mean(name, _POLICIES)}")
+        raise ConfigError(f"unknown agent {name!r}; {known}{did_you_mean(name, TEAMS)}")
     config = config or EnvConfig()
     if config.action.kind != "velocity":
         raise ConfigError(
             f"scripted teams need action.kind = 'velocity'; got {config.action.kind!r}: remove this setting"
         )
-    if name in _POLICIES:
-        module, class_name = _POLICIES[name]
-        scripted: Policy = getattr(import_module(f"{__package__}.{module}"), class_name)(config)
+    if name in TEAMS:
+        team = TEAMS[name]
+        module = import_module(f"{__package__}.{team.module}")
+        scripted: Policy = getattr(module, team.class_name)(config, **team.options)
         return scripted
     remedy = "derive it from twc_env.agents.Policy, or add what lacks"
     policy: Policy = class_in(name, ("reset", "act", "finished"), remedy)(config)

@@ -39,7 +39,7 @@ def add_radio_survey_parser(commands: Any) -> None:
 
 
 def _radio_survey(options: argparse.Namespace) -> int:
-    from twc_env.agents import radio_survey
+    from twc_env.agents.radio import radio_survey
 
     seeds = parse_seeds(options.seeds)
     for name in options.maps:

@@ -1,0 +1,100 @@
+"""Frontiers detected by rapidly-exploring random trees (Umari and Mukhopadhyay, IROS 2017).
+
+Each robot grows a local tree from where it is, which begins anew at every frontier point found, and a global tree that
+is kept. Where an extension of a tree leaves the known floor, there is a frontier point. Points are filtered, and each
+robot takes the one of the greatest revenue: lambda h I - N, where I is the unknown area around the point, N the distance
+to it, and h > 1 for points near the robot. What mates drive to is discounted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.planning import Disc, Plan, RandomTree, Terrain, ViewGain
+from twc_env.records.geometry import compose, inverse, transform_points
+from twc_env.records.messages import Belief
+
+from ..shared.frontier_team import FrontierTeam
+
+SAMPLES = 100
+"""Extensions of each tree between two plans, in addition to as many per second."""
+LOCAL_STEP_M, GLOBAL_STEP_M = 1.0, 4.0
+"""Greatest length of an extension (eta of the paper; its package uses 1 and 15 m in open space)."""
+GAIN_RADIUS_M = 2.0
+"""Unknown floor within this distance of a point, in line of sight, is its information gain."""
+GAIN_MIN_M2 = 0.3
+"""Points with less are deleted."""
+LAMBDA, HYSTERESIS, HYSTERESIS_M = 3.0, 2.0, 3.0
+"""Weight of the gain against the distance, and gain within a distance of the robot (values of the authors' package)."""
+CLUSTER_M = 1.0
+"""Points nearer to each other than this are one."""
+
+
+class RRT(FrontierTeam):
+    """Each robot has its own trees and points, in the frame of its map."""
+
+    def reset(self, seed: int, agents: Sequence[str]) -> None:
+        """Discard all state."""
+        super().reset(seed, agents)
+        self._draws = np.random.default_rng([seed, 1])
+        self._trees: dict[str, list[RandomTree]] = {}
+        self._points_m: dict[str, Array] = {agent: np.zeros((0, 2)) for agent in agents}
+        self._seen: dict[str, tuple[tuple[int, int], Array]] = {}
+
+    def best_plan(
+        self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
+    ) -> tuple[Plan | None, str]:
+        """The plan to the point of the greatest revenue, else to the nearest frontier, else of a patrol."""
+        here, belief = self.robots[agent].pose[:2], beliefs[agent]
+        frontiers = self.frontiers(agent, beliefs, terrain, discs)
+        if not len(frontiers.labels):
+            return self.patrol(agent, beliefs, terrain, discs)
+        points_m, gains_m2 = self._points(agent, beliefs, terrain)
+        revenue = LAMBDA * gains_m2 * np.where(np.hypot(*(points_m - here).T) < HYSTERESIS_M, HYSTERESIS, 1.0)
+        revenue -= np.hypot(*(points_m - here).T)
+        banned = self.banned(self.robots[agent], belief, {})
+        for k in np.argsort(-revenue, kind="stable"):
+            if any(np.hypot(*(place - points_m[k])) < self.explorer.forget_radius_m for place in banned):
+                continue
+            plan = self.plan_to_place(terrain, agent, points_m[k], discs, CLUSTER_M / 2)
+            if plan is not None:
+                return plan, "frontier"
+        plan = self.plan_to(terrain, agent, frontiers.labels, discs)  # no tree has reached a frontier
+        return plan, "frontier" if plan is not None else ""
+
+    def _points(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> tuple[Array, Array]:
+        """(k, 2) frontier points of this robot after growing its trees, and their information gains (k,)."""
+        pose, belief = self.robots[agent].pose, beliefs[agent]
+        trees = self._trees.setdefault(agent, [RandomTree(pose[:2]), RandomTree(pose[:2])])
+        map_id = belief.map_version, len(belief.mates)
+        before_id, before = self._seen.get(agent, (map_id, pose))
+        if before_id != map_id:  # the frame has jumped: trees that no longer lie on free floor would be wrong
+            jump = compose(pose, inverse(before))
+            self._points_m[agent] = transform_points(jump, self._points_m[agent])
+            trees[1] = RandomTree(pose[:2])
+        self._seen[agent] = map_id, pose.copy()
+        trees[0] = RandomTree(pose[:2])
+        found = [
+            tree.grow(terrain, self._draws.random((SAMPLES, 2)), step_m)
+            for tree, step_m in zip(trees, (LOCAL_STEP_M, GLOBAL_STEP_M), strict=True)
+        ]
+        points_m = _clustered(np.vstack([self._points_m[agent], *found]))
+        views = ViewGain(terrain, GAIN_RADIUS_M, beams=48)
+        for goal_m in self.heard_goals_m(agent, beliefs).values():
+            views.claim(goal_m)
+        gains_m2 = views.area_m2(points_m)
+        is_new = gains_m2 >= GAIN_MIN_M2
+        self._points_m[agent] = points_m[is_new]
+        return points_m[is_new], gains_m2[is_new]
+
+
+def _clustered(points_m: Array) -> Array:
+    """The points without those near an earlier one: stands for the mean shift of the paper."""
+    kept: list[Array] = []
+    for point in points_m:
+        if all(np.hypot(*(point - other)) >= CLUSTER_M for other in kept):
+            kept.append(point)
+    return np.array(kept).reshape(-1, 2)
