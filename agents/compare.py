@@ -16,7 +16,7 @@ from twc_env.running.finished_parts import FinishedParts
 from twc_env.running.worker_processes import in_processes
 
 from .explore import origin_of
-from .policy import make_policy
+from .policy import begin, make_policy
 
 GOAL = 0.9
 """Share of the floor to be mapped correctly."""
@@ -82,7 +82,7 @@ def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
     config = override(config, {"reward.sharing": "team"})  # the coverage of the team is read from its reward terms
     env, policy = twc_env.parallel_env(config=config), make_policy(agent, config)
     env.reset(seed=seed)
-    policy.reset(seed, env.possible_agents)
+    begin(policy, agent, env, seed)
     covered = [0.0]
     while env.agents:
         beliefs = {name: env.belief(name) for name in env.agents}

@@ -25,7 +25,7 @@ from twc_env.running.command_line import alone_in
 from twc_env.running.finished_parts import code_digest
 
 from . import picture
-from .policy import make_policy
+from .policy import begin, make_policy
 
 WARM_UP_STEPS = 10
 """Steps at the start that are excluded from the speed."""
@@ -68,7 +68,7 @@ def explore(
     policy = make_policy(agent, config)
     env = twc_env.parallel_env(config=config, render_mode="rgb_array" if film else None)
     env.reset(seed=seed)
-    policy.reset(seed, env.possible_agents)
+    begin(policy, agent, env, seed)
     frames, contacts, trace = [env.frames], [env.contacts], EpisodeTrace(env)
     thought_s, env_s, counted, step, was_interrupted = 0.0, 0.0, 0, 0, False
     compiling = TimingListener()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from numpy.typing import NDArray
 
@@ -15,6 +15,9 @@ from twc_env.records.class_file import class_in, is_in_file
 from twc_env.records.messages import Belief
 
 from .roster import TEAMS
+
+if TYPE_CHECKING:
+    from twc_env import ExplorationEnv
 
 
 class Policy(Protocol):
@@ -60,3 +63,14 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     remedy = "derive it from twc_env.agents.Policy, or add what lacks"
     policy: Policy = class_in(name, ("reset", "act", "finished"), remedy)(config)
     return policy
+
+
+def begin(policy: Policy, agent: str, env: ExplorationEnv, seed: int) -> None:
+    """Prepare a policy made by `make_policy(agent)` for the episode that has begun; only oracles are given the truth.
+
+    What users write as FILE.py:CLASS is never given it.
+    """
+    policy.reset(seed, env.possible_agents)
+    if agent in TEAMS and TEAMS[agent].is_oracle:
+        oracle: Any = policy
+        oracle.give_truth(env.floorplan, env.state)

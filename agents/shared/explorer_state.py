@@ -77,8 +77,8 @@ class ExplorerRobot:
     """Changes whenever the map frame jumps: version of the map and number of mates in it."""
     goal_m: Array = field(default_factory=lambda: np.zeros(2))
     goal_kind: str = ""
-    """"frontier", "tour" (nothing is left to explore), "place" (for another purpose), "wait" (on the spot); "" when there
-    is no goal."""
+    """"frontier", "tour" (nothing is left to explore), "place" (for another purpose), "wait" (on the spot); "" when
+    there is no goal."""
     arrived_step: int = -1
     stuck_count: int = 0
     track_m: list[Array] = field(default_factory=list)

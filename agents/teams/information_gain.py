@@ -1,11 +1,11 @@
 """Information gain: the view that is expected to tell most, for its way.
 
 Bourgault, Makarenko, Williams, Grocholsky and Durrant-Whyte ("Information based adaptive robotic exploration", IROS
-2002) choose the action with the greatest expected reduction of the map's entropy: each unknown cell in view is worth one
-bit. The way is weighed against it as by Gonzalez-Banos and Latombe ("Navigation strategies for exploring indoor
-environments", IJRR 2002): gain times exp(-lambda length). Candidates are the frontiers and places on a lattice of open
-floor; unlike with frontiers, a view over a large room counts more than a gap beside a cupboard. What the goals of mates
-will show is not counted again.
+2002) choose the action with the greatest expected reduction of the map's entropy: each unknown cell in view is worth
+one bit. The way is weighed against it as by Gonzalez-Banos and Latombe ("Navigation strategies for exploring indoor
+environments", IJRR 2002): gain times exp(-lambda length). Candidates are the frontiers and places on a lattice of
+open floor; unlike with frontiers, a view over a large room counts more than a gap beside a cupboard. What the goals
+of mates will show is not counted again.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ GAIN_MIN_M2 = 0.3
 
 
 class InformationGain(FrontierTeam):
-    """The robot decides anew at each replanning."""
+    """A robot decides anew when the view that it drives to would show nothing any more."""
 
     def __init__(self, config: EnvConfig):
         super().__init__(config)
@@ -43,6 +43,13 @@ class InformationGain(FrontierTeam):
         frontiers = self.frontiers(agent, beliefs, terrain, discs)
         if not len(frontiers.labels):
             return self.patrol(agent, beliefs, terrain, discs)
+        views = ViewGain(terrain, self._range_m)
+        for goal_m in self.heard_goals_m(agent, beliefs).values():
+            views.claim(goal_m)
+        if robot.goal_kind in ("place", "frontier") and views.area_m2(robot.goal_m[None])[0] >= GAIN_MIN_M2:
+            plan = self.plan_to_place(terrain, agent, robot.goal_m, discs, 0.2)
+            if plan is not None:
+                return plan, robot.goal_kind
         labels = np.zeros_like(terrain.labels)
         stride = max(1, round(SPACING_M / terrain.resolution_m))
         rows, columns = (
@@ -56,9 +63,6 @@ class InformationGain(FrontierTeam):
         candidates = np.flatnonzero(np.isfinite(lengths_m))
         for place in self.banned(robot, belief, {}):
             candidates = candidates[np.hypot(*(places_m[candidates] - place).T) >= self.explorer.forget_radius_m]
-        views = ViewGain(terrain, self._range_m)
-        for goal_m in self.heard_goals_m(agent, beliefs).values():
-            views.claim(goal_m)
         gains_m2 = views.area_m2(places_m[candidates])
         worth = gains_m2 * np.exp(-DECAY_PER_M * lengths_m[candidates])
         worth[gains_m2 < GAIN_MIN_M2] = 0.0

@@ -1,104 +1,84 @@
-"""A market for goals (Zlot, Stentz, Dias and Thayer, "Multi-robot exploration controlled by a market economy", ICRA 2002).
+"""A market for goals (Zlot, Stentz, Dias and Thayer 2002).
 
-Every robot holds a tour of goals, offers each of its goals to the mates that it hears, and sells it to the one whose
-tour it lengthens least, if that is less than what it saves. Robots without contact keep their goals, so the team works
-without a central auctioneer and whatever the state of the links. New goals are the centres of frontiers (greedy
-exploration in the paper); a robot that finds one owns it unless a mate in contact does.
+"Multi-robot exploration controlled by a market economy", ICRA 2002.
+The frontiers are auctioned among the robots of a group that hear each other. In each round every robot bids for the
+goal that it can add to its tour at the least price, and the cheapest bid wins, until all are sold: sequential single-
+item auctions (Lagoudakis et al., "Auction-based multi-robot routing", RSS 2005), whose bidding rule for the least
+time of the team is the length of the whole tour. A robot drives to the first goal of its tour. What a mate out of
+contact said it drives to is not auctioned. There is no auctioneer: whoever is out of contact explores on its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.planning import Disc, Plan, Terrain
 from twc_env.records.messages import Belief
 
 from ..shared.frontier_team import Frontiers, FrontierTeam
 
 SAME_M = 1.5
-"""Goals nearer to each other than this are the same."""
+"""A frontier within this distance of what a mate drives to is that mate's."""
+GOALS_MAX = 30
+"""Only so many of the nearest frontiers are auctioned."""
 
 
 class Market(FrontierTeam):
-    """Goals are traded at each replanning; a robot drives to the first goal of its tour."""
+    """The auction is held anew at each replanning, as the map grows."""
 
     keeps_goal = False
 
-    def reset(self, seed: int, agents: Sequence[str]) -> None:
-        """Discard all state."""
-        super().reset(seed, agents)
-        self._tour_m: dict[str, Array] = {agent: np.zeros((0, 2)) for agent in agents}
-
     def choose(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> int | None:
-        """The frontier of the first goal of the robot's tour, after trading."""
-        others = self.mates_in_contact(agent, beliefs)
-        self._update_tour(agent, others, frontiers)
-        for mate in others:
-            self._sell(agent, mate, beliefs)
-        tour_m = self._tour_m[agent]
-        if not len(tour_m):  # it sold everything: it helps with what is nearest
-            return int(np.argmin(frontiers.lengths_m))
-        return int(np.argmin(np.hypot(*(frontiers.centres_m - tour_m[0]).T)))
-
-    def best_plan(
-        self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
-    ) -> tuple[Plan | None, str]:
-        """The plan to the first goal; on a patrol the robot owns nothing."""
-        plan, kind = super().best_plan(agent, beliefs, terrain, discs)
-        if kind != "frontier":
-            self._tour_m[agent] = np.zeros((0, 2))
-        return plan, kind
-
-    def _update_tour(self, agent: str, others: list[str], frontiers: Frontiers) -> None:
-        """Drop goals whose frontier is gone, and insert frontiers that nobody in contact owns."""
-        centres_m = frontiers.centres_m
-        owned_m = np.vstack([np.zeros((0, 2)), *(self._tour_m[mate] for mate in others)])
-        kept = [
-            g for g in self._tour_m[agent] if _nearest_m(g, centres_m) < SAME_M and _nearest_m(g, owned_m) >= SAME_M
-        ]
-        tour_m, here = np.array(kept).reshape(-1, 2), self.robots[agent].pose[:2]
-        for k in np.argsort(frontiers.lengths_m, kind="stable"):
-            if _nearest_m(centres_m[k], tour_m) >= SAME_M and _nearest_m(centres_m[k], owned_m) >= SAME_M:
-                tour_m = _inserted(here, tour_m, centres_m[k])[0]
-        if len(tour_m):  # the nearest goal first: it is the one with the greatest profit
-            goals = [int(np.argmin(np.hypot(*(centres_m - goal_m).T))) for goal_m in tour_m]
-            ways_m = frontiers.lengths_m[goals]
-            ways_m[np.array(goals) == self.current(agent, frontiers)] -= self.explorer.change_penalty_m
-            first = int(np.argmin(ways_m))
-            tour_m = np.vstack([tour_m[[first]], np.delete(tour_m, first, axis=0)])
-        self._tour_m[agent] = tour_m
-
-    def _sell(self, agent: str, mate: str, beliefs: dict[str, Belief]) -> None:
-        """Auction each goal but the first, to which the robot drives, to one mate that would go less out of its way."""
-        here, there = self.robots[agent].pose[:2], beliefs[mate].pose_map_robot[:2]
-        for goal_m in self._tour_m[agent][1:]:
-            mine_m, theirs_m = self._tour_m[agent], self._tour_m[mate]
-            rest_m = mine_m[(mine_m != goal_m).any(axis=1)]
-            tour_m, added_m = _inserted(there, theirs_m, goal_m)
-            if added_m < _length_m(here, mine_m) - _length_m(here, rest_m):
-                self._tour_m[agent], self._tour_m[mate] = rest_m, tour_m
-
-    def _listen(self, agent: str, beliefs: dict[str, Belief]) -> None:
+        """The first goal of the robot's tour; the nearest frontier if it won nothing."""
         belief = beliefs[agent]
-        if (belief.map_version, len(belief.mates)) != self.robots[agent].map_id:  # goals are in the former frame
-            self._tour_m[agent] = np.zeros((0, 2))
-        super()._listen(agent, beliefs)
+        hearing = [beliefs[mate].robot for mate in self.mates_in_contact(agent, beliefs)]
+        is_open = np.ones(len(frontiers.labels), bool)
+        for mate, goal_m in self.heard_goals_m(agent, beliefs).items():
+            if mate not in hearing:
+                is_open &= np.hypot(*(frontiers.centres_m - goal_m).T) >= SAME_M
+        rows = [0, *(1 + k for k, mate in enumerate(belief.mates) if mate in hearing)]
+        lengths_m = (frontiers.all_lengths_m if len(rows) > 1 else frontiers.lengths_m[None])[rows]
+        goals = np.flatnonzero(is_open)
+        goals = goals[np.argsort(lengths_m[:, goals].min(axis=0), kind="stable")][:GOALS_MAX]
+        if not len(goals):
+            return int(np.argmin(frontiers.lengths_m))
+        current = self.current(agent, frontiers)
+        if current is not None:
+            lengths_m[0, current] = max(lengths_m[0, current] - self.explorer.change_penalty_m, 0.0)
+        tour = auctioned(lengths_m[:, goals], frontiers.centres_m[goals])[0]
+        return int(goals[tour[0]]) if tour else int(np.argmin(frontiers.lengths_m))
 
 
-def _nearest_m(place_m: Array, others_m: Array) -> float:
-    return float(np.hypot(*(others_m - place_m).T).min(initial=np.inf))
+def auctioned(lengths_m: Array, places_m: Array) -> list[list[int]]:
+    """The tour of each robot: indices of goals in the order of visits.
+
+    lengths_m (robots, goals): path lengths to the goals; places_m (goals, 2): straight lines are taken between goals.
+    """
+    apart_m = np.hypot(*(places_m[:, None] - places_m).T)
+    tours: list[list[int]] = [[] for _ in lengths_m]
+    unsold = set(range(len(places_m)))
+    while unsold:
+        bids = [_cheapest(tours[robot], lengths_m[robot], apart_m, unsold) for robot in range(len(tours))]
+        winner = min(range(len(bids)), key=lambda robot: bids[robot][0])
+        _, tours[winner], goal = bids[winner]
+        unsold.remove(goal)
+    return tours
 
 
-def _length_m(start_m: Array, tour_m: Array) -> float:
-    return float(np.hypot(*np.diff(np.vstack([start_m, tour_m]), axis=0).T).sum())
+def _cheapest(tour: list[int], lengths_m: Array, apart_m: Array, unsold: set[int]) -> tuple[float, list[int], int]:
+    """A robot's bid: length of its tour [m] with the goal that lengthens it least, that tour, and the goal."""
+    best: tuple[float, list[int], int] = (np.inf, tour, -1)
+    before_m = _length_m(tour, lengths_m, apart_m)
+    for goal in sorted(unsold):
+        for k in range(len(tour) + 1):
+            behind = lengths_m[goal] if k == 0 else apart_m[tour[k - 1], goal]
+            ahead = apart_m[goal, tour[k]] if k < len(tour) else 0.0
+            skipped = 0.0 if k == len(tour) else (lengths_m[tour[0]] if k == 0 else apart_m[tour[k - 1], tour[k]])
+            price_m = before_m + behind + ahead - skipped
+            if price_m < best[0]:
+                best = price_m, [*tour[:k], goal, *tour[k:]], goal
+    return best
 
 
-def _inserted(start_m: Array, tour_m: Array, goal_m: Array) -> tuple[Array, float]:
-    """The tour with a goal inserted after its first one, where it adds least, and what it adds [m]."""
-    tours = [np.insert(tour_m, k, goal_m, axis=0) for k in range(min(1, len(tour_m)), len(tour_m) + 1)]
-    lengths_m = [_length_m(start_m, tour) for tour in tours]
-    best = int(np.argmin(lengths_m))
-    return tours[best], lengths_m[best] - _length_m(start_m, tour_m)
+def _length_m(tour: list[int], lengths_m: Array, apart_m: Array) -> float:
+    return float(lengths_m[tour[0]] + apart_m[tour[:-1], tour[1:]].sum()) if tour else 0.0

@@ -1,8 +1,8 @@
 """MinPos: the frontier to which the fewest mates are closer (Bautin, Simonin and Charpillet 2012).
 
 "MinPos: a novel frontier allocation algorithm for multi-robot exploration", ICIRA 2012. The rank of a robot towards a
-frontier is the number of robots with a shorter path to it. Each robot takes the frontier of its lowest rank; of several,
-the nearest. This spreads robots over directions, even where all frontiers are nearest to the same robot.
+frontier is the number of robots with a shorter path to it. Each robot takes the frontier of its lowest rank; of
+several, the nearest. This spreads robots over directions, even where all frontiers are nearest to the same robot.
 """
 
 from __future__ import annotations

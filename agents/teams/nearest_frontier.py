@@ -7,8 +7,6 @@ merge where two robots have both been. This is the reference team of the results
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray as Array
 

@@ -1,8 +1,8 @@
 """Multi-robot multi-target potential field (Yu et al. 2021, "SMMR-Explore", ICRA 2021).
 
-All frontiers attract a robot at once: each by its size over the length of the way to it. Robots nearby repel each other.
-The robot drives to the neighbouring place of lowest potential; where its own place is the lowest, it drives to the
-nearest frontier, which leads out of the local minimum.
+All frontiers attract a robot at once: each by its size over the length of the way to it. Robots nearby repel each
+other. The robot drives to the neighbouring place of lowest potential; where its own place is the lowest, it drives to
+the nearest frontier, which leads out of the local minimum.
 """
 
 from __future__ import annotations

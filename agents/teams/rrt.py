@@ -1,26 +1,27 @@
 """Frontiers detected by rapidly-exploring random trees (Umari and Mukhopadhyay, IROS 2017).
 
-Each robot grows a local tree from where it is, which begins anew at every frontier point found, and a global tree that
-is kept. Where an extension of a tree leaves the known floor, there is a frontier point. Points are filtered, and each
-robot takes the one of the greatest revenue: lambda h I - N, where I is the unknown area around the point, N the distance
-to it, and h > 1 for points near the robot. What mates drive to is discounted.
+Each robot grows a local tree from where it is, which begins anew at every frontier point found, and a global tree
+that is kept. Where an extension of a tree leaves the known floor, there is a frontier point. Points are filtered, and
+each robot takes the one of the greatest revenue: lambda h I - N, where I is the unknown area around the point, N the
+distance to it, and h > 1 for points near the robot. What mates drive to is discounted.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.planning import Disc, Plan, RandomTree, Terrain, ViewGain
+from twc_env.planning import Disc, Plan, RandomTree, Terrain, ViewGain, is_frontier
 from twc_env.records.geometry import compose, inverse, transform_points
 from twc_env.records.messages import Belief
 
-from ..shared.frontier_team import FrontierTeam
+from ..shared.frontier_team import Frontiers, FrontierTeam
 
-SAMPLES = 100
-"""Extensions of each tree between two plans, in addition to as many per second."""
+SAMPLES = 1000
+"""Extensions of each tree at each replanning."""
 LOCAL_STEP_M, GLOBAL_STEP_M = 1.0, 4.0
 """Greatest length of an extension (eta of the paper; its package uses 1 and 15 m in open space)."""
 GAIN_RADIUS_M = 2.0
@@ -48,25 +49,31 @@ class RRT(FrontierTeam):
         self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
     ) -> tuple[Plan | None, str]:
         """The plan to the point of the greatest revenue, else to the nearest frontier, else of a patrol."""
-        here, belief = self.robots[agent].pose[:2], beliefs[agent]
+        robot, belief = self.robots[agent], beliefs[agent]
+        here = robot.pose[:2]
         frontiers = self.frontiers(agent, beliefs, terrain, discs)
         if not len(frontiers.labels):
             return self.patrol(agent, beliefs, terrain, discs)
-        points_m, gains_m2 = self._points(agent, beliefs, terrain)
+        if robot.goal_kind == "frontier" and is_frontier(belief.grid, robot.goal_m, CLUSTER_M / 2):
+            plan = self.plan_to_place(terrain, agent, robot.goal_m, discs, CLUSTER_M / 2)
+            if plan is not None:  # robots are assigned a point when they are done with the last one
+                return plan, "frontier"
+        points_m, gains_m2 = self._points(agent, beliefs, frontiers)
         revenue = LAMBDA * gains_m2 * np.where(np.hypot(*(points_m - here).T) < HYSTERESIS_M, HYSTERESIS, 1.0)
         revenue -= np.hypot(*(points_m - here).T)
-        banned = self.banned(self.robots[agent], belief, {})
+        banned = self.banned(robot, belief, {})
         for k in np.argsort(-revenue, kind="stable"):
-            if any(np.hypot(*(place - points_m[k])) < self.explorer.forget_radius_m for place in banned):
-                continue
             plan = self.plan_to_place(terrain, agent, points_m[k], discs, CLUSTER_M / 2)
-            if plan is not None:
+            if plan is not None and all(
+                math.dist(place, plan.path_m[-1]) >= self.explorer.forget_radius_m for place in banned
+            ):
                 return plan, "frontier"
         plan = self.plan_to(terrain, agent, frontiers.labels, discs)  # no tree has reached a frontier
         return plan, "frontier" if plan is not None else ""
 
-    def _points(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> tuple[Array, Array]:
+    def _points(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> tuple[Array, Array]:
         """(k, 2) frontier points of this robot after growing its trees, and their information gains (k,)."""
+        terrain = frontiers.terrain
         pose, belief = self.robots[agent].pose, beliefs[agent]
         trees = self._trees.setdefault(agent, [RandomTree(pose[:2]), RandomTree(pose[:2])])
         map_id = belief.map_version, len(belief.mates)
@@ -82,6 +89,8 @@ class RRT(FrontierTeam):
             for tree, step_m in zip(trees, (LOCAL_STEP_M, GLOBAL_STEP_M), strict=True)
         ]
         points_m = _clustered(np.vstack([self._points_m[agent], *found]))
+        is_wide = np.isin([terrain.label_near(point, CLUSTER_M / 2) for point in points_m], frontiers.labels)
+        points_m = points_m[is_wide]  # elsewhere, a tree has met a gap too narrow for a robot
         views = ViewGain(terrain, GAIN_RADIUS_M, beams=48)
         for goal_m in self.heard_goals_m(agent, beliefs).values():
             views.claim(goal_m)
@@ -92,9 +101,6 @@ class RRT(FrontierTeam):
 
 
 def _clustered(points_m: Array) -> Array:
-    """The points without those near an earlier one: stands for the mean shift of the paper."""
-    kept: list[Array] = []
-    for point in points_m:
-        if all(np.hypot(*(point - other)) >= CLUSTER_M for other in kept):
-            kept.append(point)
-    return np.array(kept).reshape(-1, 2)
+    """One point of each square of `CLUSTER_M`, the earliest: stands for the mean shift of the paper."""
+    _, first = np.unique(np.floor(points_m / CLUSTER_M), axis=0, return_index=True)
+    return points_m[np.sort(first)]

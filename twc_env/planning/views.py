@@ -54,7 +54,8 @@ class ViewGain:
         margin = math.ceil(self._reach)
         self._kind = np.pad(terrain.kind, margin, constant_values=UNKNOWN)
         self._margin = margin
-        self._is_claimed = np.zeros(self._kind.shape, np.bool_)
+        self.is_claimed = np.zeros(self._kind.shape, np.bool_)
+        """Unknown cells that do not count, of the terrain with a margin of the range."""
         self._stamp = np.zeros(self._kind.shape, np.int32)
 
     def claim(self, place_m: Array) -> None:
@@ -62,14 +63,14 @@ class ViewGain:
         row, column = self._terrain.to_cells(place_m) + self._margin
         self._stamp[:] = 0
         args = (row, column, self._reach, self._beams, self._stamp, 1, True)
-        _count_unknown(self._kind, self._is_claimed, *args)
+        _count_unknown(self._kind, self.is_claimed, *args)
 
     def area_m2(self, places_m: Array) -> Array:
         """(k,) unclaimed unknown area [m2] that a scan from each of places_m (k, 2) would show."""
         cells = np.ascontiguousarray(self._terrain.to_cells(places_m) + self._margin, dtype=float)
         counts = np.zeros(len(cells), np.int64)
         self._stamp[:] = 0
-        _count_each(self._kind, self._is_claimed, cells, self._reach, self._beams, self._stamp, counts)
+        _count_each(self._kind, self.is_claimed, cells, self._reach, self._beams, self._stamp, counts)
         return counts * self._terrain.resolution_m**2
 
 

@@ -1,0 +1,89 @@
+"""Relay: the robots of a group explore only where they stay in radio range of each other.
+
+Rooker and Birk ("Multi-robot exploration under the constraints of wireless networking", Control Engineering Practice
+15(4), 2007) choose moves that do not break the network. Here the links form a chain of robots by their numbers: a robot
+takes the frontier of its lowest MinPos rank among those from which it would reach a robot with a lower number, as it
+estimates from range, walls of its map and what that robot said about its goal. If no frontier is in range, it is a
+relay: it follows that robot. With a central mapper, which is reached from everywhere, this is MinPos.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.config import EnvConfig, LinkConfig
+from twc_env.planning import WALL, Disc, Plan, Terrain
+from twc_env.records.messages import Belief
+
+from ..shared.frontier_team import Frontiers
+from ..teams.minpos import MinPos
+
+MARGIN = 0.85
+"""Share of the range that is counted on."""
+LOST_S = 3.0
+"""After this time without contact, a robot drives back to the last known position of the robot that it follows."""
+GIVE_UP_S = 30.0
+"""After this time it explores on its own."""
+
+
+class Relay(MinPos):
+    """With `is_aware=False`, the same without the range: MinPos."""
+
+    def __init__(self, config: EnvConfig, is_aware: bool = True):
+        self._link = config.link
+        self._is_aware = is_aware and config.link.topology == "peer"
+        super().__init__(config)
+
+    def best_plan(
+        self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
+    ) -> tuple[Plan | None, str]:
+        """The plan to a frontier in range, else to the robot that is followed."""
+        leader = self._leader(agent, beliefs)
+        if leader is None:
+            return super().best_plan(agent, beliefs, terrain, discs)
+        belief, tick_s = beliefs[agent], self.dynamics.time_step_s
+        silent_s = (belief.step - belief.contact_steps.get(leader, -1)) * tick_s
+        anchor_m = self._anchor_m(agent, leader, beliefs)
+        if silent_s <= LOST_S:
+            frontiers = self.frontiers(agent, beliefs, terrain, discs)
+            is_near = in_range(terrain, frontiers.places_m, anchor_m, self._link)
+            if is_near.any():
+                chosen = self._lowest_rank(frontiers, np.flatnonzero(is_near))
+                plan = self.plan_to(terrain, agent, frontiers.labels[[chosen]], discs)
+                if plan is not None:
+                    return plan, "frontier"
+        plan = self.plan_to_place(terrain, agent, anchor_m, discs, 1.0)
+        if plan is None:
+            return super().best_plan(agent, beliefs, terrain, discs)
+        return (plan, "place") if plan.length_m > 2.0 else (None, "wait")
+
+    def _lowest_rank(self, frontiers: Frontiers, among: Array) -> int:
+        rank = (frontiers.mate_lengths_m < frontiers.lengths_m).sum(axis=0)
+        return int(among[np.lexsort((frontiers.lengths_m[among], rank[among]))[0]])
+
+    def _leader(self, agent: str, beliefs: dict[str, Belief]) -> int | None:
+        """The mate with a lower number that was heard last; None if the robot is free to go anywhere."""
+        belief = beliefs[agent]
+        heard = [(belief.contact_steps.get(mate, -1), -mate) for mate in belief.mates if mate < belief.robot]
+        if not self._is_aware or not heard:
+            return None
+        step, number = max(heard)
+        return None if (belief.step - step) * self.dynamics.time_step_s > GIVE_UP_S else -number
+
+    def _anchor_m(self, agent: str, leader: int, beliefs: dict[str, Belief]) -> Array:
+        """(2,) the leader's goal as it told it, or its position."""
+        goals = self.heard_goals_m(agent, beliefs)
+        return goals[leader] if leader in goals else np.asarray(beliefs[agent].mates[leader][:2], float)
+
+
+def in_range(terrain: Terrain, places_m: Array, other_m: Array, link: LinkConfig) -> Array:
+    """(k,) bool: whether a link from each of places_m (k, 2) to a point is likely, by the walls on the map between."""
+    apart_m = np.hypot(*(places_m - other_m).T)
+    samples = max(2, int(2 * apart_m.max(initial=0.0) / terrain.resolution_m))
+    share = np.linspace(0.0, 1.0, samples)[:, None, None]
+    cells = np.floor(terrain.to_cells(places_m + share * (other_m - places_m))).astype(int)  # (samples, k, 2)
+    rows, columns = np.moveaxis(np.clip(cells, 0, np.array(terrain.kind.shape) - 1), -1, 0)
+    is_wall = terrain.kind[rows, columns] == WALL
+    walls = (is_wall[1:] & ~is_wall[:-1]).sum(axis=0)
+    return apart_m + link.wall_range_m * walls <= MARGIN * link.range_max_m
