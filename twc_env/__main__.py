@@ -19,7 +19,7 @@ from twc_env.commands.maps import add_maps_parser
 from twc_env.commands.ocr import add_ocr_parser
 from twc_env.commands.radio_survey import add_radio_survey_parser
 from twc_env.commands.settings import add_settings_parser
-from twc_env.commands.team_options import AGENTS
+from twc_env.commands.team_options import agents_help
 from twc_env.commands.train import add_train_parser
 from twc_env.reproduce.runner import add_parser
 from twc_env.running.command_line import Parser, add_version, run_command
@@ -38,7 +38,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Teams of robots that explore buildings while a cooperative SLAM engine maps them. Each command "
         "has its own --help.",
         epilog="examples:\n  twc-env explore --map twin-01 --out runs/mine\n  twc-env compare --buildings 20 --jobs 2\n"
-        "  twc-env maps show twin-01\n  twc-env settings > mine.toml\n\n" + AGENTS,
+        "  twc-env maps show twin-01\n  twc-env settings > mine.toml\n\n" + agents_help(),
     )
     add_version(parser)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")

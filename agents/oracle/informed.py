@@ -146,7 +146,7 @@ class Informed(Explorer):
         self._seen[agent].claim(here)
         self._holds[agent] |= self._seen[agent].is_claimed
         for other, theirs in self._believed.items():
-            if belief.contact_steps.get(theirs.robot, -1) == belief.step:
+            if theirs.robot in belief.mates and belief.contact_steps.get(theirs.robot, -1) == belief.step:
                 self._holds[agent] |= self._holds[other]
         self._has_read[agent] |= np.hypot(*(self._signs_m - here).T) < READ_M
 

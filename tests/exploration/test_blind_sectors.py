@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from twc_env.agents.openings import is_open_behind
+from twc_env.agents.shared.openings import is_open_behind
 from twc_env.agents.policy import make_policy
 
 import twc_env

@@ -12,19 +12,18 @@ from typing import Any
 from twc_env.config import EnvConfig, override
 from twc_env.running.command_line import add_config, add_json, add_set, assignments, config_of, count
 
-AGENTS = """\
-An AGENT is
-  nearest-frontier    drives to the nearest frontier, keeping teammates apart
-  cost-utility        trades off distance to a frontier against what teammates will see of it
-  assignment          one frontier per robot, minimising the total path length
-  voronoi             each robot takes the frontiers that it is closest to
-  radio-frontier      nearest-frontier, preferring floor predicted from WiFi (slam.k_visibility.enabled=true)
-  radio-walk          drives to where walls estimated from WiFi are least certain
-  random              wanders
-  wall-follower       follows walls
-  FILE.py:CLASS       your own class, derived from agents.Policy (docs/library.md)
-"""
 TEAMS = ("nearest-frontier", "cost-utility", "assignment", "voronoi", "random")
+
+
+def agents_help() -> str:
+    """What an AGENT may be, one line each."""
+    from twc_env.agents.roster import TEAMS as teams
+    from twc_env.agents.roster import display_name
+
+    lines = [(display_name(name), team.summary) for name, team in teams.items()]
+    lines.append(("FILE.py:CLASS", "your own class, derived from agents.Policy (docs/library.md)"))
+    width = max(len(name) for name, _ in lines) + 2
+    return "An AGENT is\n" + "".join(f"  {name:<{width}}{summary}\n" for name, summary in lines)
 
 
 def team_config(options: argparse.Namespace, map_name: str | None, steps: int | None) -> EnvConfig:
