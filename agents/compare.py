@@ -110,8 +110,8 @@ def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
 
 
 def table_of(standings: Sequence[Standing]) -> str:
-    """One line per agent: means over buildings (time also as interquartile mean; of the time stuck the maximum), and the
-    gain over the first agent."""
+    """One line per agent: means over buildings (time also as interquartile mean, time stuck as maximum), and the gain
+    over the first agent."""
     from scipy.stats import trim_mean  # slow to import
 
     width = max(18, 2 + max(len(display_name(s.agent)) for s in standings))

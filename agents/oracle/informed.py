@@ -33,10 +33,8 @@ BASE_M = 2.0
 """Added to the way, so that a near place with little to see is not preferred."""
 READ_M = 3.0
 """A robot has read the signs that it came this near to."""
-SIGNS_NEEDED = 3
-"""About as many common signs merge two maps."""
-CONTACT_M = 5.0
-"""A robot that is this near is in contact."""
+SIGNS_NEEDED, CONTACT_M = 3, 5.0
+"""About as many common signs merge two maps; a robot that is this near is in contact."""
 
 
 class Informed(Explorer):
@@ -49,7 +47,8 @@ class Informed(Explorer):
 
     def give_truth(self, plan, state: Callable[[], Array]) -> None:
         """The true floor plan, and a function that returns the true poses first (`ExplorationEnv.state`)."""
-        self._state, self._grid = state, grid_of(plan, 0.1)
+        self._poses = lambda: state().reshape(-1, 6)[:, :3].astype(float)
+        self._grid = grid_of(plan, 0.1)
         self._floor = Terrain(self._grid, self.dynamics.robot_radius_m)
         self._walls = copy.copy(self._floor)  # all floor is unseen; what is no floor cannot be seen through
         self._walls.kind = np.where(self._floor.kind == FREE, UNKNOWN, WALL).astype(np.int8)
@@ -67,7 +66,7 @@ class Informed(Explorer):
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
         """One command per robot, planned with the truth in place of the beliefs."""
-        poses = self._true_poses(len(self.robots))
+        poses = self._poses()
         self._believed = beliefs
         true = {}
         for agent, belief in beliefs.items():
@@ -126,7 +125,7 @@ class Informed(Explorer):
     def _missing_m2(self, agent: str) -> Array:
         """(places,) floor in view from each place that the robot's map lacks [m2]."""
         belief = self._believed[agent]
-        pose_map_building = compose(belief.pose_map_robot, inverse(self._true_poses(len(self.robots))[belief.robot]))
+        pose_map_building = compose(belief.pose_map_robot, inverse(self._poses()[belief.robot]))
         is_known = belief.grid.level_at(transform_points(pose_map_building, self._cells_m)) != 0
         walls = copy.copy(self._walls)
         walls.kind = walls.kind.copy()
@@ -149,7 +148,3 @@ class Informed(Explorer):
             if theirs.robot in belief.mates and belief.contact_steps.get(theirs.robot, -1) == belief.step:
                 self._holds[agent] |= self._holds[other]
         self._has_read[agent] |= np.hypot(*(self._signs_m - here).T) < READ_M
-
-    def _true_poses(self, count: int) -> Array:
-        """(robots, 3) true poses."""
-        return self._state()[: 6 * count].reshape(count, 6)[:, :3].astype(float)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray as Array
 
@@ -63,3 +65,13 @@ class RayGain:
         walls = self._is_wall[row, column]
         runs = walls[:, 0].astype(int) + (walls[:, 1:] & ~walls[:, :-1]).sum(axis=1)
         return runs < WALL_DENSITY * distance_m / self._cell_m
+
+
+def strays_m(way_m: Array) -> float:
+    """Maximum distance of points (k, 2) from the straight line between the first and the last."""
+    along = way_m[-1] - way_m[0]
+    length = float(np.hypot(*along))
+    if length < 1e-9:
+        return math.inf
+    apart = way_m[1:-1] - way_m[0]
+    return float(np.abs(apart[:, 0] * along[1] - apart[:, 1] * along[0]).max(initial=0.0)) / length

@@ -17,10 +17,12 @@ from twc_env.records.messages import Belief
 
 from ..shared.frontier_team import Frontiers, FrontierTeam
 
-DOOR_MAX_M = 1.6
-"""Greatest width of a passage that separates two segments."""
+DOOR_MIN_M, DOOR_MAX_M = 0.75, 1.6
+"""Width of a passage that separates two segments; narrower ones are corners, too coarse in cells to tell apart."""
 APART_MIN_M = 0.6
-"""Cells belong to the Voronoi graph where neighbours have nearest walls at least this far apart."""
+"""Cells belong to the Voronoi graph where neighbours have nearest walls at least this far apart ..."""
+OPPOSITE = 1.75
+"""... and this many times the clearance: on opposite sides, unlike in the corner of a room, where it is 1.4."""
 WINDOW_M = 1.2
 """A critical point is the narrowest place of the graph in a square of this side."""
 STAY_M = 5.0
@@ -56,9 +58,10 @@ def segmented(terrain: Terrain) -> Array:
     is_graph = np.zeros(is_free.shape, bool)
     for axis in (0, 1):
         apart = np.diff(nearest, axis=1 + axis)
-        is_far = np.hypot(*apart) * cell_m >= APART_MIN_M
+        near_walls = np.minimum(_but_first(clearance, axis), _but_last(clearance, axis))
+        is_far = np.hypot(*apart) >= np.maximum(APART_MIN_M / cell_m, OPPOSITE * near_walls)
         is_graph |= np.pad(is_far, [(0, 1) if k == axis else (0, 0) for k in (0, 1)])
-    is_graph &= is_free & (clearance * cell_m <= DOOR_MAX_M / 2)
+    is_graph &= is_free & (clearance * cell_m <= DOOR_MAX_M / 2) & (clearance * cell_m >= DOOR_MIN_M / 2)
     narrow = np.where(is_graph, clearance, np.inf)
     is_critical = is_graph & (narrow <= minimum_filter(narrow, max(3, round(WINDOW_M / cell_m))))
     is_cut = is_free.copy()
@@ -76,6 +79,14 @@ def segmented(terrain: Terrain) -> Array:
     parts, _ = label(is_cut)
     _, (rows, columns) = distance_transform_edt(parts == 0, return_indices=True)
     return np.where(is_free, parts[rows, columns], 0)
+
+
+def _but_first(values: Array, axis: int) -> Array:
+    return np.take(values, range(1, values.shape[axis]), axis)
+
+
+def _but_last(values: Array, axis: int) -> Array:
+    return np.take(values, range(values.shape[axis] - 1), axis)
 
 
 def _at(terrain: Terrain, segments: Array, places_m: Array) -> Array:

@@ -1,7 +1,6 @@
 """Allocation of frontiers to robots by each team, in cases that can be solved by hand."""
 
 import numpy as np
-import pytest
 from twc_env.agents.teams import assignment, cost_utility
 from twc_env.agents.teams.market import auctioned
 from twc_env.agents.teams.minpos import MinPos
@@ -110,13 +109,12 @@ def test_a_map_is_cut_at_its_door():
     assert left > 0
     assert right > 0
     assert left != right
-    inside = segments[3:-3, 3:-3]
-    assert len(np.unique(inside[inside > 0])) <= 4
+    sizes_m2 = np.bincount(segments.ravel())[1:] * CELL_M**2
+    assert (sizes_m2 > 1.0).sum() == 2
 
 
-@pytest.mark.parametrize("width_m", [3.0])
-def test_an_open_hall_is_one_segment(width_m):
-    log_odds = np.full((round(width_m / CELL_M) + 2, 80), -50, np.int16)
+def test_an_open_hall_is_one_segment():
+    log_odds = np.full((32, 80), -50, np.int16)
     log_odds[[0, -1]] = log_odds[:, [0, -1]] = 50
     segments = segmented(Terrain(GridMap(log_odds, np.zeros(2), CELL_M), 0.2))
     assert segments[15, 20] == segments[15, 60]
