@@ -49,7 +49,8 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     """
     if name not in TEAMS and not is_in_file(str(name)):
         known = f"choose one of {', '.join(policy_names())}, or FILE.py:CLASS"
-        raise ConfigError(f"unknown agent {name!r}; {known}{did_you_mean(name, TEAMS)}")
+        begun = [team for team in TEAMS if team.startswith(str(name))]
+        raise ConfigError(f"unknown agent {name!r}; {known}{did_you_mean(name, begun or TEAMS)}")
     config = config or EnvConfig()
     if config.action.kind != "velocity":
         raise ConfigError(

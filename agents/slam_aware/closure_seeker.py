@@ -22,7 +22,7 @@ from twc_env.records.messages import Belief
 
 from ..teams.minpos import MinPos
 
-STD_MAX_M = 0.15
+STD_MAX_M = 0.045
 """A robot with a greater standard deviation seeks a closure."""
 LOOP_M = 15.0
 """A place is worth returning to if the path since the visit is at least this long ..."""

@@ -24,7 +24,7 @@ from twc_env.records.messages import Belief
 
 from ..teams.minpos import MinPos
 
-PERIOD_S = 40.0
+PERIOD_S = 60.0
 """Time between two meetings."""
 WAIT_S = 6.0
 """A robot waits this long after the appointed time."""
