@@ -1,10 +1,11 @@
 """Relay: the robots of a group explore only where they stay in radio range of each other.
 
 Rooker and Birk ("Multi-robot exploration under the constraints of wireless networking", Control Engineering Practice
-15(4), 2007) choose moves that do not break the network. Here the links form a chain of robots by their numbers: a robot
-takes the frontier of its lowest MinPos rank among those from which it would reach a robot with a lower number, as it
-estimates from range, walls of its map and what that robot said about its goal. If no frontier is in range, it is a
-relay: it follows that robot. With a central mapper, which is reached from everywhere, this is MinPos.
+15(4), 2007) choose moves that do not break the network. Here the links form a chain of robots by their numbers: a
+robot takes the frontier of its lowest MinPos rank among those from which it would reach one of the robots that it
+hears, as it estimates from range, walls of its map and what the robots said about their goals. If no frontier is in
+range, it is a relay: it takes the frontier next to where that robot goes. With a central mapper, which is reached
+from everywhere, this is MinPos.
 """
 
 from __future__ import annotations
@@ -23,8 +24,10 @@ MARGIN = 0.85
 """Share of the range that is counted on."""
 LOST_S = 3.0
 """After this time without contact, a robot drives back to the last known position of the robot that it follows."""
-GIVE_UP_S = 30.0
+GIVE_UP_S = 15.0
 """After this time it explores on its own."""
+THERE_M = 2.0
+"""Within this way of that position, it goes on exploring."""
 
 
 class Relay(MinPos):
@@ -38,28 +41,32 @@ class Relay(MinPos):
     def best_plan(
         self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
     ) -> tuple[Plan | None, str]:
-        """The plan to a frontier in range, else to the robot that is followed."""
+        """The plan to a frontier; back to the robot that is followed while that is not heard."""
         leader = self._leader(agent, beliefs)
         if leader is None:
             return super().best_plan(agent, beliefs, terrain, discs)
         belief, tick_s = beliefs[agent], self.dynamics.time_step_s
         silent_s = (belief.step - belief.contact_steps.get(leader, -1)) * tick_s
-        anchor_m = self._anchor_m(agent, leader, beliefs)
-        if silent_s <= LOST_S:
-            frontiers = self.frontiers(agent, beliefs, terrain, discs)
-            is_near = in_range(terrain, frontiers.places_m, anchor_m, self._link)
-            if is_near.any():
-                chosen = self._lowest_rank(frontiers, np.flatnonzero(is_near))
-                plan = self.plan_to(terrain, agent, frontiers.labels[[chosen]], discs)
-                if plan is not None:
-                    return plan, "frontier"
-        plan = self.plan_to_place(terrain, agent, anchor_m, discs, 1.0)
-        if plan is None:
-            return super().best_plan(agent, beliefs, terrain, discs)
-        return (plan, "place") if plan.length_m > 2.0 else (None, "wait")
+        if silent_s > LOST_S:
+            plan = self.plan_to_place(terrain, agent, np.asarray(belief.mates[leader][:2], float), discs, 1.0)
+            if plan is not None and plan.length_m > THERE_M:
+                return plan, "place"
+        return super().best_plan(agent, beliefs, terrain, discs)
 
-    def _lowest_rank(self, frontiers: Frontiers, among: Array) -> int:
+    def choose(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> int | None:
+        """The frontier of the lowest rank among those in range of a mate, else the one nearest to the leader."""
+        leader = self._leader(agent, beliefs)
+        if leader is None:
+            return super().choose(agent, beliefs, frontiers)
+        goals_m = self.heard_goals_m(agent, beliefs)
+        heard = [beliefs[mate].robot for mate in self.mates_in_contact(agent, beliefs)]
+        anchors_m = [goals_m.get(mate, beliefs[agent].mates[mate][:2]) for mate in {leader, *heard}]
+        is_near = np.any([in_range(frontiers.terrain, frontiers.places_m, at, self._link) for at in anchors_m], axis=0)
+        if not is_near.any():
+            at = goals_m.get(leader, beliefs[agent].mates[leader][:2])
+            return int(np.argmin(np.hypot(*(frontiers.places_m - at).T)))
         rank = (frontiers.mate_lengths_m < frontiers.lengths_m).sum(axis=0)
+        among = np.flatnonzero(is_near)
         return int(among[np.lexsort((frontiers.lengths_m[among], rank[among]))[0]])
 
     def _leader(self, agent: str, beliefs: dict[str, Belief]) -> int | None:
@@ -70,11 +77,6 @@ class Relay(MinPos):
             return None
         step, number = max(heard)
         return None if (belief.step - step) * self.dynamics.time_step_s > GIVE_UP_S else -number
-
-    def _anchor_m(self, agent: str, leader: int, beliefs: dict[str, Belief]) -> Array:
-        """(2,) the leader's goal as it told it, or its position."""
-        goals = self.heard_goals_m(agent, beliefs)
-        return goals[leader] if leader in goals else np.asarray(beliefs[agent].mates[leader][:2], float)
 
 
 def in_range(terrain: Terrain, places_m: Array, other_m: Array, link: LinkConfig) -> Array:

@@ -22,6 +22,7 @@ from twc_env.planning import Disc, Plan, Terrain
 from twc_env.records.geometry import compose, inverse, transform_points
 from twc_env.records.messages import Belief
 
+from ..shared.frontier_team import Frontiers
 from ..teams.minpos import MinPos
 
 PERIOD_S = 60.0
@@ -74,13 +75,18 @@ class Rendezvous(MinPos):
         due_s = PERIOD_S * (self._met[agent] + 1)
         if self._is_aware and self._has_to_meet(belief):
             if now_s > due_s + WAIT_S or (now_s > due_s - WAIT_S and self._is_complete(belief)):
-                self._met[agent] = int(now_s // PERIOD_S)
-                self._appoint(agent, beliefs, terrain, discs)
+                self._met[agent] = max(self._met[agent] + 1, int(now_s // PERIOD_S))
             elif (place := self._place_m(agent, beliefs)) is not None:
                 plan = self.plan_to_place(terrain, agent, place, discs, 1.0)
                 if plan is not None and now_s + plan.length_m / (PACE * self.dynamics.speed_max_m_s) >= due_s:
                     return (plan, "place") if plan.length_m > THERE_M else (None, "wait")
         return super().best_plan(agent, beliefs, terrain, discs)
+
+    def choose(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> int | None:
+        """The frontier of MinPos; robots in contact agree on where to meet next."""
+        if self._is_aware:
+            self._appoint(agent, beliefs, frontiers)
+        return super().choose(agent, beliefs, frontiers)
 
     def _has_to_meet(self, belief: Belief) -> bool:
         """Whether someone shares no map with it, or cannot always be heard."""
@@ -99,14 +105,11 @@ class Rendezvous(MinPos):
         first = min(belief.signs, key=lambda sign: sign.text, default=None)
         return None if first is None else np.asarray(first.position_m, float)
 
-    def _appoint(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]) -> None:
-        """The robot of the lowest number chooses the next place, if it was with all of its group."""
+    def _appoint(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> None:
+        """Of robots in contact, the one of the lowest number chooses the next place: the middle one of the frontiers."""
         belief = beliefs[agent]
-        is_heard = [belief.contact_steps.get(mate, -1) == belief.step for mate in belief.mates]
-        if not self._is_peer or not is_heard or not all(is_heard) or belief.robot > min(belief.mates):
-            return
-        frontiers = self.frontiers(agent, beliefs, terrain, discs)
-        if len(frontiers.labels):
+        contacts = [beliefs[other].robot for other in self.mates_in_contact(agent, beliefs)]
+        if self._is_peer and contacts and belief.robot < min(contacts) and len(frontiers.labels):
             middle = frontiers.places_m.mean(axis=0)
             place = frontiers.places_m[int(np.argmin(np.hypot(*(frontiers.places_m - middle).T)))]
             self._keep(agent, belief, belief.robot, belief.step, place)
