@@ -4,7 +4,7 @@ It shows what a plan is worth, not what a team can know: only where the robots d
 the map is made by the engine from what they sense, like that of every other team. Each robot drives to the place of
 the greatest gain for its way: floor that nobody has seen, and what meeting is worth. Robots that share no map meet
 where one has read signs and the other has not, which is worth the smaller of the two maps; with one mapper per robot,
-a robot out of contact is worth the floor that it alone holds.
+a robot out of contact is worth what both hold more than the best map of all, shared between them.
 """
 
 from __future__ import annotations
@@ -117,9 +117,9 @@ class Informed(Explorer):
                     near = np.hypot(*(self._places_m - sign).T) < READ_M / 2
                     worth[near] = np.maximum(worth[near], min(area_m2[agent], area_m2[other]) / SIGNS_NEEDED)
             elif other != agent and self._is_peer and belief.contact_steps.get(mine.robot, -1) < belief.step:
-                held_m2 = self._floor.resolution_m**2 * (self._holds[other] & ~self._holds[agent]).sum()
+                both_m2 = self._floor.resolution_m**2 * (self._holds[other] | self._holds[agent]).sum()
                 near = np.hypot(*(self._places_m - beliefs[other].pose_map_robot[:2]).T) < CONTACT_M
-                worth[near] = np.maximum(worth[near], held_m2)
+                worth[near] = np.maximum(worth[near], (both_m2 - max(area_m2.values())) / 2)
         return worth
 
     def _missing_m2(self, agent: str) -> Array:

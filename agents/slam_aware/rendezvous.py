@@ -106,7 +106,7 @@ class Rendezvous(MinPos):
         return None if first is None else np.asarray(first.position_m, float)
 
     def _appoint(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> None:
-        """Of robots in contact, the one of the lowest number chooses the next place: the middle one of the frontiers."""
+        """The robot of the lowest number in contact chooses the next place: the middle one of the frontiers."""
         belief = beliefs[agent]
         contacts = [beliefs[other].robot for other in self.mates_in_contact(agent, beliefs)]
         if self._is_peer and contacts and belief.robot < min(contacts) and len(frontiers.labels):
