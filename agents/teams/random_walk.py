@@ -44,8 +44,8 @@ class RandomWalk:
             if agent in beliefs and self._is_blocked(beliefs[agent].ranges_m, self._side[i] != 0.0):
                 self._side[i] = self._side[i] or math.copysign(1.0, actions[i, 1])
                 actions[i] = 0.0, self._side[i]
-            else:
-                self._side[i] = 0.0
+            elif self._side[i]:  # free again: it drives away
+                self._side[i], self._wander[i] = 0.0, (1.0, 0.0)
         return {agent: actions[i] for i, agent in enumerate(self._agents) if agent in beliefs}
 
     def _is_blocked(self, ranges_m: NDArray | None, is_turning: bool) -> bool:
