@@ -24,7 +24,7 @@ MARGIN = 0.85
 """Share of the range that is counted on."""
 LOST_S = 3.0
 """After this time without contact, a robot drives back to the last known position of the robot that it follows."""
-GIVE_UP_S = 15.0
+GIVE_UP_S = 6.0
 """After this time it explores on its own."""
 THERE_M = 2.0
 """Within this way of that position, it goes on exploring."""

@@ -19,17 +19,17 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.planning import Disc, Plan, Terrain
-from twc_env.records.geometry import compose, inverse, transform_points
+from twc_env.records.geometry import compose, inverse, transform_points, travelled_m
 from twc_env.records.messages import Belief
 
 from ..shared.frontier_team import Frontiers
 from ..teams.minpos import MinPos
 
-PERIOD_S = 60.0
-"""Time between two meetings."""
-WAIT_S = 6.0
-"""A robot waits this long after the appointed time."""
-PACE = 0.7
+PERIOD_S, ALONE = 100.0, 2
+"""Time between two meetings; robots that share no map yet go to landmarks at every second one."""
+WAIT_S, EARLY_S = 5.0, 20.0
+"""A robot waits this long after the appointed time; who is together this long before it has met."""
+PACE = 0.8
 """Share of the maximum speed at which it expects to travel."""
 THERE_M = 1.5
 """It is at the meeting place within this way."""
@@ -74,12 +74,14 @@ class Rendezvous(MinPos):
         belief, now_s = beliefs[agent], beliefs[agent].step * self.dynamics.time_step_s
         due_s = PERIOD_S * (self._met[agent] + 1)
         if self._is_aware and self._has_to_meet(belief):
-            if now_s > due_s + WAIT_S or (now_s > due_s - WAIT_S and self._is_complete(belief)):
+            if now_s > due_s + WAIT_S or (now_s > due_s - EARLY_S and self._is_complete(belief)):
                 self._met[agent] = max(self._met[agent] + 1, int(now_s // PERIOD_S))
             elif (place := self._place_m(agent, beliefs)) is not None:
                 plan = self.plan_to_place(terrain, agent, place, discs, 1.0)
-                if plan is not None and now_s + plan.length_m / (PACE * self.dynamics.speed_max_m_s) >= due_s:
-                    return (plan, "place") if plan.length_m > THERE_M else (None, "wait")
+                if plan is not None:
+                    way_m = travelled_m(plan.path_m)[-1]
+                    if now_s + way_m / (PACE * self.dynamics.speed_max_m_s) >= due_s:
+                        return (plan, "place") if way_m > THERE_M else (None, "wait")
         return super().best_plan(agent, beliefs, terrain, discs)
 
     def choose(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> int | None:
@@ -93,9 +95,9 @@ class Rendezvous(MinPos):
         return len(belief.mates) + 1 < len(self.robots) or self._is_peer
 
     def _is_complete(self, belief: Belief) -> bool:
-        """Whether all others share its map and are in contact."""
+        """Whether all of its group are in contact, and there is a group."""
         is_heard = [belief.contact_steps.get(mate, -1) == belief.step for mate in belief.mates]
-        return len(belief.mates) + 1 == len(self.robots) and all(is_heard)
+        return self._is_peer and len(is_heard) > 0 and all(is_heard)
 
     def _place_m(self, agent: str, beliefs: dict[str, Belief]) -> Array | None:
         """(2,) the appointed place, or else the landmark; None if the robot knows neither."""
@@ -103,7 +105,7 @@ class Rendezvous(MinPos):
         if appointed is not None and appointed.owner in (belief.robot, *belief.mates):
             return transform_points(_pose_map_odom(belief), appointed.place_odom_m[None])[0]
         first = min(belief.signs, key=lambda sign: sign.text, default=None)
-        return None if first is None else np.asarray(first.position_m, float)
+        return None if first is None or (self._met[agent] + 1) % ALONE else np.asarray(first.position_m, float)
 
     def _appoint(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> None:
         """The robot of the lowest number in contact chooses the next place: the middle one of the frontiers."""
