@@ -52,7 +52,7 @@ class SignSeeker(MinPos):
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
         """One command per robot; replans where necessary."""
-        if self._is_aware and any(len(b.mates) + 1 < len(self.robots) for b in beliefs.values()):
+        if self._is_aware and any(len(b.teammates) + 1 < len(self.robots) for b in beliefs.values()):
             self._memory.note(beliefs)
         return super().act(beliefs)
 
@@ -74,7 +74,7 @@ class SignSeeker(MinPos):
             ways_m = frontiers.lengths_m + np.hypot(*(frontiers.places_m - place).T)
             if ways_m.min() <= WAY_MAX_M:
                 return int(np.argmin(ways_m))
-        others = [a for a, b in beliefs.items() if b.robot not in (beliefs[agent].robot, *beliefs[agent].mates)]
+        others = [a for a, b in beliefs.items() if b.robot not in (beliefs[agent].robot, *beliefs[agent].teammates)]
         theirs_dbm = self._memory.rssi_of_others_dbm(agent, others)
         if len(theirs_dbm):
             apart = apart_db(self._memory.rssi_dbm(agent), theirs_dbm)
@@ -92,7 +92,7 @@ class SignSeeker(MinPos):
         """Positions (2,) of signs that only the other group has read, the nearest first."""
         belief, here = beliefs[agent], self.robots[agent].pose[:2]
         vain = self._in_vain[agent]
-        map_id = belief.map_version, len(belief.mates)
+        map_id = belief.map_version, len(belief.teammates)
         mine_m = np.array([sign.position_m for sign in belief.signs]).reshape(-1, 2)
         found = []
         for hypothesis in belief.hypotheses:

@@ -5,7 +5,7 @@ Bourgault, Makarenko, Williams, Grocholsky and Durrant-Whyte ("Information based
 one bit. The way is weighed against it as by Gonzalez-Banos and Latombe ("Navigation strategies for exploring indoor
 environments", IJRR 2002): gain times exp(-lambda length). Candidates are the frontiers and places on a lattice of
 open floor; unlike with frontiers, a view over a large room counts more than a gap beside a cupboard. What the goals
-of mates will show is not counted again.
+of teammates will show is not counted again.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class InformationGain(FrontierTeam):
         lengths_m, places_m = self.ways.nearest_of_labels(terrain, labels, count)
         candidates = np.flatnonzero(np.isfinite(lengths_m))
         for place in self.banned(robot, belief, {}):
-            candidates = candidates[np.hypot(*(places_m[candidates] - place).T) >= self.explorer.forget_radius_m]
+            candidates = candidates[np.hypot(*(places_m[candidates] - place).T) >= self.explorer.failed_radius_m]
         gains_m2 = views.area_m2(places_m[candidates])
         worth = gains_m2 * np.exp(-DECAY_PER_M * lengths_m[candidates])
         worth[gains_m2 < GAIN_MIN_M2] = 0.0
