@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -25,6 +26,11 @@ class CarefulTeam(Policy):
         """Prepare for a new episode."""
         self._team.reset(seed, agents)
         self._obstacles = {agent: MovingObstacles(self._dynamics) for agent in agents}
+
+    def give_truth(self, *truth: Any) -> None:
+        """Pass on what an oracle is given."""
+        team: Any = self._team
+        team.give_truth(*truth)
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
         """The team's actions, without speed where something moves."""

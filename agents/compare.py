@@ -15,8 +15,9 @@ from twc_env.config import EnvConfig, override, to_dict
 from twc_env.running.finished_parts import FinishedParts
 from twc_env.running.worker_processes import in_processes
 
-from .explore import origin_of
+from .explore import commanded, commanded_stuck_share, origin_of
 from .policy import begin, make_policy
+from .roster import display_name
 
 GOAL = 0.9
 """Share of the floor to be mapped correctly."""
@@ -39,6 +40,8 @@ class Outcome:
     team_ate_m: float
     merged_robots: int
     wrong_merges: int
+    stuck_share: float = 0.0
+    """Share of the time in which a robot that was told to move stayed within 0.3 m for 10 s; maximum over robots."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,14 +86,17 @@ def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
     env, policy = twc_env.parallel_env(config=config), make_policy(agent, config)
     env.reset(seed=seed)
     begin(policy, agent, env, seed)
-    covered = [0.0]
+    covered, commands = [0.0], []
     while env.agents:
         beliefs = {name: env.belief(name) for name in env.agents}
         if policy.finished(beliefs):
             break
-        infos = env.step(policy.act(beliefs))[-1]
+        actions = policy.act(beliefs)
+        commands.append(commanded(actions, env.possible_agents))
+        infos = env.step(actions)[-1]
         covered.append(covered[-1] + infos["robot_0"]["reward_terms"]["coverage"])
-    figures = env.result().figures
+    result = env.result()
+    figures = result.figures
     env.close()
     curve = np.array(covered[1:] + covered[-1:] * (config.max_cycles - len(covered) + 1))
     reached = np.flatnonzero(curve >= GOAL)
@@ -99,24 +105,26 @@ def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
         steps * config.dynamics.time_step_s, bool(len(reached)), float(figures["coverage_correct"]),
         float(curve.mean()), float(figures["path_length_m"]), float(figures["team_ate_m"]),
         int(figures["merged_robots"]), int(figures["wrong_merges"]),
+        commanded_stuck_share(result, commands),
     )  # fmt: skip
 
 
 def table_of(standings: Sequence[Standing]) -> str:
-    """One line per agent: means over buildings (time also as interquartile mean), and the gain over the first agent."""
+    """One line per agent: means over buildings (time also as interquartile mean, time stuck as maximum), and the gain
+    over the first agent."""
     from scipy.stats import trim_mean  # slow to import
 
-    width = max(18, 2 + max(len(s.agent) for s in standings))
+    width = max(18, 2 + max(len(display_name(s.agent)) for s in standings))
     head = f"{'agent':<{width}}{'reached':>8}{'to 90 % s':>11}{'IQM s':>8}{'mean cov.':>12}{'final cov.':>12}"
-    head += f"{'path m':>9}{'ATE m':>8}{'wrong':>7}   sooner s (95 %)          more mean cov. (95 %)"
+    head += f"{'path m':>9}{'ATE m':>8}{'wrong':>7}{'stuck':>8}   sooner s (95 %)          more mean cov. (95 %)"
     lines = [head]
     for s in standings:
         of = {key: np.array([getattr(o, key) for o in s.outcomes], float) for key in Outcome.__slots__}
         middle_s = trim_mean(of["goal_s"], 0.25)
         lines.append(
-            f"{s.agent:<{width}}{of['is_reached'].mean():>8.0%}{of['goal_s'].mean():>11.1f}{middle_s:>8.1f}"
+            f"{display_name(s.agent):<{width}}{of['is_reached'].mean():>8.0%}{of['goal_s'].mean():>11.1f}{middle_s:>8.1f}"
             f"{of['coverage_mean'].mean():>12.3f}{of['coverage'].mean():>12.3f}{of['path_m'].mean():>9.0f}"
-            f"{of['team_ate_m'].mean():>8.3f}{int(of['wrong_merges'].sum()):>7d}   "
+            f"{of['team_ate_m'].mean():>8.3f}{int(of['wrong_merges'].sum()):>7d}{of['stuck_share'].max():>8.1%}   "
             + ("" if s is standings[0] else f"{_interval(s.sooner_s, '.1f'):<24} {_interval(s.more, '.3f')}")
         )
     return "\n".join(lines)
@@ -150,7 +158,7 @@ def _interval(triple: tuple[float, float, float], form: str) -> str:
 def _line(count: int, total: int, part: tuple[str, str, int], outcome: Outcome) -> str:
     name, agent, _ = part
     reached = f"{outcome.goal_s:.0f} s" if outcome.is_reached else "not reached"
-    return f"[{count}/{total}] {name} {agent}: {GOAL:.0%} {reached}, at the end {outcome.coverage:.3f}"
+    return f"[{count}/{total}] {name} {display_name(agent)}: {GOAL:.0%} {reached}, at the end {outcome.coverage:.3f}"
 
 
 def _once(config: EnvConfig, finished: FinishedParts, part: tuple[str, str, int]) -> Outcome:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from twc_env.datasets.buildings.ros_map import write_ros_maps
 from twc_env.datasets.logs.frame_log import write_frame_log
 from twc_env.datasets.logs.g2o import write_g2o
 from twc_env.datasets.logs.tum import write_tum
+from twc_env.metrics import stuck_share
 from twc_env.records.class_file import digest_of, is_in_file
 from twc_env.records.json_values import plain, write_json
 from twc_env.records.messages import Contacts, SensorFrame
@@ -29,6 +30,9 @@ from .policy import begin, make_policy
 
 WARM_UP_STEPS = 10
 """Steps at the start that are excluded from the speed."""
+STUCK_WINDOW_S, STUCK_RADIUS_M = 10.0, 0.3
+"""As in `stuck_share` (docs/figures.md)."""
+IDLE_SHARE = 0.05
 _WRITTEN = (
     "config.json", "frames.npz", "trace.npz", "pose_graph.g2o", "trajectories/robot_*_*.tum", "map.yaml", "map.pgm",
     "map_[0-9]*.yaml", "map_[0-9]*.pgm", "map.png", "episode.gif", "replay.html", "replay.rrd", ".part-*",
@@ -70,7 +74,7 @@ def explore(
     env = twc_env.parallel_env(config=config, render_mode="rgb_array" if film else None)
     env.reset(seed=seed)
     begin(policy, agent, env, seed)
-    frames, contacts, trace = [env.frames], [env.contacts], EpisodeTrace(env)
+    frames, contacts, trace, commands = [env.frames], [env.contacts], EpisodeTrace(env), []
     thought_s, env_s, counted, step, was_interrupted = 0.0, 0.0, 0, 0, False
     compiling = TimingListener()
     register(COMPILER_EVENT, compiling)
@@ -84,6 +88,7 @@ def explore(
             thought = _clock_s(compiling)
             if is_finished:
                 break
+            commands.append(commanded(actions, env.possible_agents))
             rewards = env.step(actions)[1]
             stepped = _clock_s(compiling)
             frames.append(env.frames)
@@ -106,8 +111,23 @@ def explore(
         _film(film, step, env)
     env.close()
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
-    report = plain({**result.figures, "agent": agent, **origin_of(result.config, agent), **speeds})
+    stuck = {"commanded_stuck_share": commanded_stuck_share(result, commands)}
+    report = plain({**result.figures, **stuck, "agent": agent, **origin_of(result.config, agent), **speeds})
     return Run(result, report, film, was_interrupted, frames, contacts, trace)
+
+
+def commanded(actions: Mapping[str, Any], agents: Sequence[str]) -> list[bool]:
+    """Whether each agent is told to drive or turn by more than `IDLE_SHARE` of the maximum."""
+    return [agent in actions and bool(np.abs(actions[agent]).max() > IDLE_SHARE) for agent in agents]
+
+
+def commanded_stuck_share(result: EpisodeResult, commands: Sequence[Sequence[bool]]) -> float:
+    """`stuck_share` of robots that were told to move: one that waits is not stuck."""
+    window = max(int(STUCK_WINDOW_S / result.config.dynamics.time_step_s), 1)
+    count = min(len(commands), len(result.true_poses) - 1)
+    if count < 1:
+        return 0.0
+    return stuck_share(result.true_poses[: count + 1], window, STUCK_RADIUS_M, np.array(commands[:count]))
 
 
 def origin_of(config: EnvConfig, agent: str) -> dict[str, str]:
@@ -197,6 +217,7 @@ FIGURES = (
     ("path length, all robots", "path_length_m", ".1f m"),
     ("collisions", "collisions", "d"),
     ("share of time stuck", "stuck_share", ".1% "),
+    ("share of time stuck when told to move", "commanded_stuck_share", ".1% "),
     ("data transmitted", "bytes_sent", ",d bytes"),
     ("environment speed", "env_steps_per_s", ".0f steps/s"),
     ("time spent in agents", "agent_s", ".2f s"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from numpy.typing import NDArray
 
@@ -13,6 +13,8 @@ from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError, did_you_mean
 from twc_env.records.class_file import class_in, is_in_file
 from twc_env.records.messages import Belief
+
+from .roster import TEAMS
 
 if TYPE_CHECKING:
     from twc_env import ExplorationEnv
@@ -35,27 +37,9 @@ class Policy(Protocol):
         """Whether there is nothing left to do, so that the episode may end early."""
 
 
-def begin(policy: Policy, agent: str, env: ExplorationEnv, seed: int) -> None:
-    """Prepare a policy made by `make_policy(agent)` for the episode that has begun."""
-    policy.reset(seed, env.possible_agents)
-
-
-_POLICIES = {
-    "nearest-frontier": ("nearest_frontier", "NearestFrontier"),
-    "cost-utility": ("frontier_teams", "CostUtility"),
-    "assignment": ("frontier_teams", "Assignment"),
-    "voronoi": ("frontier_teams", "Voronoi"),
-    "radio-frontier": ("radio_frontier", "RadioFrontier"),
-    "radio-walk": ("radio_walk", "RadioWalk"),
-    "random": ("random_walk", "RandomWalk"),
-    "wall-follower": ("wall_follower", "WallFollower"),
-}
-"""Module and class of each team; imported when a team is made, so that `--help` starts quickly."""
-
-
 def policy_names() -> tuple[str, ...]:
     """Names `make_policy` knows."""
-    return tuple(sorted(_POLICIES))
+    return tuple(sorted(TEAMS))
 
 
 def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
@@ -65,17 +49,19 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
 
     Raises ConfigError for an unknown name, and unless `action.kind` is `velocity`.
     """
-    if name not in _POLICIES and not is_in_file(str(name)):
+    if name not in TEAMS and not is_in_file(str(name)):
         known = f"choose one of {', '.join(policy_names())}, or FILE.py:CLASS"
-        raise ConfigError(f"unknown agent {name!r}; {known}{did_you_mean(name, _POLICIES)}")
+        begun = [team for team in TEAMS if team.startswith(str(name))]
+        raise ConfigError(f"unknown agent {name!r}; {known}{did_you_mean(name, begun or TEAMS)}")
     config = config or EnvConfig()
     if config.action.kind != "velocity":
         raise ConfigError(
             f"scripted teams need action.kind = 'velocity'; got {config.action.kind!r}: remove this setting"
         )
-    if name in _POLICIES:
-        module, class_name = _POLICIES[name]
-        scripted: Policy = getattr(import_module(f"{__package__}.{module}"), class_name)(config)
+    if name in TEAMS:
+        team = TEAMS[name]
+        module = import_module(f"{__package__}.{team.module}")
+        scripted: Policy = getattr(module, team.class_name)(config, **team.options)
         if config.people.count:
             careful: Policy = import_module(f"{__package__}.careful").CarefulTeam(scripted, config)
             return careful
@@ -83,3 +69,14 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     remedy = "derive it from twc_env.agents.Policy, or add what lacks"
     policy: Policy = class_in(name, ("reset", "act", "finished"), remedy)(config)
     return policy
+
+
+def begin(policy: Policy, agent: str, env: ExplorationEnv, seed: int) -> None:
+    """Prepare a policy made by `make_policy(agent)` for the episode that has begun; only oracles are given the truth.
+
+    What users write as FILE.py:CLASS is never given it.
+    """
+    policy.reset(seed, env.possible_agents)
+    if agent in TEAMS and TEAMS[agent].is_oracle:
+        oracle: Any = policy
+        oracle.give_truth(env.floorplan, env.state)

@@ -64,6 +64,7 @@ PUBLIC_MODULES = {
     "twc_env.config",
     "twc_env.datasets",
     "twc_env.errors",
+    "twc_env.metrics",
     "twc_env.pictures",
     "twc_env.planning",
     "twc_env.records",

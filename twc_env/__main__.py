@@ -50,13 +50,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    from twc_env.commands.team_options import AGENTS
+    from twc_env.commands.team_options import agents_help
 
     parser = Parser(
         prog="twc-env",
         description="Teams of robots that explore buildings while a cooperative SLAM engine maps them. Each command "
         "has its own --help.",
-        epilog=_EXAMPLES + AGENTS,
+        epilog=_EXAMPLES + agents_help(),
     )
     add_version(parser)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from twc_env.agents.policy import policy_names
+from twc_env.agents.roster import display_name
 
 import twc_env.__main__
 from twc_env.running.command_line import Paragraphs
@@ -119,7 +120,8 @@ def test_the_points_of_a_list_are_filled_one_by_one():
 
 def test_the_help_of_agents_lists_every_team():
     text = twc_env.__main__._parser().format_help()
-    assert all(f"\n  {name}  " in text for name in [*policy_names(), "FILE.py:CLASS"])
+    assert all(f"\n  {display_name(name)}  " in text for name in [*policy_names(), "FILE.py:CLASS"])
+    assert "informed (oracle)" in text
 
 
 @pytest.mark.parametrize("name", PROGRAMS)

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from twc_env.agents.openings import is_open_behind
 from twc_env.agents.policy import make_policy
+from twc_env.agents.shared.openings import is_open_behind
 
 import twc_env
 from twc_env.config import DynamicsConfig

@@ -108,6 +108,14 @@ def test_a_robot_that_does_not_move_for_a_window_is_stuck(speed, steps, share):
     assert trajectory.stuck_share(path, window=20, radius_m=0.3) == share
 
 
+@pytest.mark.parametrize(("share", "stuck"), [(1.0, 1.0), (0.6, 1.0), (0.4, 0.0), (0.0, 0.0)])
+def test_a_robot_that_waits_is_not_stuck(share, stuck):
+    path = np.zeros((101, 1, 2))
+    is_commanded = (np.arange(100) % 10 < 10 * share)[:, None]
+    assert trajectory.stuck_share(path, 20, 0.3, is_commanded) == stuck
+    assert trajectory.stuck_share(path, 20, 0.3) == 1.0
+
+
 def test_the_robot_that_is_stuck_longest_counts():
     path = np.zeros((101, 2, 3))
     path[:, 0, 0] = np.arange(101)
@@ -132,6 +140,7 @@ def test_arrays_that_are_neither_positions_nor_poses_are_rejected(shape):
         (lambda: trajectory.path_length_m([]), "a path has positions"),
         (lambda: trajectory.path_length_m([1.0, 2.0, 3.0]), "a path has positions"),
         (lambda: trajectory.stuck_share(np.zeros((50, 3)), 10, 0.3), "poses of a team have shape"),
+        (lambda: trajectory.stuck_share(np.zeros((50, 1, 3)), 10, 0.3, np.ones((50, 1))), "need commands of shape"),
     ],
 )
 def test_paths_of_unequal_shape_are_rejected(call, message):

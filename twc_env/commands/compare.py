@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from twc_env.commands.team_options import AGENT_NAMES, TEAMS, add_team, paragraphs, team_config
+from twc_env.commands.team_options import TEAMS, add_team, agent_names, paragraphs, team_config
 from twc_env.records.json_values import TERMINAL, write_json
 from twc_env.running.command_line import add_folder, count
 
@@ -28,8 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=list(TEAMS),
         metavar="AGENT",
-        help=f"any of {', '.join(AGENT_NAMES)}, or FILE.py:CLASS; the first is the baseline "
-        f"(default: {', '.join(TEAMS)})",
+        help=f"any of {agent_names()}, or FILE.py:CLASS; the first is the baseline (default: {', '.join(TEAMS)})",
     )
     parser.add_argument(
         "--buildings", type=count, default=10, help="number of buildings, from the start of the test split"

@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _explore(options: argparse.Namespace) -> int:
     from twc_env.agents import picture
     from twc_env.agents.explore import explore, table_of, write_run
+    from twc_env.agents.roster import display_name
 
     config = team_config(options, options.map, options.steps)
     has_gif = not (options.no_gif or options.no_pictures)
@@ -69,7 +70,7 @@ def _explore(options: argparse.Namespace) -> int:
     write_run(run, folder, not options.no_pictures)
     write_json(options.json, run.report)
     if options.json != TERMINAL:
-        print(f"{options.agent} on {config.map}, seed {options.seed}, {config.robots} robots\n")
+        print(f"{display_name(options.agent)} on {config.map}, seed {options.seed}, {config.robots} robots\n")
         print(table_of(run.report))
         if run.report["merged_robots"] < run.report["robots"] and run.report["lacked"]:
             print("\nwhy the robots do not all share one map:", *run.report["lacked"], sep="\n  ")

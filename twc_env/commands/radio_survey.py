@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _radio_survey(options: argparse.Namespace) -> int:
     from twc_env import load_map
-    from twc_env.agents import radio_survey
+    from twc_env.agents.radio import radio_survey
 
     seeds = parse_seeds(options.seeds)
     for name in options.maps:

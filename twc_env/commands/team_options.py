@@ -20,21 +20,25 @@ from twc_env.running.command_line import (
     refuse_code,
 )
 
-AGENTS = """\
-An AGENT is
-  nearest-frontier    drives to the nearest frontier, keeping teammates apart
-  cost-utility        trades off distance to a frontier against what teammates will see of it
-  assignment          one frontier per robot, minimising the total path length
-  voronoi             each robot takes the frontiers that it is closest to
-  radio-frontier      nearest-frontier, preferring floor predicted from WiFi (slam.k_visibility.enabled=true)
-  radio-walk          drives to where walls estimated from WiFi are least certain
-  random              wanders
-  wall-follower       follows walls
-  FILE.py:CLASS       your own class, derived from agents.Policy (docs/library.md)
-"""
-AGENT_NAMES = tuple(line.split()[0] for line in AGENTS.splitlines()[1:-1])
-"""What `twc_env.agents.policy_names` gives, without its imports, so that help starts quickly."""
 TEAMS = ("nearest-frontier", "cost-utility", "assignment", "voronoi", "random")
+
+
+def agents_help() -> str:
+    """What an AGENT may be, one line each."""
+    from twc_env.agents.roster import TEAMS as teams
+    from twc_env.agents.roster import display_name
+
+    lines = [(display_name(name), team.summary) for name, team in teams.items()]
+    lines.append(("FILE.py:CLASS", "your own class, derived from agents.Policy (docs/library.md)"))
+    width = max(len(name) for name, _ in lines) + 2
+    return "An AGENT is\n" + "".join(f"  {name:<{width}}{summary}\n" for name, summary in lines)
+
+
+def agent_names() -> str:
+    """All names of agents, for help texts."""
+    from twc_env.agents.roster import TEAMS as teams
+
+    return ", ".join(teams)
 
 
 def team_config(options: argparse.Namespace, map_name: str | None, steps: int | None) -> EnvConfig:
@@ -70,7 +74,7 @@ def paragraphs(text: str) -> tuple[str, str]:
 
 def add_agent(parser: argparse.ArgumentParser) -> None:
     """Options of commands that run one team."""
-    names = f"one of {', '.join(AGENT_NAMES)}, or FILE.py:CLASS"
+    names = f"one of {agent_names()}, or FILE.py:CLASS"
     parser.add_argument("--agent", default="nearest-frontier", help=names)
     parser.add_argument("--no-pictures", action="store_true", help="write neither map.png nor episode.gif")
 

@@ -119,11 +119,13 @@ def path_length_m(poses: ArrayLike) -> float:
     return float(np.sum(np.hypot(steps_m[:, 0], steps_m[:, 1])))
 
 
-def stuck_share(true_poses: ArrayLike, window: int, radius_m: float) -> float:
+def stuck_share(true_poses: ArrayLike, window: int, radius_m: float, is_commanded: ArrayLike | None = None) -> float:
     """Share of the episode in which a robot made no progress, maximum over the robots.
 
     true_poses (t, n, 2 or 3). A step counts if it lies in a window of `window` steps in which the robot stayed within
-    `radius_m` of its position at the end of the window. Raises DataError for other shapes.
+    `radius_m` of its position at the end of the window. With is_commanded (t - 1, n), whether a robot was told to move
+    from each pose to the next, only windows count in more than half of which it was: a robot that waits is not stuck.
+    Raises DataError for other shapes.
     """
     poses = np.asarray(true_poses, float)
     if poses.ndim != 3 or poses.shape[2] not in (2, 3):
@@ -134,6 +136,12 @@ def stuck_share(true_poses: ArrayLike, window: int, radius_m: float) -> float:
         return 0.0
     starts_stuck = np.empty((count, positions_m.shape[1]), np.bool_)  # the window that begins at this step
     _find_stuck(positions_m, window, radius_m**2, starts_stuck)
+    if is_commanded is not None:
+        commanded = np.asarray(is_commanded, bool)
+        if commanded.shape != (len(poses) - 1, poses.shape[1]):
+            raise DataError(f"{len(poses)} poses need commands of shape (steps - 1, robots); got {commanded.shape}")
+        so_far = np.cumsum(np.vstack([np.zeros((1, commanded.shape[1]), int), commanded]), axis=0)  # (t, n)
+        starts_stuck &= 2 * (so_far[window:] - so_far[:-window]) > window
     change = np.zeros((len(positions_m) + 1, positions_m.shape[1]), int)
     change[:count] += starts_stuck
     change[window + 1 : window + 1 + count] -= starts_stuck

@@ -1,4 +1,4 @@
-"""Planning on estimated maps: traversal costs, frontiers, path search, path following, coverage walks."""
+"""Planning on estimated maps: traversal costs, frontiers, views, path search, path following, coverage walks."""
 
 from twc_env.planning.candidates import Candidates, find_candidates
 from twc_env.planning.covering_walk import WalkGraph, covering_walk, walk_graph
@@ -6,9 +6,13 @@ from twc_env.planning.driver import Driver
 from twc_env.planning.follow import Follower, as_action, drive_to, room_around_m
 from twc_env.planning.moving_obstacles import MovingObstacles
 from twc_env.planning.path_finder import Disc, PathFinder, Plan
-from twc_env.planning.terrain import Terrain, is_frontier, path_is_blocked
+from twc_env.planning.terrain import FREE, UNKNOWN, WALL, Terrain, is_frontier, path_is_blocked
+from twc_env.planning.views import RandomTree, ViewGain
 
 __all__ = [
+    "FREE",
+    "UNKNOWN",
+    "WALL",
     "Candidates",
     "Disc",
     "Driver",
@@ -16,7 +20,9 @@ __all__ = [
     "MovingObstacles",
     "PathFinder",
     "Plan",
+    "RandomTree",
     "Terrain",
+    "ViewGain",
     "WalkGraph",
     "as_action",
     "covering_walk",

@@ -259,6 +259,24 @@ class KnownSign:
 
 
 @_record
+class MergeHypothesis:
+    """How the map of another group may lie in this one, by loop closures that do not suffice to merge them yet.
+
+    It may be wrong: the engine waits for closures that agree."""
+
+    robots: tuple[int, ...]
+    """The other group."""
+    pose_map_other: Array
+    """(3,) pose of the other group's map frame in this map."""
+    support: int
+    """Number of pending closures that agree with it; merging takes about three, at two places."""
+    signs: tuple[KnownSign, ...]
+    """What the other group has read, where it would be in this map."""
+    teammates: dict[int, Array]
+    """Robots of the other group -> (3,) pose at their newest keyframe, as it would be in this map."""
+
+
+@_record
 class Belief:
     """What one robot knows: the merged map of its group and its pose in it. Estimates only."""
 
@@ -297,3 +315,8 @@ class Belief:
     def mates(self) -> NoReturn:
         """The name of `teammates` until version 0.1.0."""
         raise AttributeError("Belief.mates is now Belief.teammates")
+
+    hypotheses: tuple[MergeHypothesis, ...] = ()
+    """The best supported one for each group with which this robot's map is not merged, if there is any."""
+    wifi: WifiScan | None = None
+    """The WiFi scan that the robot completed in this step, if any."""

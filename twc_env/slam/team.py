@@ -9,7 +9,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.records.geometry import between
-from twc_env.records.messages import GridMap, Keyframe, LoopCandidate, LoopClosure
+from twc_env.records.messages import GridMap, Keyframe, LoopCandidate, LoopClosure, MergeHypothesis
 from twc_env.records.team_messages import KnownSigns
 from twc_env.slam.mapping.closure_search import ClosureSearch
 from twc_env.slam.mapping.group_maps import Group, GroupMaps
@@ -17,6 +17,7 @@ from twc_env.slam.mapping.keyframe_sparsification import KeyframeSparsification
 from twc_env.slam.mapping.segments import Segments
 from twc_env.slam.mapping.team_graph import TeamGraph
 from twc_env.slam.merging.map_optimiser import MapOptimiser
+from twc_env.slam.merging.merge_hypotheses import merge_hypotheses
 from twc_env.slam.merging.merge_review import MergeReview
 from twc_env.slam.merging.merge_tests import MergeTests
 from twc_env.slam.merging.merge_trial import MergeTrials
@@ -90,6 +91,8 @@ class TeamMapper:
         self._idle_changes = -1
         """Without new messages there is nothing to do before `_due_step` while `TeamGraph.changes` has this value."""
         self._signs: dict[tuple[int, ...], tuple[tuple[int, int], KnownSigns]] = {}
+        self._hypotheses: tuple[tuple[int, ...], dict[int, tuple[MergeHypothesis, ...]]] = (), {}
+        """Cache of `hypotheses_of` for one state of graph and groups."""
 
     def update(self, step: int, keyframes: Sequence[Keyframe], scans: Sequence[tuple[int, int]] = ()) -> bool:
         """Add keyframes and requested scans; verify, merge and optimise within this step's budget.
@@ -258,6 +261,16 @@ class TeamMapper:
         if held is None or held[0] != key:
             held = self._signs[robots] = (key, self._graph.signs(robots))
         return held[1]
+
+    def hypotheses_of(self, group: int) -> tuple[MergeHypothesis, ...]:
+        """How the maps of other groups may lie in that of a group, by closures that do not suffice to merge them."""
+        key = self._graph.changes, self._graph.closures_verified, self._maps.regroupings
+        if self._hypotheses[0] != key:
+            self._hypotheses = key, {}
+        held = self._hypotheses[1]
+        if group not in held:
+            held[group] = merge_hypotheses(self._graph, self.groups, group)
+        return held[group]
 
     def graph(self) -> dict[str, Array | list[str]]:
         """The pose graph as arrays: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""

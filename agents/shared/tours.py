@@ -49,7 +49,7 @@ class Tours:
         rows, columns = np.nonzero(terrain.cost[stride // 2 :: stride, stride // 2 :: stride])
         cells = np.column_stack([rows, columns]) * stride + stride // 2 + 0.5
         places = terrain.to_metres(cells)
-        if not belief.signs:
+        if not belief.signs or self._explorer.tour_sign_bonus_m == 0.0:
             return places, np.zeros(len(places))
         signs = np.array([sign.position_m for sign in belief.signs], float)
         bonus = np.concatenate([np.zeros(len(places)), np.full(len(signs), self._explorer.tour_sign_bonus_m)])

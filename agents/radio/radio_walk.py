@@ -17,7 +17,7 @@ from twc_env.planning import Driver, PathFinder, Terrain, WalkGraph, as_action, 
 from twc_env.records.geometry import travelled_m
 from twc_env.records.messages import Belief
 
-from .ray_gain import RayGain
+from .ray_gain import RayGain, strays_m
 
 SPACING_M = 0.25
 """Spacing of positions that the walk may visit."""
@@ -129,7 +129,7 @@ class RadioWalk:
         way_m = graph.places_m[graph.way(turns)]
         along_m = travelled_m(way_m)
         last = int(np.argmax(np.linalg.norm(way_m - way_m[0], axis=1) > ARRIVAL_M))
-        while last + 1 < len(way_m) and along_m[last + 1] <= STRIDE_M and _strays_m(way_m[: last + 2]) <= STRAY_M:
+        while last + 1 < len(way_m) and along_m[last + 1] <= STRIDE_M and strays_m(way_m[: last + 2]) <= STRAY_M:
             last += 1
         lengths_m = graph.lengths_m[turns[:-1], turns[1:]]
         self._turns_m[agent] = graph.places_m[turns[1:][np.cumsum(lengths_m) > along_m[last] + 1e-6]]
@@ -144,13 +144,3 @@ def _frontiers_met(terrain: Terrain, places_m: Array, walked_m: Array) -> Array:
     edge_m = edge_m[(np.linalg.norm(edge_m[:, None] - walked_m, axis=2) >= FRONTIER_M + 2 * ARRIVAL_M).all(axis=1)]
     met = np.linalg.norm(places_m[:, None] - edge_m, axis=2) < FRONTIER_M
     return np.repeat(met, FRONTIER_CELLS, axis=1)
-
-
-def _strays_m(way_m: Array) -> float:
-    """Maximum distance of points (k, 2) from the straight line between the first and the last."""
-    along = way_m[-1] - way_m[0]
-    length = float(np.hypot(*along))
-    if length < 1e-9:
-        return math.inf
-    apart = way_m[1:-1] - way_m[0]
-    return float(np.abs(apart[:, 0] * along[1] - apart[:, 1] * along[0]).max(initial=0.0)) / length

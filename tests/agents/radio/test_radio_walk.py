@@ -2,12 +2,12 @@ import math
 
 import numpy as np
 import pytest
-from twc_env.agents import radio_survey
-from twc_env.agents.radio_bound import shortest_known_walk_m
-from twc_env.agents.radio_survey import Comparison, Walked
-from twc_env.agents.radio_walk import ARRIVAL_M, RadioWalk
-from twc_env.agents.ray_gain import RayGain
-from twc_env.agents.wall_follower import STANDOFF_M, WallFollower, nearest_wall
+from twc_env.agents.radio import radio_survey
+from twc_env.agents.radio.radio_bound import shortest_known_walk_m
+from twc_env.agents.radio.radio_survey import Comparison, Walked
+from twc_env.agents.radio.radio_walk import ARRIVAL_M, RadioWalk
+from twc_env.agents.radio.ray_gain import RayGain
+from twc_env.agents.teams.wall_follower import STANDOFF_M, WallFollower, nearest_wall
 
 from twc_env.config import EnvConfig
 from twc_env.records.messages import Belief, GridMap

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from twc_env.agents.explorer_state import ExplorerConfig
-from twc_env.agents.nearest_frontier import NearestFrontier
+from twc_env.agents.shared.explorer_state import ExplorerConfig
+from twc_env.agents.teams.nearest_frontier import NearestFrontier
 
 from twc_env import EnvConfig
 from twc_env.records.messages import Belief, GridMap, KnownSign
@@ -170,7 +170,7 @@ def test_goals_follow_a_jump_of_the_map_frame():
     maze = Maze(TWO_ROOMS, [(1.5, 1.5, 0.0)])
     for _ in range(40):
         maze.advance()
-    robot = maze.policy._robots["robot_0"]
+    robot = maze.policy.robots["robot_0"]
     goal, pose = robot.goal_m.copy(), robot.pose.copy()
     distance = math.hypot(*(goal - pose[:2]))
     belief = maze.beliefs()["robot_0"]
@@ -186,7 +186,7 @@ def test_a_robot_that_cannot_move_excludes_its_goal():
     maze.is_free = lambda robot, x, y: False
     for _ in range(400):
         maze.advance()
-    robot = maze.policy._robots["robot_0"]
+    robot = maze.policy.robots["robot_0"]
     assert len(robot.failures) >= 1
     assert all(failure.until_step > 0 for failure in robot.failures)
 
@@ -209,13 +209,13 @@ def test_a_robot_enclosed_by_its_map_plans_with_a_smaller_radius():
     policy.reset(0, ["robot_0"])
     belief = Belief(0, 0, np.array([0.7, 1.0, 0.0]), GridMap(kind, np.zeros(2), CELL_M))
     policy.act({"robot_0": belief})
-    robot = policy._robots["robot_0"]
+    robot = policy.robots["robot_0"]
     assert robot.goal_kind == "tour"
     assert robot.goal_m[0] > 1.5
     kind[8:12, 14] = 20
     policy.reset(0, ["robot_0"])
     policy.act({"robot_0": belief})
-    assert policy._robots["robot_0"].goal_kind == ""
+    assert policy.robots["robot_0"].goal_kind == ""
 
 
 def test_a_robot_plans_on_its_own_map_even_if_its_teammate_holds_another():

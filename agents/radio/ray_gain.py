@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray as Array
 
@@ -26,9 +28,9 @@ class RayGain:
         rows, columns = seen.log_odds.shape
         centres = seen.centre_of(np.moveaxis(np.indices((rows, columns)), 0, -1))
         self._is_wall = np.pad(seen.log_odds > Terrain.WALL_ABOVE, 1)
-        is_uncertain = (seen.log_odds < Terrain.FREE_BELOW) & (radio.level_at(centres) > -SURE_LEVELS)
+        is_doubtful = (seen.log_odds < Terrain.FREE_BELOW) & (radio.level_at(centres) > -SURE_LEVELS)
         self._number = np.full((rows + 2, columns + 2), -1)
-        self._number[1:-1, 1:-1][is_uncertain] = np.arange(is_uncertain.sum())
+        self._number[1:-1, 1:-1][is_doubtful] = np.arange(is_doubtful.sum())
 
     def cells_cleared(self, places_m: Array, walked_m: Array) -> Array:
         """(places, cells) bool: cells that rays to each position would clear, except those cleared on the walk so
@@ -63,3 +65,13 @@ class RayGain:
         walls = self._is_wall[row, column]
         runs = walls[:, 0].astype(int) + (walls[:, 1:] & ~walls[:, :-1]).sum(axis=1)
         return runs < WALL_DENSITY * distance_m / self._cell_m
+
+
+def strays_m(way_m: Array) -> float:
+    """Maximum distance of points (k, 2) from the straight line between the first and the last."""
+    along = way_m[-1] - way_m[0]
+    length = float(np.hypot(*along))
+    if length < 1e-9:
+        return math.inf
+    apart = way_m[1:-1] - way_m[0]
+    return float(np.abs(apart[:, 0] * along[1] - apart[:, 1] * along[0]).max(initial=0.0)) / length

@@ -1,13 +1,13 @@
-"""Each robot drives to the nearest frontier of its group's merged map; when none is left, it seeks the other robots.
+"""Navigation that all exploring teams share: following paths, arrival, goals that failed, robots that are stuck.
 
-Robots of one group share a map and spread out over its frontiers. A group that is not complete yet and has no frontier
-left tours the signs and the places not visited for longest, because maps merge where two robots have both been. All
-planning is on estimates and may be wrong, so every robot monitors its progress and gives up unreachable goals.
+All planning is on estimates and may be wrong, so every robot monitors its progress and gives up unreachable goals.
+Where to go is decided by each team in its own file.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
@@ -30,33 +30,31 @@ from twc_env.records.messages import Belief, GridMap
 
 from .explorer_state import UNSEEN, ExplorerConfig, ExplorerRobot, Failure
 from .openings import is_open_behind, open_bearing
-from .tours import Tours
 
 
-class NearestFrontier:
-    """The default scripted team, used for the benchmark results."""
+class Explorer(ABC):
+    """Navigation of a team; `best_plan` of a subclass decides where each robot goes."""
 
     def __init__(self, config: EnvConfig, explorer: ExplorerConfig | None = None):
         self.dynamics: DynamicsConfig = config.dynamics
         self.explorer = explorer or ExplorerConfig()
-        self._finder = PathFinder()
-        self._tours = Tours(self._finder, self.explorer, config.dynamics.time_step_s)
+        self.finder = PathFinder()
         self.reset(0, ())
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Discard all state; the seed is used only by robots that are stuck or on a tour."""
-        self._rng = np.random.default_rng(seed)
-        self._robots = {agent: ExplorerRobot(Follower(self.dynamics)) for agent in agents}
+        self.random = np.random.default_rng(seed)
+        self.robots = {agent: ExplorerRobot(Follower(self.dynamics)) for agent in agents}
         self._terrains: dict[tuple[float, GridMap], tuple[int, Terrain]] = {}
         self._idle_since: int | None = None
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
         """One command per robot; replans where necessary."""
         for agent, belief in beliefs.items():
-            self._observe(self._robots[agent], belief)
+            self._observe(self.robots[agent], belief)
         for agent in self._in_planning_order(beliefs):
             self._plan(agent, beliefs)
-        actions = {agent: self._command(self._robots[agent], belief) for agent, belief in beliefs.items()}
+        actions = {agent: self._command(self.robots[agent], belief) for agent, belief in beliefs.items()}
         self._note_idle(beliefs)
         return actions
 
@@ -81,20 +79,24 @@ class NearestFrontier:
             robot.track_m.append(pose[:2].copy())
             robot.track_step.append(belief.step)
         anchor = robot.anchor
-        if not robot.goal_kind or anchor is None or math.hypot(anchor[0] - x, anchor[1] - y) > self.explorer.stuck_m:
+        if (
+            robot.goal_kind in ("", "wait")
+            or anchor is None
+            or math.hypot(anchor[0] - x, anchor[1] - y) > self.explorer.stuck_m
+        ):
             anchor = robot.anchor = (x, y, belief.step)
-        if not robot.goal_kind or belief.step <= robot.escape_until or self._has_arrived(robot, belief):
+        if robot.goal_kind in ("", "wait") or belief.step <= robot.escape_until or self._has_arrived(robot, belief):
             return
         if (belief.step - anchor[2]) * self.dynamics.time_step_s >= self.explorer.stuck_s:
             self._get_unstuck(robot, belief)
 
     def _has_arrived(self, robot: ExplorerRobot, belief: Belief) -> bool:
         """Handle arrival; a frontier that still exists although the robot is there counts as failed."""
-        limit = self.explorer.tour_arrival_m if robot.goal_kind == "tour" else self.explorer.arrival_m
+        limit = self.explorer.arrival_m if robot.goal_kind == "frontier" else self.explorer.tour_arrival_m
         if math.hypot(robot.goal_m[0] - robot.pose[0], robot.goal_m[1] - robot.pose[1]) > limit:
             robot.arrived_step = -1
             return False
-        if robot.goal_kind == "tour":
+        if robot.goal_kind != "frontier":
             robot.stuck_count = 0
             robot.drop_goal()
             return True
@@ -124,8 +126,10 @@ class NearestFrontier:
         robot.jam_count = robot.jam_count + 1 if again else 1
         robot.jam_m = robot.pose[:2].copy()
         # Two robots that meet in a door both back off, for random times that grow until they no longer meet.
-        robot.escape_until = step + int(self._rng.integers(14, 24)) * min(robot.jam_count, self.explorer.jam_count_max)
-        robot.escape_bearing = open_bearing(belief.ranges_m, self._rng)
+        robot.escape_until = step + int(self.random.integers(14, 24)) * min(
+            robot.jam_count, self.explorer.jam_count_max
+        )
+        robot.escape_bearing = open_bearing(belief.ranges_m, self.random)
         if robot.follower.has_path:
             offset = robot.goal_m - robot.pose[:2]
             ahead = offset / max(math.hypot(*offset), 1e-6) * 0.5
@@ -140,8 +144,8 @@ class NearestFrontier:
 
     def _in_planning_order(self, beliefs: dict[str, Belief]) -> list[str]:
         """Robots that need a new plan now, those with a goal first."""
-        due = [agent for agent, belief in beliefs.items() if self._needs_plan(self._robots[agent], belief)]
-        return sorted(due, key=lambda agent: not self._robots[agent].goal_kind)
+        due = [agent for agent, belief in beliefs.items() if self._needs_plan(self.robots[agent], belief)]
+        return sorted(due, key=lambda agent: not self.robots[agent].goal_kind)
 
     def _needs_plan(self, robot: ExplorerRobot, belief: Belief) -> bool:
         """Whether to replan: periodically, or if the plan was dropped, its frontier mapped or its path blocked."""
@@ -152,6 +156,8 @@ class NearestFrontier:
             return True
         if step % max(1, round(explorer.check_s / tick)) != 0:
             return robot.replan and step % 2 == 0
+        if robot.goal_kind == "wait":
+            return True
         if not robot.goal_kind or not robot.follower.has_path:
             return robot.replan
         if robot.goal_kind == "frontier" and not is_frontier(belief.grid, robot.goal_m, explorer.arrival_m):
@@ -171,14 +177,18 @@ class NearestFrontier:
 
     def _plan(self, agent: str, beliefs: dict[str, Belief]) -> None:
         """Choose goal and path of one robot: a frontier, else a tour, else any with a smaller robot radius."""
-        robot = self._robots[agent]
+        robot = self.robots[agent]
         robot.replan = False
-        plan, kind = self._best_plan(agent, beliefs, self._terrain(agent, beliefs))
+        plan, kind = self._planned(agent, beliefs, 1.0)
         step = beliefs[agent].step
         will_retry = any(f.until_step > step and f.count < self.explorer.tries for f in robot.failures)
-        robot.is_idle = kind != "frontier" and not will_retry
+        robot.is_idle = kind in ("tour", "") and not will_retry
+        if kind == "wait":
+            robot.drop_goal()
+            robot.goal_kind, robot.goal_m, robot.replan = kind, robot.pose[:2].copy(), False
+            return
         if plan is None:  # enclosed according to the map: noise may have narrowed a gap
-            plan, kind = self._best_plan(agent, beliefs, self._terrain(agent, beliefs, self.explorer.squeeze))
+            plan, kind = self._planned(agent, beliefs, self.explorer.squeeze)
         if plan is None:  # no goal: drop failures, look around, and try again
             robot.goal_kind = ""
             robot.failures.clear()
@@ -191,15 +201,15 @@ class NearestFrontier:
         robot.goal_m, robot.goal_kind = goal, kind
         robot.follower.start(plan.path_m)
 
-    def _best_plan(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> tuple[Plan | None, str]:
-        """The plan to a frontier, else of a tour; and its kind ("" for no plan)."""
-        belief, robot = beliefs[agent], self._robots[agent]
-        discs = self._discs(robot, belief, terrain)
-        plan = self._plan_to_frontier(agent, beliefs, terrain, discs)
-        if plan is not None:
-            return plan, "frontier"
-        plan = self._tours.plan(robot, belief, terrain, discs, self._banned(robot, belief, {}), self._rng)
-        return plan, "tour" if plan is not None else ""
+    def _planned(self, agent: str, beliefs: dict[str, Belief], squeeze: float) -> tuple[Plan | None, str]:
+        terrain = self._terrain(agent, beliefs, squeeze)
+        return self.best_plan(agent, beliefs, terrain, self._discs(self.robots[agent], beliefs[agent], terrain))
+
+    @abstractmethod
+    def best_plan(
+        self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
+    ) -> tuple[Plan | None, str]:
+        """Where one robot goes next: the path, and its kind (`ExplorerRobot.goal_kind`)."""
 
     def _discs(self, robot: ExplorerRobot, belief: Belief, terrain: Terrain) -> list[Disc]:
         """Obstacles to avoid: teammates, positions where it got stuck, and scan points that the map does not
@@ -227,52 +237,12 @@ class NearestFrontier:
                 spots.append(point)
         return [Disc(float(p[0]), float(p[1]), 0.35, 30) for p in spots[:12]]
 
-    def _plan_to_frontier(
-        self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
-    ) -> Plan | None:
-        """The nearest frontier that is not claimed by a teammate and has not failed recently."""
-        sizes = terrain.frontier_sizes
-        if len(sizes) < 2:
-            return None
-        robot, belief, explorer = self._robots[agent], beliefs[agent], self.explorer
-        penalty = np.where(sizes < explorer.frontier_cells_min, explorer.small_penalty_m, 0.0)
-        penalty[sizes < explorer.frontier_cells_last] = np.inf
-        centres = terrain.frontier_centres_m
-        for goal_m in self.goals_of_teammates_m(agent, beliefs):
-            claimed = np.hypot(*(centres - goal_m).T) < explorer.claim_radius_m
-            claimed[terrain.label_near(goal_m, 0.3)] = True
-            penalty[claimed] += explorer.claim_penalty_m
-        for place in self._banned(robot, belief, beliefs):
-            label = terrain.label_near(place, explorer.failed_radius_m / 2)
-            small = np.hypot(*(centres - place).T) < explorer.failed_radius_m
-            penalty[small] = np.inf
-            if sizes[label] < 25:
-                penalty[label] = np.inf
-        if robot.goal_kind == "frontier":
-            own = terrain.label_near(robot.goal_m, 0.4)
-            penalty[np.arange(len(penalty)) != own] += explorer.change_penalty_m if own else 0.0
-        if not np.isfinite(penalty[1:]).any():
-            return None
-        penalty = penalty + self.extra_penalty_m(agent, beliefs, terrain)
-        return self._finder.cheapest(terrain, robot.pose[:2], terrain.labels, penalty, discs)
-
-    def extra_penalty_m(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> Array:
-        """(frontiers,) additional penalty of each frontier [m]; zeros here."""
-        return np.zeros(len(terrain.frontier_sizes))
-
-    def goals_of_teammates_m(self, agent: str, beliefs: dict[str, Belief]) -> list[Array]:
-        """Frontier goals (2,) of other robots of the group."""
-        teammates = [other for other, b in beliefs.items() if other != agent and b.robot in beliefs[agent].teammates]
-        return [
-            self._robots[teammate].goal_m for teammate in teammates if self._robots[teammate].goal_kind == "frontier"
-        ]
-
-    def _banned(self, robot: ExplorerRobot, belief: Belief, beliefs: dict[str, Belief]) -> list[Array]:
+    def banned(self, robot: ExplorerRobot, belief: Belief, beliefs: dict[str, Belief]) -> list[Array]:
         """Positions of goals that failed recently: the robot's own, and those of teammates after repeated failure."""
         places = [f.place_m for f in robot.failures if f.until_step > belief.step]
         for other, teammate_belief in beliefs.items():
             if teammate_belief.robot in belief.teammates:
-                failures = self._robots[other].failures
+                failures = self.robots[other].failures
                 places += [f.place_m for f in failures if f.count >= 2 and f.until_step > belief.step]
         return places
 
@@ -288,6 +258,8 @@ class NearestFrontier:
                 x, y = 0.6 * math.cos(bearing), 0.6 * math.sin(bearing)
                 speed, turn_rate = drive_to(x, y, belief.ranges_m, self.dynamics)
             robot.escape_bearing = math.remainder(bearing - turn_rate * self.dynamics.time_step_s, 2 * math.pi)
+        elif robot.goal_kind == "wait":
+            speed, turn_rate = 0.0, 0.0
         elif robot.arrived_step >= 0 or not robot.goal_kind:
             speed, turn_rate = 0.0, 0.6 * self.dynamics.turn_rate_max_rad_s  # look around: turning creates keyframes
         else:
@@ -306,8 +278,8 @@ class NearestFrontier:
 
     def _note_idle(self, beliefs: dict[str, Belief]) -> None:
         """Update the step since which the whole merged team has had no frontier."""
-        merged = all(len(b.teammates) + 1 == len(self._robots) for b in beliefs.values())
-        if not (merged and all(self._robots[agent].is_idle for agent in beliefs)):
+        merged = all(len(b.teammates) + 1 == len(self.robots) for b in beliefs.values())
+        if not (merged and all(self.robots[agent].is_idle for agent in beliefs)):
             self._idle_since = None
         elif self._idle_since is None:
             self._idle_since = next(iter(beliefs.values())).step

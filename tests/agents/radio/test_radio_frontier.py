@@ -1,5 +1,5 @@
 import numpy as np
-from twc_env.agents.radio_frontier import radio_penalty_m
+from twc_env.agents.radio.radio_frontier import radio_penalty_m
 
 from twc_env.records.messages import Belief, GridMap
 

@@ -1,4 +1,4 @@
-"""Baseline policy: smooth random velocities, independent of all observations."""
+"""Baseline policy: smooth random velocities, independent of all observations but a wall right ahead."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.records.messages import Belief
+from twc_env.records.messages import UNSEEN_M, Belief
 
 
 class RandomWalk:
@@ -20,8 +20,11 @@ class RandomWalk:
     """Stationary standard deviation, as shares of the maxima."""
     MEMORY_S = 2.0
     """Correlation time."""
+    CLEARANCE_M = (0.1, 0.5)
+    """A robot begins to turn away from what is this near to its rim, and turns until all is further away than that."""
 
     def __init__(self, config: EnvConfig):
+        self._radius_m = config.dynamics.robot_radius_m
         self._keep = math.exp(-config.dynamics.time_step_s / self.MEMORY_S)
         self.reset(0, ())
 
@@ -30,13 +33,28 @@ class RandomWalk:
         self._rng = np.random.default_rng(seed)
         self._agents = tuple(agents)
         self._wander = self._rng.normal(size=(len(self._agents), 2))
+        self._side = [0.0] * len(self._agents)
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, NDArray]:
-        """The next velocities, independent of the beliefs."""
+        """The next velocities; a robot in front of an obstacle turns on the spot until it is free."""
         fresh = self._rng.normal(size=self._wander.shape)
         self._wander = self._keep * self._wander + math.sqrt(1 - self._keep**2) * fresh
         actions = np.clip(self.MEAN + self.SPREAD * self._wander, -1.0, 1.0).astype(np.float32)
+        for i, agent in enumerate(self._agents):
+            if agent in beliefs and self._is_blocked(beliefs[agent].ranges_m, self._side[i] != 0.0):
+                self._side[i] = self._side[i] or math.copysign(1.0, actions[i, 1])
+                actions[i] = 0.0, self._side[i]
+            elif self._side[i]:  # free again: it drives away
+                self._side[i], self._wander[i] = 0.0, (1.0, 0.0)
         return {agent: actions[i] for i, agent in enumerate(self._agents) if agent in beliefs}
+
+    def _is_blocked(self, ranges_m: NDArray | None, is_turning: bool) -> bool:
+        """Whether a scan (beams,) shows an obstacle right ahead, or for a robot that turns away, further ahead."""
+        if ranges_m is None or len(ranges_m) == 0:
+            return False
+        half = len(ranges_m) // (16 if is_turning else 8)
+        ahead = np.concatenate([ranges_m[-half:], ranges_m[: half + 1]])
+        return bool((np.abs(ahead[ahead != UNSEEN_M]) < self._radius_m + self.CLEARANCE_M[is_turning]).any())
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:
         """Always False: there is no goal."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray as Array
 from twc_env.planning import Terrain
 from twc_env.records.messages import Belief
 
-from .nearest_frontier import NearestFrontier
+from ..teams.nearest_frontier import NearestFrontier
 
 REACH_M = 4.0
 """Unseen floor within this distance of a frontier counts."""

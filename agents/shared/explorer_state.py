@@ -1,4 +1,4 @@
-"""Settings of a nearest-frontier team, and its state per robot."""
+"""Settings of an exploring team, and its state per robot."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twc_env.records.geometry import transform_points
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExplorerConfig:
-    """Settings of a nearest-frontier team."""
+    """Settings of an exploring team."""
 
     check_s: float = 0.5
     """Period of checking goals and paths against the newest map, and of replanning if they are no longer valid."""
@@ -77,7 +77,8 @@ class ExplorerRobot:
     """Changes whenever the map frame jumps: version of the map and number of teammates in it."""
     goal_m: Array = field(default_factory=lambda: np.zeros(2))
     goal_kind: str = ""
-    """"frontier" or "tour"; "" when there is no goal."""
+    """"frontier", "tour" (nothing is left to explore), "place" (for another purpose), "wait" (on the spot); "" when
+    there is no goal."""
     arrived_step: int = -1
     stuck_count: int = 0
     track_m: list[Array] = field(default_factory=list)

@@ -22,7 +22,7 @@ from twc_env.records.geometry import inverse, transform_points
 from twc_env.records.messages import GridMap
 from twc_env.running.finished_parts import FinishedParts
 
-from .policy import make_policy
+from ..policy import make_policy
 from .radio_bound import shortest_known_walk_m
 
 AGENTS = ("wall-follower", "radio-walk")

@@ -1,0 +1,1 @@
+"""Oracles: teams that are given ground truth, as an upper reference only."""

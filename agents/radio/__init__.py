@@ -1,0 +1,1 @@
+"""Teams that use maps estimated from radio, and their survey."""

@@ -1,0 +1,1 @@
+"""What the files of teams share: navigation, frontiers, what teammates said, tours."""

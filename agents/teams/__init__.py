@@ -1,0 +1,1 @@
+"""Scripted teams that know nothing of SLAM: one algorithm per file."""

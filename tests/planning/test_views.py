@@ -1,0 +1,50 @@
+"""Views and random trees on maps that can be checked by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from twc_env.planning import RandomTree, Terrain, ViewGain
+from twc_env.records.messages import GridMap
+
+CELL_M = 0.1
+
+
+def half_known(size=100) -> Terrain:
+    """Free floor in the left half of a square of 10 m, unknown in the right half."""
+    log_odds = np.zeros((size, size), np.int16)
+    log_odds[:, : size // 2] = -50
+    return Terrain(GridMap(log_odds, np.zeros(2), CELL_M), 0.2)
+
+
+def test_a_view_at_the_edge_of_the_unknown_shows_half_a_disc():
+    area_m2 = ViewGain(half_known(), 2.0, beams=720).area_m2(np.array([[5.0, 5.0]]))[0]
+    assert area_m2 == pytest.approx(math.pi * 2.0**2 / 2, rel=0.06)
+
+
+def test_known_floor_shows_nothing_and_walls_hide():
+    terrain = half_known()
+    views = ViewGain(terrain, 2.0)
+    assert views.area_m2(np.array([[2.5, 5.0]]))[0] == 0.0
+    log_odds = np.zeros((100, 100), np.int16)
+    log_odds[:, :50] = -50
+    log_odds[:, 50] = 50
+    walled = Terrain(GridMap(log_odds, np.zeros(2), CELL_M), 0.2)
+    assert ViewGain(walled, 2.0).area_m2(np.array([[4.5, 5.0]]))[0] == 0.0
+
+
+def test_what_another_robot_will_see_is_not_counted_again():
+    views, place = ViewGain(half_known(), 2.0), np.array([5.0, 5.0])
+    views.claim(place)
+    assert views.area_m2(place[None])[0] == 0.0
+    assert views.area_m2(np.array([[5.0, 9.5]]))[0] > 0.0
+
+
+def test_a_tree_grows_over_free_floor_and_reports_where_it_meets_the_unknown():
+    terrain, tree = half_known(), RandomTree(np.array([2.0, 5.0]))
+    points = tree.grow(terrain, np.random.default_rng(0).random((400, 2)), 1.0)
+    assert tree.count > 100
+    assert len(points) > 10
+    on_edge = np.min(np.abs(np.column_stack([points[:, 0] - 5.0, points, points[:, 1] - 10.0])), axis=1)
+    assert on_edge.max() < 0.2
