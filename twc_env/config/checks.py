@@ -20,8 +20,9 @@ _BITS_MAX = 1000
 """Bits of whole numbers; a floating-point number reaches 1,024."""
 
 
-ADDED = {"is_added": True}
-"""Metadata of fields that version 0.1.0 did not have: while they have their default, digests do not contain them."""
+LATER = {"is_later": True}
+"""Metadata of fields added after digests were published: at its default, which changes nothing, the digest leaves it
+out."""
 
 
 def is_too_great(value: int) -> bool:
@@ -29,9 +30,9 @@ def is_too_great(value: int) -> bool:
     return value.bit_length() > _BITS_MAX
 
 
-def number(default, minimum: float = -math.inf, maximum: float = math.inf, is_added: bool = False):
-    """A numeric field with its allowed range (inclusive); is_added: see `ADDED`."""
-    return field(default=default, metadata={"minimum": minimum, "maximum": maximum, "is_added": is_added})
+def number(default, minimum: float = -math.inf, maximum: float = math.inf, *, is_later: bool = False):
+    """A numeric field with its allowed range (inclusive). is_later: as `LATER`."""
+    return field(default=default, metadata={"minimum": minimum, "maximum": maximum, "is_later": is_later})
 
 
 def plain_value(value):

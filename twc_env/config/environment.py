@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from twc_env.config.checks import ADDED, Checked, choice, name_sections, number
+from twc_env.config.checks import LATER, Checked, choice, name_sections, number
 from twc_env.config.people import PeopleConfig
 from twc_env.config.slam import SlamConfig
 from twc_env.config.world import (
@@ -101,7 +101,7 @@ class EnvConfig(Checked):
     signs: SignsConfig = field(default_factory=SignsConfig)
     link: LinkConfig = field(default_factory=LinkConfig)
     failure: FailureConfig = field(default_factory=FailureConfig)
-    people: PeopleConfig = field(default_factory=PeopleConfig, metadata=ADDED)
+    people: PeopleConfig = field(default_factory=PeopleConfig, metadata=LATER)
     slam: SlamConfig = field(default_factory=SlamConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     action: ActionConfig = field(default_factory=ActionConfig)

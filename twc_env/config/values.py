@@ -30,22 +30,21 @@ def radio_preset(name: str) -> RadioConfig:
 
 @lru_cache(maxsize=16)
 def digest(config: EnvConfig) -> str:
-    """Twelve hex digits (SHA-256) of all values, without later settings that have their default (`ADDED`)."""
-    text = json.dumps(_without_unused(dataclasses.asdict(config), config), sort_keys=True)
+    """Twelve hex digits (SHA-256) of all values, without those of `checks.LATER` that have their default."""
+    text = json.dumps(_told(config), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def _without_unused(values: dict, section) -> dict:
-    """The values of a section, in place, without fields marked as `ADDED` that have their default."""
+def _told(section) -> dict:
+    """Nested plain values that the digest covers."""
+    told = {}
     for field in dataclasses.fields(section):
         value = getattr(section, field.name)
         is_table = dataclasses.is_dataclass(value)
         default = type(value)() if is_table else field.default
-        if field.metadata.get("is_added") and value == default:
-            del values[field.name]
-        elif is_table:
-            _without_unused(values[field.name], value)
-    return values
+        if not (field.metadata.get("is_later") and value == default):
+            told[field.name] = _told(value) if is_table else value
+    return told
 
 
 def to_dict(config: EnvConfig) -> dict:

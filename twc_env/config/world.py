@@ -228,7 +228,7 @@ class FailureConfig(Checked):
     """... and first step with communication again."""
     device_offset_db: float = number(0.0, -40.0, 40.0)
     """Added to all RSSI readings of the last robot."""
-    kidnap_step: int = number(0, 0, 10_000_000, is_added=True)
+    kidnap_step: int = number(0, 0, 10_000_000, is_later=True)
     """Step before which the last robot is lifted and put down elsewhere, unseen by its odometry (0: never)."""
-    kidnaps_per_min: float = number(0.0, 0.0, 60.0, is_added=True)
+    kidnaps_per_min: float = number(0.0, 0.0, 60.0, is_later=True)
     """Rate at which the same happens to each robot, at random times."""
