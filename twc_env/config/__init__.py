@@ -20,7 +20,7 @@ from twc_env.config.slam import (
     SlamConfig,
     VerificationConfig,
 )
-from twc_env.config.values import digest, from_dict, load, override, radio_preset, to_dict
+from twc_env.config.values import digest, from_dict, load, override, radio_preset, to_dict, world_preset
 from twc_env.config.world import (
     ROBOTS_MAX,
     BuildingConfig,
@@ -34,11 +34,13 @@ from twc_env.config.world import (
     RadioConfig,
     SignsConfig,
 )
+from twc_env.config.world_presets import WORLD_PRESETS
 
 __all__ = [
     "PEOPLE_MAX",
     "RADIO_PRESETS",
     "ROBOTS_MAX",
+    "WORLD_PRESETS",
     "ActionConfig",
     "BuildingConfig",
     "CellConfig",
@@ -71,4 +73,5 @@ __all__ = [
     "override",
     "radio_preset",
     "to_dict",
+    "world_preset",
 ]

@@ -16,6 +16,7 @@ from twc_env.config.checks import is_too_great, plain_value
 from twc_env.config.environment import EnvConfig
 from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.world import RadioConfig
+from twc_env.config.world_presets import WORLD_PRESETS
 from twc_env.errors import ConfigError, did_you_mean
 from twc_env.records.json_values import table_of
 
@@ -26,6 +27,14 @@ def radio_preset(name: str) -> RadioConfig:
         known = ", ".join(RADIO_PRESETS)
         raise ConfigError(f"radio.preset must be one of {known}; got {name!r}{_near(name, RADIO_PRESETS)}")
     return from_dict(RADIO_PRESETS[name], RadioConfig, "radio")
+
+
+def world_preset(name: str) -> EnvConfig:
+    """The default settings with the effects of reality in one type of place. Raises ConfigError for an unknown name."""
+    if name not in WORLD_PRESETS:
+        known = ", ".join(WORLD_PRESETS)
+        raise ConfigError(f"world must be one of {known}; got {name!r}{_near(name, WORLD_PRESETS)}")
+    return override(EnvConfig(), WORLD_PRESETS[name])
 
 
 @lru_cache(maxsize=16)
@@ -65,6 +74,12 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
         raise ConfigError(f"{where or 'a config'} must be a table of settings; got {values!r}")
     types = typing.get_type_hints(cls)
     arguments: dict = {}
+    if cls is EnvConfig and "world" in values:
+        values = dict(values)
+        preset = to_dict(world_preset(str(values.pop("world"))))
+        if isinstance(values.get("radio"), dict) and "preset" in values["radio"]:
+            del preset["radio"]
+        values = _merged(preset, values)
     if cls is RadioConfig and "preset" in values:
         values = dict(values)
         values = _merged(dataclasses.asdict(radio_preset(values.pop("preset"))), values)
@@ -133,12 +148,17 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
     """A copy with dotted keys replaced: `override(config, {"lidar.beam_count": 360})`, or nested ones, which leave the
     other settings of their section as they are.
 
-    Strings are converted to the type of the field, as for command lines. `radio.preset` is applied before the others.
+    Strings are converted to the type of the field, as for command lines. `world` (`world_preset`) is applied first: it
+    changes the settings of its effects only; then `radio.preset`, then the others.
     Raises ConfigError for an unknown key or an invalid value.
     """
     if not isinstance(assignments, Mapping) or not all(isinstance(key, str) for key in assignments):
         raise ConfigError(f"settings must be a dict with names as keys, such as {{'robots': 2}}; got {assignments!r}")
     values, assignments = to_dict(config), dotted_keys(assignments)
+    if "world" in assignments:
+        name = str(assignments.pop("world"))
+        world_preset(name)  # refuses unknown names
+        assignments = WORLD_PRESETS[name] | assignments
     if "radio.preset" in assignments:
         values["radio"] = dataclasses.asdict(radio_preset(str(assignments.pop("radio.preset"))))
     for dotted, value in assignments.items():
