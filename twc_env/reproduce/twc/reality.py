@@ -38,6 +38,8 @@ EFFECTS: dict[str, dict] = {
     "repeated signs": {"building.sign_duplication": 0.5},
     "measured radio": {"radio.preset": "radio-mall"},
     "weak links": {"link.topology": "peer", "link.range_max_m": 10.0, "link.wall_range_m": 4.0},
+    "late starts": {"failure.start_spread_s": 20.0},
+    "lost frames": {"failure.frame_loss_probability": 0.3},
     "lost robot": {"failure.robots": 1, "failure.robots_step": 400},
 }
 """Settings of each effect."""
