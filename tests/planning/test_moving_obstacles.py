@@ -20,12 +20,12 @@ def scan_with(places, room_m=3.0, radius_m=0.06, heading=0.0):
     return ranges
 
 
-def waits(scans, speed_m_s=0.5, mates_m=NOBODY, headings=None):
+def waits(scans, speed_m_s=0.5, teammates_m=NOBODY, headings=None):
     """Whether the robot waits at the last of these scans."""
     obstacles = MovingObstacles(DynamicsConfig())
     for k, ranges in enumerate(scans):
         pose = np.array([0.0, 0.0, 0.0 if headings is None else headings[k]])
-        found = obstacles.are_near(pose, ranges, speed_m_s, mates_m)
+        found = obstacles.are_near(pose, ranges, speed_m_s, teammates_m)
     return found
 
 
@@ -52,7 +52,7 @@ def test_who_moves_behind_does_not_matter_until_the_robot_backs_up():
 
 
 def test_teammates_do_not_count():
-    assert not waits(approaching(), mates_m=np.array([[0.9, 0.0]]))
+    assert not waits(approaching(), teammates_m=np.array([[0.9, 0.0]]))
 
 
 def test_wide_things_are_walls_that_come_into_view():

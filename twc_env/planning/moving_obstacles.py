@@ -30,11 +30,11 @@ HOLD_S = 0.4
 
 
 @kernel
-def _has_moved(ranges, pose, old_ranges, old_pose, reach, forward, mates, mate_radius):
+def _has_moved(ranges, pose, old_ranges, old_pose, reach, forward, teammates, teammate_radius):
     """Whether an end point within `reach` on something narrow lies well inside the free space of the old scan.
 
     The beams beside its bearing must have been free as well: along a grazing wall, ranges of neighbours differ. Points
-    behind a robot that drives forward (1) or back (-1), or within mate_radius of mates (k, 2), do not count.
+    behind a robot that drives forward (1) or back (-1), or within teammate_radius of teammates (k, 2), do not count.
     """
     beams = ranges.shape[0]
     per_beam = beams / (2.0 * math.pi)
@@ -46,10 +46,10 @@ def _has_moved(ranges, pose, old_ranges, old_pose, reach, forward, mates, mate_r
         ax, ay = ranges[i] * math.cos(i / per_beam), ranges[i] * math.sin(i / per_beam)
         if forward * ax < BEHIND_COS * ranges[i]:
             continue
-        is_mate = False
-        for k in range(mates.shape[0]):
-            is_mate |= (ax - mates[k, 0]) ** 2 + (ay - mates[k, 1]) ** 2 < mate_radius**2
-        if is_mate:
+        is_teammate = False
+        for k in range(teammates.shape[0]):
+            is_teammate |= (ax - teammates[k, 0]) ** 2 + (ay - teammates[k, 1]) ** 2 < teammate_radius**2
+        if is_teammate:
             continue
         wx, wy = pose[0] + c * ax - s * ay - old_pose[0], pose[1] + s * ax + c * ay - old_pose[1]
         dx, dy = old_c * wx + old_s * wy, old_c * wy - old_s * wx
@@ -79,11 +79,11 @@ def _width(ranges, i):
     return math.sqrt(max(a * a + b * b - 2.0 * a * b * math.cos(angle), 0.0))
 
 
-def _mates_of(belief: Belief) -> Array:
-    """(k, 2) believed positions of the mates in the robot frame."""
-    if not belief.mates:
+def _teammates_of(belief: Belief) -> Array:
+    """(k, 2) believed positions of the teammates in the robot frame."""
+    if not belief.teammates:
         return np.zeros((0, 2))
-    offset = np.array([pose[:2] for pose in belief.mates.values()]) - belief.pose_map_robot[:2]
+    offset = np.array([pose[:2] for pose in belief.teammates.values()]) - belief.pose_map_robot[:2]
     c, s = math.cos(belief.pose_map_robot[2]), math.sin(belief.pose_map_robot[2])
     return np.stack([c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0]], axis=1)
 
@@ -98,13 +98,13 @@ class MovingObstacles:
 
     def stop(self, belief: Belief, speed_m_s: float) -> bool:
         """Whether a robot that wants this speed has to wait; call once per step."""
-        return self.are_near(belief.pose_odom, belief.ranges_m, speed_m_s, _mates_of(belief))
+        return self.are_near(belief.pose_odom, belief.ranges_m, speed_m_s, _teammates_of(belief))
 
-    def are_near(self, pose_odom: Array, ranges_m: Array | None, speed_m_s: float, mates_m: Array) -> bool:
+    def are_near(self, pose_odom: Array, ranges_m: Array | None, speed_m_s: float, teammates_m: Array) -> bool:
         """Whether something moves nearby, not behind a robot of this speed, or did shortly before; call once per step.
 
-        pose_odom (3,): in a frame that does not jump; mates_m (k, 2): positions of teammates in the robot frame, which
-        do not count.
+        pose_odom (3,): in a frame that does not jump; teammates_m (k, 2): positions of teammates in the robot frame,
+        which do not count.
         """
         if ranges_m is None or len(ranges_m) == 0:
             return False
@@ -114,7 +114,7 @@ class MovingObstacles:
         forward = 1.0 if speed_m_s >= 0.0 else -1.0
         moved = _has_moved(
             ranges, self._earlier[-1][0], old_ranges, old_pose, self._radius_m + REACH_M, forward,
-            np.ascontiguousarray(mates_m, float), 2.0 * self._radius_m,
+            np.ascontiguousarray(teammates_m, float), 2.0 * self._radius_m,
         )  # fmt: skip
         self._hold_steps = round(HOLD_S / self._time_step_s) if moved else max(self._hold_steps - 1, 0)
         return self._hold_steps > 0

@@ -68,7 +68,7 @@ class Listening:
         return found
 
 
-def shortcomings(mapper: TeamMapper) -> list[str]:
+def diagnostics_of(mapper: TeamMapper) -> list[str]:
     """One line per problem of a mapper so far, in a fixed order; empty without problems."""
     return [
         *_carried(mapper),

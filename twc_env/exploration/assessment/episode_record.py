@@ -30,7 +30,7 @@ class EpisodeRecord(BindsAnew):
         """Pairs of robots that were wrongly merged at a step at which the rewards were evaluated."""
         self.people_collisions: int | None = None
         """Contacts with people that robots began by driving; None in a building without people."""
-        self.map_judges = MapEvaluators()
+        self.map_evaluators = MapEvaluators()
 
     def append(self, true_poses: Array, odom_poses: Array, motions: Array, contacts: Array) -> None:
         """Append one step: true poses, front-end poses, measured motions (robots, 3); contacts (robots,) bool."""

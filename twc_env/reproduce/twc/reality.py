@@ -96,7 +96,7 @@ def episode(effect: dict, building: int, area_m2: int, robots: int, steps: int) 
         tries, before = np.where(np.hypot(*(here - before).T) < MOVED_M, tries + 1, 0), here
         frontiers = env.config.action.frontier_slots
         has_frontier = any(mask[:frontiers].any() for mask in masks)
-        is_merged = all(len(env.belief(agent).mates) == robots - 1 for agent in env.agents)
+        is_merged = all(len(env.belief(agent).teammates) == robots - 1 for agent in env.agents)
         idle = idle + 1 if is_merged and not has_frontier else 0
         choices = [np.flatnonzero(mask) for mask in masks]  # frontiers first, the nearest one before the others
         goals = [int(valid[k % len(valid)]) for valid, k in zip(choices, tries.tolist(), strict=True)]
