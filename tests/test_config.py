@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twc_env.config import (
+    WORLD_PRESETS,
     EnvConfig,
     LidarConfig,
     digest,
@@ -19,6 +20,7 @@ from twc_env.config import (
     override,
     radio_preset,
     to_dict,
+    world_preset,
 )
 from twc_env.errors import ConfigError
 
@@ -294,3 +296,25 @@ def test_a_number_of_too_many_digits_is_refused_in_one_line(digits):
             match=f"lidar.range_max_m must be a number of at most 300 digits; got one of about {digits + 1}",
         ):
             make()
+
+
+@pytest.mark.parametrize("name", WORLD_PRESETS)
+def test_a_world_is_the_same_from_python_a_table_and_a_file(name, tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(f'world = "{name}"\nrobots = 2\n')
+    expected = override(world_preset(name), {"robots": 2})
+    assert load(path) == from_dict({"world": name, "robots": 2}) == override(EnvConfig(), {"world": name, "robots": 2})
+    assert load(path) == expected and (name == "clean") == (world_preset(name) == EnvConfig())
+
+
+def test_other_settings_and_another_radio_go_before_those_of_the_world():
+    wanted = {"world": "mall", "people.count": 3, "radio.preset": "radio-indoor"}
+    config = override(EnvConfig(), wanted)
+    assert config.people.count == 3 and config.people.walking_share == 0.8
+    assert config.radio == radio_preset("radio-indoor")
+    assert config == from_dict({"world": "mall", "people": {"count": 3}, "radio": {"preset": "radio-indoor"}})
+
+
+def test_an_unknown_world_is_refused_with_the_known_ones():
+    with pytest.raises(ConfigError, match=r"world must be one of clean, office, .*did you mean 'ward'"):
+        override(EnvConfig(), {"world": "wardd"})

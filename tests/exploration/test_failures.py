@@ -9,8 +9,9 @@ import pytest
 import twc_env
 from twc_env.__main__ import main
 from twc_env.config import FailureConfig
-from twc_env.records.messages import Contacts
-from twc_env.world.failures import Failures
+from twc_env.records.geometry import between, compose
+from twc_env.records.messages import Contacts, SensorFrame
+from twc_env.world.failures import Failures, FrameLoss
 
 STOP = 30
 
@@ -150,3 +151,40 @@ def test_steps_of_a_team_that_has_failed_take_the_longest_time(timing):
     while env.agents:
         _, _, _, _, infos = env.step({agent: np.zeros(2) for agent in env.agents})
         assert infos["robot_0"]["time_steps"] == 20
+
+
+def test_robots_that_start_later_neither_move_nor_send_before_and_have_correct_headings_after():
+    poses, env = play(90, start_spread_s=3.0)
+    assert np.ptp(poses[:30, 1], axis=0).max() < 1e-9 and np.hypot(*(poses[-1, 1, :2] - poses[30, 1, :2])) > 0.3
+    assert env.engine.team.keyframes[1][0].step == STOP and env.engine.team.keyframes[0][0].step == 0
+    moved = between(poses[STOP, 1], poses[-1, 1])
+    believed = between(env.episode.record.odom_poses[STOP, 1], env.episode.record.odom_poses[-1, 1])
+    assert believed == pytest.approx(moved, abs=0.05)
+
+
+def test_the_frame_after_lost_ones_has_the_odometry_since_the_last_that_arrived():
+    random, motions, arrived = np.random.default_rng(0), [], []
+    loss = FrameLoss(0.6, 1, seed=3)
+    for step in range(60):
+        motions.append(random.normal(0.0, 0.1, 3))
+        frames = loss.arriving([SensorFrame(0, step, 0.1 * step, motions[-1], motions[-1][2] / 0.1, np.ones(8))])
+        arrived += frames
+    last = arrived[-1].step
+    whole, told = np.zeros(3), np.zeros(3)
+    for motion in motions[: last + 1]:
+        whole = compose(whole, motion)
+    for frame in arrived:
+        told = compose(told, frame.odometry)
+    assert 10 < len(arrived) < 40 and told == pytest.approx(whole)
+    turned = sum(frame.turn_rate_rad_s * n * 0.1 for frame, n in zip(arrived, counts_of(arrived), strict=True))
+    assert turned == pytest.approx(sum(motion[2] for motion in motions[: last + 1]))
+
+
+def counts_of(frames):
+    """Number of time steps since the frame before, for each frame."""
+    return np.diff([-1, *(frame.step for frame in frames)]).tolist()
+
+
+def test_a_third_of_lost_frames_costs_no_more_than_their_age():
+    _, env = play(150, frame_loss_probability=0.3)
+    assert env.result().figures["team_ate_m"] < 0.15

@@ -30,6 +30,7 @@ from twc_env.config.values import (
     override,
     radio_preset,
     to_dict,
+    world_preset,
 )
 from twc_env.config.world import (
     ROBOTS_MAX,
@@ -44,12 +45,14 @@ from twc_env.config.world import (
     RadioConfig,
     SignsConfig,
 )
+from twc_env.config.world_presets import WORLD_PRESETS
 
 __all__ = [
     "LIDAR_PRESETS",
     "PEOPLE_MAX",
     "RADIO_PRESETS",
     "ROBOTS_MAX",
+    "WORLD_PRESETS",
     "ActionConfig",
     "BuildingConfig",
     "CellConfig",
@@ -85,4 +88,5 @@ __all__ = [
     "override",
     "radio_preset",
     "to_dict",
+    "world_preset",
 ]

@@ -18,6 +18,7 @@ from twc_env.config.environment import EnvConfig
 from twc_env.config.lidar_presets import LIDAR_PRESETS
 from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.world import LidarConfig, RadioConfig
+from twc_env.config.world_presets import WORLD_PRESETS
 from twc_env.errors import ConfigError, did_you_mean
 from twc_env.records.class_file import is_in_file
 from twc_env.records.json_values import table_of
@@ -46,6 +47,14 @@ def _preset(section: type, name: str):
         names = ", ".join(known)
         raise ConfigError(f"{where}.preset must be one of {names}; got {name!r}{_near(name, known)}")
     return from_dict(known[name], section, where)
+
+
+def world_preset(name: str) -> EnvConfig:
+    """The default settings with the effects of reality in one type of place. Raises ConfigError for an unknown name."""
+    if name not in WORLD_PRESETS:
+        known = ", ".join(WORLD_PRESETS)
+        raise ConfigError(f"world must be one of {known}; got {name!r}{_near(name, WORLD_PRESETS)}")
+    return override(EnvConfig(), WORLD_PRESETS[name])
 
 
 @lru_cache(maxsize=16)
@@ -99,6 +108,13 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
         raise ConfigError(f"{where or 'a config'} must be a table of settings; got {values!r}")
     types = typing.get_type_hints(cls)
     arguments: dict = {}
+    if cls is EnvConfig and "world" in values:
+        values = dict(values)
+        preset = to_dict(world_preset(str(values.pop("world"))))
+        for section, _ in _PRESETS.values():
+            if isinstance(values.get(section), dict) and "preset" in values[section]:
+                del preset[section]
+        values = _merged(preset, values)
     if cls in _PRESETS and "preset" in values:
         values = dict(values)
         values = _merged(dataclasses.asdict(_preset(cls, values.pop("preset"))), values)
@@ -167,13 +183,20 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
     """A copy with dotted keys replaced: `override(config, {"lidar.beam_count": 360})`, or nested ones, which leave the
     other settings of their section as they are.
 
-    Strings are converted to the type of the field, as for command lines. `radio.preset` and `lidar.preset` are applied
-    before the others.
+    Strings are converted to the type of the field, as for command lines. `world` (`world_preset`) is applied first: it
+    changes the settings of its effects only; then `radio.preset` and `lidar.preset`, which leave nothing of what the
+    world says about their section; then the others.
     Raises ConfigError for an unknown key or an invalid value.
     """
     if not isinstance(assignments, Mapping) or not all(isinstance(key, str) for key in assignments):
         raise ConfigError(f"settings must be a dict with names as keys, such as {{'robots': 2}}; got {assignments!r}")
     values, assignments = to_dict(config), dotted_keys(assignments)
+    if "world" in assignments:
+        name = str(assignments.pop("world"))
+        world_preset(name)  # refuses unknown names
+        replaced = tuple(f"{where}." for where, _ in _PRESETS.values() if f"{where}.preset" in assignments)
+        effects = {k: v for k, v in WORLD_PRESETS[name].items() if not (replaced and k.startswith(replaced))}
+        assignments = effects | assignments
     for section, (where, _) in _PRESETS.items():
         if f"{where}.preset" in assignments:
             values[where] = dataclasses.asdict(_preset(section, str(assignments.pop(f"{where}.preset"))))

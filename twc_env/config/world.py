@@ -329,6 +329,12 @@ class FailureConfig(Checked):
     """... and first step with communication again."""
     device_offset_db: float = number(0.0, -40.0, 40.0)
     """Added to all RSSI readings of the last robot."""
+    start_spread_s: float = number(0.0, 0.0, 3600.0, is_later=True)
+    """Robots are switched on one after the other, the last one this long after the first; before, they neither move,
+    sense nor communicate."""
+    frame_loss_probability: float = number(0.0, 0.0, 0.99, is_later=True)
+    """Probability that a robot's frame never reaches its engine; the next one has the odometry since the last that
+    did."""
     kidnap_step: int = number(0, 0, 10_000_000, is_later=True)
     """Step before which the last robot is lifted and put down elsewhere, unseen by its odometry (0: never)."""
     kidnaps_per_min: float = number(0.0, 0.0, 60.0, is_later=True)

@@ -21,7 +21,7 @@ from twc_env.records.random_streams import random_stream
 from twc_env.records.team_messages import TeamFrames
 from twc_env.slam.modes import Engine, make_engine
 from twc_env.world.building.floorplan import Floorplan
-from twc_env.world.failures import Failures, silenced
+from twc_env.world.failures import Failures, FrameLoss, silenced
 from twc_env.world.link import Link
 from twc_env.world.world import World
 
@@ -55,7 +55,8 @@ class Episode:
             self.engine.give_starts(world.poses_home.copy())
         if config.slam.k_visibility.are_transmitters_known:
             self.engine.give_transmitters(*world.transmitters_home, world.poses_home.copy())
-        self._failures = Failures(config.failure, count)
+        self._failures = Failures(config.failure, count, config.dynamics.time_step_s)
+        self._loss = FrameLoss(config.failure.frame_loss_probability, count, seed)
         self._link = Link(config.link, count, world.plan.home.wall_index, random_stream(seed, "link"))
         self._builder = ObservationBuilder(config)
         self._velocities = action_blocks.Velocities(config.dynamics, count)
@@ -183,7 +184,7 @@ class Episode:
         """Advance by one time step; returns the reward terms of each robot."""
         if not (self._failures.is_nothing or self._failures.are_all_alive(self.steps)):
             is_alive = self._failures.is_alive(self.steps)
-            self.world.anchor(np.flatnonzero(~is_alive))
+            self.world.anchor(self._failures.failed(self.steps))
             commands = commands * is_alive[:, None]
         self.steps += 1
         self.is_over = self.steps == self.config.max_cycles
@@ -201,6 +202,8 @@ class Episode:
             if not is_alive.all():
                 self.frames = [frame for frame in frames if is_alive[frame.robot]]
                 self._shown = silenced(frames, is_alive)
+            if self._loss.probability:
+                self.frames = self._loss.arriving(self.frames)
         self.frames_of_step.append(self.frames)
         if self.frames is frames or self.frames:
             engine.track(self.frames)

@@ -193,6 +193,8 @@ class CooperativeSlam(CopiedWhole):
         Raises DataError for invalid frames.
         """
         self._beliefs = None
+        if isinstance(frames, TeamFrames) and self._clocks.differ:
+            frames = list(frames)
         if not isinstance(frames, TeamFrames):
             check_frames(frames, self._clocks.times_s, self._beam_count)
             frames = [self._clocks.corrected(frame, self._is_first(frame.robot)) for frame in frames]

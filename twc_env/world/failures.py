@@ -1,12 +1,17 @@
-"""Failures during an episode: robots that stop permanently, and a temporary outage of the radio link."""
+"""Failures during an episode: robots that start late or stop for good, frames that are lost, outages of the link."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import FailureConfig
-from twc_env.records.messages import UNSEEN_M, Contacts, WifiScan
+from twc_env.records.geometry import compose
+from twc_env.records.messages import UNSEEN_M, Contacts, SensorFrame, WifiScan
+from twc_env.records.random_streams import random_stream
 from twc_env.records.team_messages import TeamFrames
 
 _DEAF = WifiScan(np.zeros(0, np.int64), np.zeros(0))
@@ -16,21 +21,33 @@ _DEAF = WifiScan(np.zeros(0, np.int64), np.zeros(0))
 class Failures:
     """Which robots work and which can communicate, per step."""
 
-    def __init__(self, config: FailureConfig, robots: int):
+    def __init__(self, config: FailureConfig, robots: int, time_step_s: float = 0.1):
         self._config = config
-        self.is_nothing = not config.robots and config.link_begin_step >= config.link_end_step
+        starts_s = config.start_spread_s * np.arange(robots) / max(robots - 1, 1)
+        self._start_steps = np.round(starts_s / time_step_s).astype(int)
+        self._last_start = int(self._start_steps[-1])
+        has_outage = config.link_begin_step < config.link_end_step
+        self.is_nothing = not (config.robots or has_outage or self._last_start or config.frame_loss_probability)
         """Whether there are no failures at all."""
         self._everyone = np.ones(robots, np.bool_)
         self._survivors = np.arange(robots) < robots - config.robots
         self._everyone.flags.writeable = self._survivors.flags.writeable = False
 
     def are_all_alive(self, step: int) -> bool:
-        """Whether no robot has failed up to this step."""
-        return not self._config.robots or step < self._config.robots_step
+        """Whether all robots work in this step."""
+        return step >= self._last_start and not self._have_failed(step)
+
+    def _have_failed(self, step: int) -> bool:
+        return bool(self._config.robots) and step >= self._config.robots_step
 
     def is_alive(self, step: int) -> Array:
         """(robots,) bool, read-only: whether each robot moves, measures and communicates."""
-        return self._everyone if self.are_all_alive(step) else self._survivors
+        alive = self._survivors if self._have_failed(step) else self._everyone
+        return alive if step >= self._last_start else alive & (step >= self._start_steps)
+
+    def failed(self, step: int) -> list[int]:
+        """The robots that have failed for good."""
+        return np.flatnonzero(~self._survivors).tolist() if self._have_failed(step) else []
 
     def contacts(self, step: int, contacts: Contacts) -> Contacts:
         """The contacts of a step without those of failed robots; none during an outage of the link."""
@@ -62,3 +79,29 @@ def silenced(frames: TeamFrames, is_alive: Array) -> TeamFrames:
         frames.scanner,
         frames.has_scan,
     )
+
+
+class FrameLoss:
+    """Frames that do not reach the engine; the next one of the robot has the odometry since the last that did."""
+
+    def __init__(self, probability: float, robots: int, seed: int):
+        self.probability = probability
+        self._random = random_stream(seed, "frame-loss")
+        self._motions, self._turn_rates, self._steps = np.zeros((robots, 3)), np.zeros(robots), np.zeros(robots, int)
+        """Of the frames lost since: odometry, sum of the turn rates, and their number."""
+
+    def arriving(self, frames: Sequence[SensorFrame]) -> list[SensorFrame]:
+        """The frames of a step that arrive. Once per step."""
+        is_lost, arriving = self._random.random(len(self._motions)) < self.probability, []
+        for frame in frames:
+            robot = frame.robot
+            motion = compose(self._motions[robot], frame.odometry)
+            turns, count = self._turn_rates[robot] + frame.turn_rate_rad_s, self._steps[robot] + 1
+            if is_lost[robot]:
+                self._motions[robot], self._turn_rates[robot], self._steps[robot] = motion, turns, count
+                continue
+            if count > 1:
+                frame = replace(frame, odometry=motion, turn_rate_rad_s=float(turns / count))
+            self._motions[robot], self._turn_rates[robot], self._steps[robot] = 0.0, 0.0, 0
+            arriving.append(frame)
+        return arriving

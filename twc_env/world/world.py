@@ -43,6 +43,7 @@ _STEPS_AT_ONCE = 16
 """Steps per allocation: a row of an array costs a third of a new array."""
 _NO_COMMANDS = np.empty((0, 2))
 """Commands of a call that only senses."""
+_NOBODY = Bodies(np.zeros((0, 2)), HIDING_RADIUS_M, 0.0)
 _CONTACT, _UNCACHED = -1, -2
 """Return values of `_move_and_sense` if a contact is possible, and if the wall crossings at robot 0 are not cached."""
 
@@ -111,8 +112,6 @@ class World:
         self.crowd = None
         if config.people.count:
             self.crowd = Crowd(config.people, self._home, starts_home, radius, self._time_step_s, seed)
-        upright = self.crowd.upright if self.crowd and config.people.body_loss_db else np.zeros((0, 2))
-        self._bodies = Bodies(upright, HIDING_RADIUS_M, config.people.body_loss_db)
         self._kidnapping = Kidnapping(config.failure, self._home, robots, self._time_step_s, seed)
         self._sensed_poses = dynamics.poses.copy()
         """(n, 3) true poses of the last measurement."""
@@ -129,6 +128,11 @@ class World:
     def poses_home(self) -> Array:
         """(n, 3) true poses in the home frame."""
         return (self._dynamics or _raise_not_reset()).poses
+
+    @property
+    def _bodies(self) -> Bodies:
+        """The people in the way of signals."""
+        return _NOBODY if self.crowd is None else self.crowd.in_the_way
 
     @property
     def people_m(self) -> Array:
@@ -229,9 +233,7 @@ class World:
 
     def _move_people(self, crowd: Crowd, commands: Array) -> Array:
         """Advance the people by one step; returns the commands (n, 2) of robots that bumpers leave."""
-        commands = crowd.step(self.poses_home, commands)
-        self._bodies.position_m[:] = crowd.upright[: len(self._bodies.position_m)]
-        return commands
+        return crowd.step(self.poses_home, commands)
 
     def _show_people(self, crowd: Crowd, step: int, poses: Array, ranges: Array, has_signs: bool) -> None:
         """Let scanners and cameras at poses (n, 3) see the people, and note who is touched."""

@@ -245,8 +245,8 @@ def test_the_age_of_a_closure_restarts_when_its_status_changes():
     from twc_env.exploration.viewer import SeenClosures
 
     closure = Thing(status="pending", candidate=Thing(target=(0, 0), source=(1, 0), recogniser="text"))
-    mapper = Thing(closures=[closure], poses_of=lambda robot: np.array([[1.0 + robot, 0.0, 0.0]]))
-    view = Thing(mapper=mapper, viewers=(0, 1))
+    mapper = Thing(closures=[closure], segment_path=lambda segment: (np.array([[1.0 + segment, 0.0, 0.0]]), [0]))
+    view = Thing(mapper=mapper, viewers=(0, 1), segments=(0, 1))
     score = Thing(view=view, robots=(0, 1), pose_building_map=np.array([10.0, 0.0, 0.0]))
     seen = SeenClosures()
 

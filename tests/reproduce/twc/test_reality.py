@@ -4,7 +4,7 @@ from twc_env.config import EnvConfig, override
 from twc_env.reproduce.twc import reality
 
 
-@pytest.mark.parametrize("effect", [*reality.EFFECTS, reality.ALL])
+@pytest.mark.parametrize("effect", [*reality.EFFECTS, reality.ALL, *reality.WORLDS])
 def test_every_effect_changes_settings_and_only_clean_does_not(effect):
     changed = override(EnvConfig(), reality.settings_of(effect))
     assert (changed == EnvConfig()) == (effect == "clean")

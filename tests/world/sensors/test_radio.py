@@ -299,3 +299,9 @@ def test_readings_come_in_the_configured_steps():
     config = RadioConfig(quantisation_db=2.0)
     readings = WifiReceiver(config, RadioModel(config, load_map("twin-01")), 0, 1).scan(np.array([15.0, 1.2])).rssi_dbm
     assert np.array_equal(readings % 2.0, np.zeros(len(readings)))
+
+
+def test_readings_stay_below_zero_however_near_the_access_point():
+    loud = RadioConfig(**SURE, power_at_1m_dbm=20.0)
+    scan = WifiReceiver(loud, RadioModel(loud, hall()), 0, 0).scan(np.array([0.5, 0.0]))
+    assert len(scan.rssi_dbm) == 2 and (scan.rssi_dbm == -1.0).all()

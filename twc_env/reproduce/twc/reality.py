@@ -2,8 +2,9 @@
 
 Three robots (`--robots`) start at random poses of generated offices and drive to the nearest frontier, or to the next
 one after a decision that did not move them, until the whole team shares one map without frontiers or the steps are
-over. `clean` has none of the effects; every other row has one,
-`all` has them together. In the rows with people, robots wait for whoever moves close to them.
+over. `clean` has none of the effects; every other row has one, `all` has them together, and the worlds are the presets
+of that name (`world = "office"`), in the same offices. In the rows with people, robots wait for whoever moves close to
+them.
 
 `merged_share` is the share of robots in the largest map at the end, `wrong_merges` the number of pairs of robots (or of
 parts of the path of a carried robot) that shared a map at any time although their own paths place it more than 1 m or
@@ -18,6 +19,7 @@ import time
 
 import numpy as np
 
+from twc_env.config import WORLD_PRESETS
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.reproduce.runner import Runner, add_some
 from twc_env.running.command_line import count
@@ -35,11 +37,14 @@ EFFECTS: dict[str, dict] = {
     "repeated signs": {"building.sign_duplication": 0.5},
     "measured radio": {"radio.preset": "radio-mall"},
     "weak links": {"link.topology": "peer", "link.range_max_m": 10.0, "link.wall_range_m": 4.0},
+    "late starts": {"failure.start_spread_s": 20.0},
+    "lost frames": {"failure.frame_loss_probability": 0.3},
     "lost robot": {"failure.robots": 1, "failure.robots_step": 400},
 }
 """Settings of each effect."""
 FIGURES = ("ate_m", "coverage_correct", "steps_per_s")
 ALL = "all"
+WORLDS = tuple(f"world {name}" for name in WORLD_PRESETS if name != "clean")
 MOVED_M = 0.3
 """A robot that a decision moved less than this chooses another goal next."""
 _NOT_TOGETHER = ("people 12", "carried often", "lost robot")
@@ -52,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--area", type=count, default=400, help="floor area of each [m2]")
     parser.add_argument("--robots", type=count, default=3, help="number of robots")
     parser.add_argument("--steps", type=count, default=1500, help="maximum steps per episode")
-    add_some(parser, "--effects", [*EFFECTS, ALL], "effects")
+    add_some(parser, "--effects", [*EFFECTS, ALL, *WORLDS], "effects")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
@@ -66,7 +71,9 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 
 def settings_of(effect: str) -> dict:
-    """The settings of one effect, or of `all`."""
+    """The settings of one effect, of `all`, or of one of `WORLDS`."""
+    if effect in WORLDS:
+        return {"world": effect.removeprefix("world ")}
     if effect != ALL:
         return EFFECTS[effect]
     return {key: value for name, own in EFFECTS.items() if name not in _NOT_TOGETHER for key, value in own.items()}

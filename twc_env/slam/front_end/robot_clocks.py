@@ -35,6 +35,11 @@ class RobotClocks:
         """(robots,) interval between its last two frames."""
         self._deviation_max_rad = DEVIATION_TIMES * config.slam.odometry_filter.odometry_turn_std_rad
 
+    @property
+    def differ(self) -> bool:
+        """Whether the clock of some robot began later than the first frames, or has had gaps removed."""
+        return bool(self._skipped_s.any())
+
     def corrected(self, frame: SensorFrame, is_first: bool) -> SensorFrame:
         """The same frame with time relative to the robot's first. After a removed gap, the turn is that of odometry,
         over the interval of the two frames before."""

@@ -37,11 +37,19 @@ def continues(before, scan, motion, range_max, directions):
     beams = scan.shape[0]
     if motion[0] * motion[0] + motion[1] * motion[1] > MOTION_MAX_M * MOTION_MAX_M or abs(motion[2]) > TURN_MAX_RAD:
         return True
-    shift = int(math.floor(motion[2] * beams / (2.0 * math.pi) + 0.5)) + beams
-    changed = 0
-    for i in range(beams):
-        changed += abs(abs(scan[i]) - abs(before[(i + shift) % beams])) > CHANGE_M
+    shift = (int(math.floor(motion[2] * beams / (2.0 * math.pi) + 0.5)) + beams) % beams
+    rest = beams - shift
+    changed = _changed(scan[:rest], before[shift:]) + _changed(scan[rest:], before[:shift])
     return changed < CHANGED_SHARE * beams or agreement(before, scan, motion, range_max, directions) >= AGREEMENT_MIN
+
+
+@borrowing_kernel
+def _changed(scan, before):
+    """Number of ranges that differ by more than `CHANGE_M`; branch-free, so that the loop is vectorised."""
+    changed = 0
+    for i in range(scan.shape[0]):
+        changed += int(abs(abs(scan[i]) - abs(before[i])) > CHANGE_M)
+    return changed
 
 
 @borrowing_kernel

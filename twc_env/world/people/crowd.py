@@ -37,8 +37,11 @@ from twc_env.world.people.walking import (
     walk,
 )
 from twc_env.world.sensors.noise import NormalPools
+from twc_env.world.sensors.radio import Bodies
 from twc_env.world.starts import start_places
 
+HIDING_RADIUS_M = BODY_RADIUS_M
+"""Half width of what a body hides from cameras and radio."""
 _TRIPS = 64
 """Places drawn per person, after which they repeat."""
 _FROM_ROBOTS_M = 1.0
@@ -79,6 +82,9 @@ class Crowd(BindsAnew):
         """(2 people, 3) x, y [m] and radius [m] of the legs."""
         self.bodies = self._state[:, :2]
         """(people, 2) positions."""
+        bodies = self.upright if config.body_loss_db else np.zeros((0, 2))
+        self.in_the_way = Bodies(bodies, HIDING_RADIUS_M, config.body_loss_db)
+        """The people who reach into the line of sight, for the radio; updated in place."""
         self.is_touched = np.zeros(len(robots), np.bool_)
         """(robots,) whether each robot touches a person."""
         self.collisions = np.zeros(len(robots), np.int64)
@@ -123,6 +129,7 @@ class Crowd(BindsAnew):
             lent = Lent(self._arrays)
             self._walk = bound(walk, lent, poses, left)
         self._walk(poses, left)
+        self.in_the_way.position_m[:] = self.upright[: len(self.in_the_way.position_m)]
         return left
 
     def meet(self, poses: Array) -> None:
@@ -180,7 +187,3 @@ def _placed(
         state[i, [VX, VY]] = 0.0
         away = np.minimum(away, np.hypot(*(places - place).T))
     return state, kinds
-
-
-HIDING_RADIUS_M = BODY_RADIUS_M
-"""Half width of what a body hides from cameras and radio."""

@@ -17,6 +17,8 @@ from twc_env.world.sensors.mean_rssi import mean_rssi
 from twc_env.world.sensors.noise import StepNoise, StepQueue
 from twc_env.world.sensors.radio import Bodies, RadioModel
 
+_LEVEL_MAX_DBM = -1.0
+"""Receivers saturate; 0 is what drivers report of what they did not hear, and the engine refuses it."""
 _ROUNDING = 1e-9
 """Bound of rounding errors of numbers of order 1."""
 
@@ -156,7 +158,7 @@ def _receive(rssi, fading, constants, draws, detection, all_macs, heard, macs, r
         level = rssi[t] + fading[t] + device_offset + noise_std * draws[t]
         deficit = (detection[0, t] - level) / detection[1, t]
         heard[t] = _is_heard(draws[transmitters + t], deficit, detection[2, t])
-        rssi[t] = step * np.floor(level / step + 0.5)
+        rssi[t] = min(step * np.floor(level / step + 0.5), _LEVEL_MAX_DBM)
         macs[count], readings[count] = all_macs[t], rssi[t]  # overwritten by the next if not heard
         count += int(heard[t])
     return count
