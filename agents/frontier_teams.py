@@ -23,7 +23,7 @@ UNREACHABLE_M = 1e4
 
 
 class CostUtility(NearestFrontier):
-    """Utility minus cost (Burgard, Moors, Stachniss, Schneider 2005): a frontier visible from the goal of a mate is
+    """Utility minus cost (Burgard, Moors, Stachniss, Schneider 2005): a frontier visible from the goal of a teammate is
     worth less, the nearer that goal is."""
 
     def __init__(self, config: EnvConfig):
@@ -49,9 +49,9 @@ class _SharedOut(NearestFrontier, ABC):
     def extra_penalty_m(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> Array:
         """(frontiers,) penalty of those assigned to others."""
         belief, count = beliefs[agent], len(terrain.frontier_sizes)
-        if not belief.mates:
+        if not belief.teammates:
             return np.zeros(count)
-        poses = [belief.pose_map_robot, *belief.mates.values()]
+        poses = [belief.pose_map_robot, *belief.teammates.values()]
         lengths_m = np.array([self._lengths_m(terrain, pose) for pose in poses])
         is_mine = np.ones(count, bool)
         is_mine[1:] = self.shared_out(lengths_m[:, 1:])
@@ -83,5 +83,5 @@ class Voronoi(_SharedOut):
     """Each robot takes the frontiers to which it is closest."""
 
     def shared_out(self, lengths_m: Array) -> Array:
-        """The frontiers to which no mate has a shorter path."""
+        """The frontiers to which no teammate has a shorter path."""
         return lengths_m[0] <= lengths_m.min(axis=0)

@@ -72,7 +72,7 @@ class NearestFrontier:
     def _observe(self, robot: ExplorerRobot, belief: Belief) -> None:
         """Update the state from a belief: map jumps, track, being stuck, arrival."""
         pose = np.asarray(belief.pose_map_robot, float)
-        map_id = (belief.map_version, len(belief.mates))
+        map_id = (belief.map_version, len(belief.teammates))
         if robot.map_id != UNSEEN and map_id != robot.map_id:
             robot.move_frame(compose(pose, inverse(robot.pose)))
         robot.pose, robot.map_id = pose, map_id
@@ -106,11 +106,11 @@ class NearestFrontier:
 
     def _fail_goal(self, robot: ExplorerRobot, step: int) -> None:
         """Exclude this goal for a while, longer with each failure."""
-        radius = self.explorer.forget_radius_m
+        radius = self.explorer.failed_radius_m
         known = [f for f in robot.failures if math.hypot(*(f.place_m - robot.goal_m)) < radius]
         failure = known[0] if known else Failure(robot.goal_m.copy(), 0, 0)
         failure.count += 1
-        wait_s = self.explorer.forget_s * 2 ** min(failure.count - 1, 6)
+        wait_s = self.explorer.retry_s * 2 ** min(failure.count - 1, 6)
         failure.until_step = step + round(wait_s / self.dynamics.time_step_s)
         if not known:
             robot.failures.append(failure)
@@ -179,7 +179,7 @@ class NearestFrontier:
         robot.is_idle = kind != "frontier" and not will_retry
         if plan is None:  # enclosed according to the map: noise may have narrowed a gap
             plan, kind = self._best_plan(agent, beliefs, self._terrain(agent, beliefs, self.explorer.squeeze))
-        if plan is None:  # no goal: forget failures, look around, and try again
+        if plan is None:  # no goal: drop failures, look around, and try again
             robot.goal_kind = ""
             robot.failures.clear()
             robot.obstacles.clear()
@@ -202,10 +202,11 @@ class NearestFrontier:
         return plan, "tour" if plan is not None else ""
 
     def _discs(self, robot: ExplorerRobot, belief: Belief, terrain: Terrain) -> list[Disc]:
-        """Obstacles to avoid: mates, positions where it got stuck, and scan points that the map does not explain."""
+        """Obstacles to avoid: teammates, positions where it got stuck, and scan points that the map does not
+        explain."""
         discs = [
             Disc(float(pose[0]), float(pose[1]), 0.6, 12)
-            for pose in belief.mates.values()
+            for pose in belief.teammates.values()
             if math.hypot(*(pose[:2] - robot.pose[:2])) < 6.0
         ]
         robot.obstacles = [(place, until) for place, until in robot.obstacles if until > belief.step]
@@ -229,7 +230,7 @@ class NearestFrontier:
     def _plan_to_frontier(
         self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
     ) -> Plan | None:
-        """The nearest frontier that is not claimed by a mate and has not failed recently."""
+        """The nearest frontier that is not claimed by a teammate and has not failed recently."""
         sizes = terrain.frontier_sizes
         if len(sizes) < 2:
             return None
@@ -242,8 +243,8 @@ class NearestFrontier:
             claimed[terrain.label_near(goal_m, 0.3)] = True
             penalty[claimed] += explorer.claim_penalty_m
         for place in self._banned(robot, belief, beliefs):
-            label = terrain.label_near(place, explorer.forget_radius_m / 2)
-            small = np.hypot(*(centres - place).T) < explorer.forget_radius_m
+            label = terrain.label_near(place, explorer.failed_radius_m / 2)
+            small = np.hypot(*(centres - place).T) < explorer.failed_radius_m
             penalty[small] = np.inf
             if sizes[label] < 25:
                 penalty[label] = np.inf
@@ -261,14 +262,16 @@ class NearestFrontier:
 
     def goals_of_teammates_m(self, agent: str, beliefs: dict[str, Belief]) -> list[Array]:
         """Frontier goals (2,) of other robots of the group."""
-        mates = [other for other, b in beliefs.items() if other != agent and b.robot in beliefs[agent].mates]
-        return [self._robots[mate].goal_m for mate in mates if self._robots[mate].goal_kind == "frontier"]
+        teammates = [other for other, b in beliefs.items() if other != agent and b.robot in beliefs[agent].teammates]
+        return [
+            self._robots[teammate].goal_m for teammate in teammates if self._robots[teammate].goal_kind == "frontier"
+        ]
 
     def _banned(self, robot: ExplorerRobot, belief: Belief, beliefs: dict[str, Belief]) -> list[Array]:
-        """Positions of goals that failed recently: the robot's own, and those of mates after repeated failure."""
+        """Positions of goals that failed recently: the robot's own, and those of teammates after repeated failure."""
         places = [f.place_m for f in robot.failures if f.until_step > belief.step]
-        for other, mate_belief in beliefs.items():
-            if mate_belief.robot in belief.mates:
+        for other, teammate_belief in beliefs.items():
+            if teammate_belief.robot in belief.teammates:
                 failures = self._robots[other].failures
                 places += [f.place_m for f in failures if f.count >= 2 and f.until_step > belief.step]
         return places
@@ -292,9 +295,9 @@ class NearestFrontier:
         return as_action(speed, turn_rate, self.dynamics)
 
     def _has_to_wait(self, robot: ExplorerRobot, belief: Belief) -> bool:
-        """Whether a mate with right of way (a lower number) is close ahead."""
-        for mate, pose in belief.mates.items():
-            if mate >= belief.robot:
+        """Whether a teammate with right of way (a lower number) is close ahead."""
+        for teammate, pose in belief.teammates.items():
+            if teammate >= belief.robot:
                 continue
             dx, dy = pose[0] - robot.pose[0], pose[1] - robot.pose[1]
             if dx * dx + dy * dy < 1.0 and abs(math.remainder(math.atan2(dy, dx) - robot.pose[2], 2 * math.pi)) < 0.8:
@@ -303,7 +306,7 @@ class NearestFrontier:
 
     def _note_idle(self, beliefs: dict[str, Belief]) -> None:
         """Update the step since which the whole merged team has had no frontier."""
-        merged = all(len(b.mates) + 1 == len(self._robots) for b in beliefs.values())
+        merged = all(len(b.teammates) + 1 == len(self._robots) for b in beliefs.values())
         if not (merged and all(self._robots[agent].is_idle for agent in beliefs)):
             self._idle_since = None
         elif self._idle_since is None:

@@ -26,9 +26,9 @@ class RayGain:
         rows, columns = seen.log_odds.shape
         centres = seen.centre_of(np.moveaxis(np.indices((rows, columns)), 0, -1))
         self._is_wall = np.pad(seen.log_odds > Terrain.WALL_ABOVE, 1)
-        is_doubtful = (seen.log_odds < Terrain.FREE_BELOW) & (radio.level_at(centres) > -SURE_LEVELS)
+        is_uncertain = (seen.log_odds < Terrain.FREE_BELOW) & (radio.level_at(centres) > -SURE_LEVELS)
         self._number = np.full((rows + 2, columns + 2), -1)
-        self._number[1:-1, 1:-1][is_doubtful] = np.arange(is_doubtful.sum())
+        self._number[1:-1, 1:-1][is_uncertain] = np.arange(is_uncertain.sum())
 
     def cells_cleared(self, places_m: Array, walked_m: Array) -> Array:
         """(places, cells) bool: cells that rays to each position would clear, except those cleared on the walk so

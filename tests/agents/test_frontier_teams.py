@@ -25,7 +25,7 @@ def believed(*x_m: float) -> dict[str, Belief]:
     grid = corridor()
     return {
         f"robot_{k}": Belief(
-            k, 0, pose, grid, mates={m: p for m, p in enumerate(poses) if m != k}, ranges_m=np.zeros(0)
+            k, 0, pose, grid, teammates={m: p for m, p in enumerate(poses) if m != k}, ranges_m=np.zeros(0)
         )
         for k, pose in enumerate(poses)
     }
@@ -61,7 +61,7 @@ def test_a_robot_stays_on_its_side_of_the_voronoi_partition():
     assert found["robot_1"]["left"] > 0 == found["robot_1"]["right"]
 
 
-def test_the_frontier_goal_of_a_mate_loses_its_utility():
+def test_the_frontier_goal_of_a_teammate_loses_its_utility():
     found = penalties(CostUtility(EnvConfig()), believed(6.0, 16.0))
     assert found["robot_0"]["right"] == pytest.approx(WORTH_M, rel=0.15)
     assert found["robot_0"]["left"] == 0.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import TypeVar, dataclass_transform
+from typing import NoReturn, TypeVar, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -265,7 +265,7 @@ class Belief:
     pose_map_robot: Array
     """(3,)."""
     grid: GridMap
-    mates: dict[int, Array] = field(default_factory=dict)
+    teammates: dict[int, Array] = field(default_factory=dict)
     """Other robots of the group -> (3,) estimated pose in the same map frame: current with a central mapper, as of the
     newest keyframe received with one mapper per robot."""
     signs: tuple[KnownSign, ...] = ()
@@ -290,3 +290,8 @@ class Belief:
     disabled (`slam.k_visibility`), or nothing heard yet."""
     transmitter_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(k, 2) estimated positions of the transmitters used for that map."""
+
+    @property
+    def mates(self) -> NoReturn:
+        """The name of `teammates` until version 0.1.0."""
+        raise AttributeError("Belief.mates is now Belief.teammates")
