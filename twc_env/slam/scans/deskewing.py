@@ -129,15 +129,21 @@ def _range_on_line(ends, a, b, dx, dy):
 
 
 @borrowing_kernel
-def _continues(ends, a, b, c, straight):
-    """Whether the end points of beams a, b and c are in a row on one straight wall, c not much further than b."""
+def _continues(ends, a, b, c, is_near, straight):
+    """Whether the end points of beams a, b and c are in a row on one straight wall, c not much further than b.
+
+    is_near: whether b and c are so close to each other that they are on one surface anyway.
+    """
     if ends[2, a] != _HIT or ends[2, b] != _HIT or ends[2, c] != _HIT:
         return False
     ex, ey = ends[3, b] - ends[3, a], ends[4, b] - ends[4, a]
     fx, fy = ends[3, c] - ends[3, b], ends[4, c] - ends[4, b]
     base, across = ex * ex + ey * ey, ex * fy - ey * fx
-    is_onwards = ex * fx + ey * fy > 0.0 and fx * fx + fy * fy <= min(STRIDE_TIMES**2 * base, STRIDE_M**2)
-    return is_onwards and across * across <= straight * straight * base
+    if not is_near:  # noise alone may put points in a row that are hardly apart
+        is_onwards = ex * fx + ey * fy > 0.0 and fx * fx + fy * fy <= min(STRIDE_TIMES**2 * base, STRIDE_M**2)
+        if base < 4.0 * straight * straight or not is_onwards:
+            return False
+    return across * across <= straight * straight * base
 
 
 @borrowing_kernel
@@ -163,8 +169,11 @@ def _fill_circle(ends, step, range_max, straight, rays, out, is_soft):
         if high < low:
             continue
         before, after = (first - side) % count, (last + side) % count
-        is_straight = _continues(ends, before, first, last, straight) or _continues(ends, after, last, first, straight)
-        is_surface = is_straight or _is_surface(ends, first, last, step)
+        is_near = _is_surface(ends, first, last, step)
+        is_straight = _continues(ends, before, first, last, is_near, straight) or _continues(
+            ends, after, last, first, is_near, straight
+        )
+        is_surface = is_straight or is_near
         for k in range(low, high + 1):
             d = k % directions
             from_first = k / per_rad - ends[0, first]
