@@ -31,9 +31,11 @@ WAY_MAX_M = 25.0
 """Hypotheses about signs further away than this wait."""
 METRES_PER_DB = 4.0
 """Way to the floor of the other group per dB by which fingerprints differ."""
-DETOUR_MAX_M = 8.0
+AREA_MIN_M2 = 150.0
+"""A merge is worth the smaller map: a robot with a smaller one only explores."""
+DETOUR_MAX_M = 3.0
 """Only frontiers that are this much further away than the nearest are chosen by radio: the robot explores on."""
-STAY_M = 5.0
+STAY_M = 2.0
 """What the frontier to which the robot drives is worth, so that it does not turn back and forth."""
 
 
@@ -76,7 +78,8 @@ class SignSeeker(MinPos):
                 return int(np.argmin(ways_m))
         others = [a for a, b in beliefs.items() if b.robot not in (beliefs[agent].robot, *beliefs[agent].mates)]
         theirs_dbm = self._memory.rssi_of_others_dbm(agent, others)
-        if len(theirs_dbm):
+        grid = beliefs[agent].grid
+        if len(theirs_dbm) and (grid.log_odds < 0).sum() * grid.resolution_m**2 >= AREA_MIN_M2:
             apart = apart_db(self._memory.rssi_dbm(agent), theirs_dbm)
             heard_m = self._memory.places_m(agent, beliefs)
             near = np.hypot(*np.moveaxis(frontiers.places_m[:, None] - heard_m, -1, 0)).argmin(axis=1)
