@@ -30,7 +30,7 @@ def _without(aware: Team, what: str) -> Team:
 
 _RENDEZVOUS = Team(
     "slam_aware.rendezvous", "Rendezvous",
-    "explores, and meets at appointed times: at landmarks, or where it agreed with mates",
+    "explores, and meets at appointed times: at landmarks, or where it agreed with teammates",
     "Roy and Dudek 2001; de Hoog, Cameron and Visser 2009",
 )  # fmt: skip
 _SIGN_SEEKER = Team(
@@ -52,7 +52,7 @@ _RELAY = Team(
 TEAMS: dict[str, Team] = {
     "nearest-frontier": Team(
         "teams.nearest_frontier", "NearestFrontier",
-        "nearest frontier that no mate claims; tours signs when none is left",
+        "nearest frontier that no teammate claims; tours signs when none is left",
         "Yamauchi 1998, with claims and tours; the reference team of v0",
     ),
     "greedy-frontier": Team(
@@ -62,7 +62,7 @@ TEAMS: dict[str, Team] = {
     ),
     "cost-utility": Team(
         "teams.cost_utility", "CostUtility",
-        "trades off the way to a frontier against what mates will see of it",
+        "trades off the way to a frontier against what teammates will see of it",
         "Burgard, Moors, Stachniss and Schneider 2005",
     ),
     "assignment": Team(
@@ -82,7 +82,7 @@ TEAMS: dict[str, Team] = {
     ),
     "minpos": Team(
         "teams.minpos", "MinPos",
-        "the frontier to which fewest mates are closer",
+        "the frontier to which fewest teammates are closer",
         "Bautin, Simonin and Charpillet 2012",
     ),
     "market": Team(
@@ -102,7 +102,7 @@ TEAMS: dict[str, Team] = {
     ),
     "potential-field": Team(
         "teams.potential_field", "PotentialField",
-        "descends a potential of all frontiers, repelled by mates",
+        "descends a potential of all frontiers, repelled by teammates",
         "Yu et al. 2021",
     ),
     "wall-follower": Team(

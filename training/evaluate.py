@@ -24,7 +24,7 @@ from .team_notes import TeamNotes
 
 Choose = Callable[[dict, int], dict]
 """Observations and time steps gone by -> actions."""
-_JUDGED: dict[str, object] = {"reward.sharing": "team"}
+_EVALUATED: dict[str, object] = {"reward.sharing": "team"}
 """Coverage is taken from the reward terms of the team, independent of the rewards used in training."""
 POLICIES = ("trained", "random", "nearest", "nearest-frontier")
 
@@ -152,12 +152,12 @@ def _nearest(seen: dict, _: int) -> dict:
 
 
 def _team(task: Task, render_mode: str | None = None) -> twc_env.ExplorationEnv:
-    return twc_env.parallel_env(config=override(task.config, _JUDGED), render_mode=render_mode)
+    return twc_env.parallel_env(config=override(task.config, _EVALUATED), render_mode=render_mode)
 
 
 def _scripted(task: Task, seed: int) -> Episode:
     """The scripted team of `agents` with velocity commands; its advantage is that it decides at every time step."""
-    config = override(task.config, {"action.kind": "velocity", **_JUDGED})
+    config = override(task.config, {"action.kind": "velocity", **_EVALUATED})
     env, policy = twc_env.parallel_env(config=config), make_policy("nearest-frontier", config)
     policy.reset(seed, env.possible_agents)
     return _played(task, seed, env, lambda _seen, _: policy.act({agent: env.belief(agent) for agent in env.agents}))

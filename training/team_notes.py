@@ -90,10 +90,10 @@ class TeamNotes:
         nearness[:, :, 0] = near(choices_m, own_m[:, None])
         for robot in range(robots):
             rows = np.arange(teams) * robots + robot
-            for mate in (mate for mate in range(robots) if mate != robot):
-                told = seen["team"][rows, mate if mate < robot else mate - 1].astype(float)
+            for teammate in (teammate for teammate in range(robots) if teammate != robot):
+                told = seen["team"][rows, teammate if teammate < robot else teammate - 1].astype(float)
                 heading = np.pi * told[:, 3]
-                goals_m = places_m(told) + turned(own_m[rows - robot + mate], np.cos(heading), np.sin(heading))
+                goals_m = places_m(told) + turned(own_m[rows - robot + teammate], np.cos(heading), np.sin(heading))
                 goals_m[told[:, 0] == 0] = np.nan
                 nearness[rows, :, 1] = np.maximum(nearness[rows, :, 1], near(choices_m[rows], goals_m[:, None]))
         nearness[~present] = 0.0

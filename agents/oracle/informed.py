@@ -71,15 +71,15 @@ class Informed(Explorer):
         true = {}
         for agent, belief in beliefs.items():
             pose = poses[belief.robot]
-            mates = {other: poses[other] for other in range(len(poses)) if other != belief.robot}
-            true[agent] = Belief(belief.robot, belief.step, pose, self._grid, mates, ranges_m=belief.ranges_m)
+            teammates = {other: poses[other] for other in range(len(poses)) if other != belief.robot}
+            true[agent] = Belief(belief.robot, belief.step, pose, self._grid, teammates, ranges_m=belief.ranges_m)
             if belief.step % LOOK_STEPS == 0:
                 self._look(agent, pose[:2], belief)
         return super().act(true)
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:
         """Whether there is nothing left to see, and all robots share one map."""
-        return super().finished(beliefs) and all(len(b.mates) + 1 == len(self.robots) for b in beliefs.values())
+        return super().finished(beliefs) and all(len(b.teammates) + 1 == len(self.robots) for b in beliefs.values())
 
     def best_plan(
         self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
@@ -93,7 +93,7 @@ class Informed(Explorer):
             worth = self._missing_m2(agent)
         worth = np.where(lengths_m[1:] < HERE_M, 0.0, worth * np.exp(-DECAY_PER_M * lengths_m[1:]))
         for place in self.banned(self.robots[agent], beliefs[agent], {}):
-            worth[np.hypot(*(self._places_m - place).T) < 2 * self.explorer.forget_radius_m] = 0.0
+            worth[np.hypot(*(self._places_m - place).T) < 2 * self.explorer.failed_radius_m] = 0.0
         best = int(np.argmax(worth))
         if worth[best] <= 0.0:
             return None, "wait"
@@ -108,7 +108,7 @@ class Informed(Explorer):
         for seen in self._seen.values():
             views.is_claimed |= seen.is_claimed
         worth = self._gain_m2(agent, views)
-        group = [a for a, b in self._believed.items() if b.robot in (mine.robot, *mine.mates)]
+        group = [a for a, b in self._believed.items() if b.robot in (mine.robot, *mine.teammates)]
         read = np.any([self._has_read[a] for a in group], axis=0)
         area_m2 = {other: self._floor.resolution_m**2 * held.sum() for other, held in self._holds.items()}
         for other, belief in self._believed.items():
@@ -145,6 +145,6 @@ class Informed(Explorer):
         self._seen[agent].claim(here)
         self._holds[agent] |= self._seen[agent].is_claimed
         for other, theirs in self._believed.items():
-            if theirs.robot in belief.mates and belief.contact_steps.get(theirs.robot, -1) == belief.step:
+            if theirs.robot in belief.teammates and belief.contact_steps.get(theirs.robot, -1) == belief.step:
                 self._holds[agent] |= self._holds[other]
         self._has_read[agent] |= np.hypot(*(self._signs_m - here).T) < READ_M

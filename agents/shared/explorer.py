@@ -70,7 +70,7 @@ class Explorer(ABC):
     def _observe(self, robot: ExplorerRobot, belief: Belief) -> None:
         """Update the state from a belief: map jumps, track, being stuck, arrival."""
         pose = np.asarray(belief.pose_map_robot, float)
-        map_id = (belief.map_version, len(belief.mates))
+        map_id = (belief.map_version, len(belief.teammates))
         if robot.map_id != UNSEEN and map_id != robot.map_id:
             robot.move_frame(compose(pose, inverse(robot.pose)))
         robot.pose, robot.map_id = pose, map_id
@@ -108,11 +108,11 @@ class Explorer(ABC):
 
     def _fail_goal(self, robot: ExplorerRobot, step: int) -> None:
         """Exclude this goal for a while, longer with each failure."""
-        radius = self.explorer.forget_radius_m
+        radius = self.explorer.failed_radius_m
         known = [f for f in robot.failures if math.hypot(*(f.place_m - robot.goal_m)) < radius]
         failure = known[0] if known else Failure(robot.goal_m.copy(), 0, 0)
         failure.count += 1
-        wait_s = self.explorer.forget_s * 2 ** min(failure.count - 1, 6)
+        wait_s = self.explorer.retry_s * 2 ** min(failure.count - 1, 6)
         failure.until_step = step + round(wait_s / self.dynamics.time_step_s)
         if not known:
             robot.failures.append(failure)
@@ -189,7 +189,7 @@ class Explorer(ABC):
             return
         if plan is None:  # enclosed according to the map: noise may have narrowed a gap
             plan, kind = self._planned(agent, beliefs, self.explorer.squeeze)
-        if plan is None:  # no goal: forget failures, look around, and try again
+        if plan is None:  # no goal: drop failures, look around, and try again
             robot.goal_kind = ""
             robot.failures.clear()
             robot.obstacles.clear()
@@ -212,10 +212,11 @@ class Explorer(ABC):
         """Where one robot goes next: the path, and its kind (`ExplorerRobot.goal_kind`)."""
 
     def _discs(self, robot: ExplorerRobot, belief: Belief, terrain: Terrain) -> list[Disc]:
-        """Obstacles to avoid: mates, positions where it got stuck, and scan points that the map does not explain."""
+        """Obstacles to avoid: teammates, positions where it got stuck, and scan points that the map does not
+        explain."""
         discs = [
             Disc(float(pose[0]), float(pose[1]), 0.6, 12)
-            for pose in belief.mates.values()
+            for pose in belief.teammates.values()
             if math.hypot(*(pose[:2] - robot.pose[:2])) < 6.0
         ]
         robot.obstacles = [(place, until) for place, until in robot.obstacles if until > belief.step]
@@ -237,10 +238,10 @@ class Explorer(ABC):
         return [Disc(float(p[0]), float(p[1]), 0.35, 30) for p in spots[:12]]
 
     def banned(self, robot: ExplorerRobot, belief: Belief, beliefs: dict[str, Belief]) -> list[Array]:
-        """Positions of goals that failed recently: the robot's own, and those of mates after repeated failure."""
+        """Positions of goals that failed recently: the robot's own, and those of teammates after repeated failure."""
         places = [f.place_m for f in robot.failures if f.until_step > belief.step]
-        for other, mate_belief in beliefs.items():
-            if mate_belief.robot in belief.mates:
+        for other, teammate_belief in beliefs.items():
+            if teammate_belief.robot in belief.teammates:
                 failures = self.robots[other].failures
                 places += [f.place_m for f in failures if f.count >= 2 and f.until_step > belief.step]
         return places
@@ -266,9 +267,9 @@ class Explorer(ABC):
         return as_action(speed, turn_rate, self.dynamics)
 
     def _has_to_wait(self, robot: ExplorerRobot, belief: Belief) -> bool:
-        """Whether a mate with right of way (a lower number) is close ahead."""
-        for mate, pose in belief.mates.items():
-            if mate >= belief.robot:
+        """Whether a teammate with right of way (a lower number) is close ahead."""
+        for teammate, pose in belief.teammates.items():
+            if teammate >= belief.robot:
                 continue
             dx, dy = pose[0] - robot.pose[0], pose[1] - robot.pose[1]
             if dx * dx + dy * dy < 1.0 and abs(math.remainder(math.atan2(dy, dx) - robot.pose[2], 2 * math.pi)) < 0.8:
@@ -277,7 +278,7 @@ class Explorer(ABC):
 
     def _note_idle(self, beliefs: dict[str, Belief]) -> None:
         """Update the step since which the whole merged team has had no frontier."""
-        merged = all(len(b.mates) + 1 == len(self.robots) for b in beliefs.values())
+        merged = all(len(b.teammates) + 1 == len(self.robots) for b in beliefs.values())
         if not (merged and all(self.robots[agent].is_idle for agent in beliefs)):
             self._idle_since = None
         elif self._idle_since is None:

@@ -24,7 +24,7 @@ class ExplorerConfig:
     """Smaller frontiers are never visited."""
     small_penalty_m: float = 30.0
     claim_radius_m: float = 3.0
-    """A frontier within this distance of a mate's goal belongs to the mate."""
+    """A frontier within this distance of a teammate's goal belongs to the teammate."""
     claim_penalty_m: float = 20.0
     change_penalty_m: float = 2.0
     """A robot changes its goal only for one that is this much nearer."""
@@ -40,9 +40,9 @@ class ExplorerConfig:
     """... in which a robot backs off longer each time, up to this factor."""
     tries: int = 2
     """The team is not finished while a goal that failed less often than this waits for its next try."""
-    forget_s: float = 20.0
+    retry_s: float = 20.0
     """A failed goal is excluded for this time, doubled after each further failure."""
-    forget_radius_m: float = 0.8
+    failed_radius_m: float = 0.8
     tour_spacing_m: float = 2.0
     tour_speed_m_s: float = 0.25
     """Detour on a tour that one second since the last visit is worth."""
@@ -74,7 +74,7 @@ class ExplorerRobot:
     follower: Follower
     pose: Array = field(default_factory=lambda: np.zeros(3))
     map_id: tuple[int, int] = UNSEEN
-    """Changes whenever the map frame jumps: version of the map and number of mates in it."""
+    """Changes whenever the map frame jumps: version of the map and number of teammates in it."""
     goal_m: Array = field(default_factory=lambda: np.zeros(2))
     goal_kind: str = ""
     """"frontier", "tour" (nothing is left to explore), "place" (for another purpose), "wait" (on the spot); "" when

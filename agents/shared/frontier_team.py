@@ -1,7 +1,8 @@
-"""What teams of frontier explorers share: the list of frontiers, what mates said, and patrols when nothing is left.
+"""What teams of frontier explorers share: the list of frontiers, what teammates said, and patrols when nothing is left.
 
-Each robot decides by itself, from its own belief and from what mates told it. Two robots tell each other their goals
-while they are in contact and use maps that begin in the same frame (that of the lowest-numbered robot of the group).
+Each robot decides by itself, from its own belief and from what teammates told it. Two robots tell each other their
+goals while they are in contact and use maps that begin in the same frame (that of the lowest-numbered robot of the
+group).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from .tours import Tours
 UNREACHABLE_M = 1e4
 """Path length to what cannot be reached."""
 MEMORY_S = 30.0
-"""How long a goal that a mate told is remembered after the last contact."""
+"""How long a goal that a teammate told is remembered after the last contact."""
 
 
 @dataclass(eq=False)
@@ -52,11 +53,11 @@ class Frontiers:
         return self.terrain.frontier_sizes[self.labels] * self.terrain.resolution_m
 
     @cached_property
-    def mate_lengths_m(self) -> Array:
-        """(mates, k) path length from each mate, in the order of `Belief.mates`."""
+    def teammate_lengths_m(self) -> Array:
+        """(teammates, k) path length from each teammate, in the order of `Belief.teammates`."""
         count = len(self.terrain.frontier_sizes) - 1
-        lengths_m = np.full((len(self.belief.mates), len(self.labels)), UNREACHABLE_M)
-        for row, pose in zip(lengths_m, self.belief.mates.values(), strict=True):
+        lengths_m = np.full((len(self.belief.teammates), len(self.labels)), UNREACHABLE_M)
+        for row, pose in zip(lengths_m, self.belief.teammates.values(), strict=True):
             if self.finder.spread(self.terrain, np.asarray(pose, float)[:2]):
                 found, _ = self.finder.nearest_of_labels(self.terrain, self.terrain.labels, count)
                 row[:] = np.minimum(found[self.labels], UNREACHABLE_M)
@@ -64,8 +65,8 @@ class Frontiers:
 
     @property
     def all_lengths_m(self) -> Array:
-        """(1 + mates, k) path length from this robot, then from each mate."""
-        return np.vstack([self.lengths_m, self.mate_lengths_m])
+        """(1 + teammates, k) path length from this robot, then from each teammate."""
+        return np.vstack([self.lengths_m, self.teammate_lengths_m])
 
 
 class FrontierTeam(Explorer):
@@ -128,7 +129,7 @@ class FrontierTeam(Explorer):
         is_usable = np.isfinite(lengths_m) & (sizes >= explorer.frontier_cells_last)
         is_usable[0] = False
         for place in self.banned(robot, belief, {}):
-            is_usable[np.hypot(*(places_m - place).T) < explorer.forget_radius_m] = False
+            is_usable[np.hypot(*(places_m - place).T) < explorer.failed_radius_m] = False
         is_large = is_usable & (sizes >= explorer.frontier_cells_min)
         labels = np.flatnonzero(is_large if is_large.any() else is_usable)
         return Frontiers(belief, terrain, labels, lengths_m[labels], places_m[labels], self.ways)
@@ -147,20 +148,21 @@ class FrontierTeam(Explorer):
         return self.finder.cheapest(terrain, self.robots[agent].pose[:2], labels, np.zeros(2), discs)
 
     def heard_goals_m(self, agent: str, beliefs: dict[str, Belief]) -> dict[int, Array]:
-        """Mate -> frontier goal (2,), as it last told."""
+        """Teammate -> frontier goal (2,), as it last told."""
         oldest = beliefs[agent].step - MEMORY_S / self.dynamics.time_step_s
-        return {mate: goal for mate, (step, goal) in self._told[agent].items() if step >= oldest}
+        return {teammate: goal for teammate, (step, goal) in self._told[agent].items() if step >= oldest}
 
-    def mates_in_contact(self, agent: str, beliefs: dict[str, Belief]) -> list[str]:
-        """Mates that can be talked to now about places: in contact, and with a map that begins in the same frame."""
+    def teammates_in_contact(self, agent: str, beliefs: dict[str, Belief]) -> list[str]:
+        """Teammates that can be talked to now about places: in contact, and with a map that begins in the same
+        frame."""
         mine = beliefs[agent]
-        first = min([mine.robot, *mine.mates])
+        first = min([mine.robot, *mine.teammates])
         return [
             other
             for other, theirs in beliefs.items()
-            if theirs.robot in mine.mates
+            if theirs.robot in mine.teammates
             and mine.contact_steps.get(theirs.robot, mine.step) == mine.step
-            and min([theirs.robot, *theirs.mates]) == first
+            and min([theirs.robot, *theirs.teammates]) == first
         ]
 
     def current(self, agent: str, frontiers: Frontiers) -> int | None:
@@ -173,11 +175,11 @@ class FrontierTeam(Explorer):
         return int(found[0]) if label and len(found) else None
 
     def _listen(self, agent: str, beliefs: dict[str, Belief]) -> None:
-        """Note the goals of mates in contact; those told before the map jumped are forgotten."""
+        """Note the goals of teammates in contact; those told before the map jumped are forgotten."""
         told, belief = self._told[agent], beliefs[agent]
-        if (belief.map_version, len(belief.mates)) != self.robots[agent].map_id:
+        if (belief.map_version, len(belief.teammates)) != self.robots[agent].map_id:
             told.clear()
-        for other in self.mates_in_contact(agent, beliefs):
+        for other in self.teammates_in_contact(agent, beliefs):
             number, robot = beliefs[other].robot, self.robots[other]
             told.pop(number, None)
             if robot.goal_kind == "frontier":

@@ -37,7 +37,7 @@ class Tours:
         worth = np.minimum(age_s, 600.0) * explorer.tour_speed_m_s + bonus + random.uniform(0.0, 5.0, len(places))
         penalty = np.concatenate([[np.inf], worth.max() - worth])
         for place in banned:
-            penalty[1:][np.hypot(*(places - place).T) < explorer.forget_radius_m] = np.inf
+            penalty[1:][np.hypot(*(places - place).T) < explorer.failed_radius_m] = np.inf
         penalty[1:][np.hypot(*(places - robot.pose[:2]).T) < 1.5] = np.inf
         for k, place in enumerate(places):
             self._mark(labels, terrain, place, k + 1)

@@ -48,31 +48,35 @@ class Relay(MinPos):
         belief, tick_s = beliefs[agent], self.dynamics.time_step_s
         silent_s = (belief.step - belief.contact_steps.get(leader, -1)) * tick_s
         if silent_s > LOST_S:
-            plan = self.plan_to_place(terrain, agent, np.asarray(belief.mates[leader][:2], float), discs, 1.0)
+            plan = self.plan_to_place(terrain, agent, np.asarray(belief.teammates[leader][:2], float), discs, 1.0)
             if plan is not None and plan.length_m > THERE_M:
                 return plan, "place"
         return super().best_plan(agent, beliefs, terrain, discs)
 
     def choose(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> int | None:
-        """The frontier of the lowest rank among those in range of a mate, else the one nearest to the leader."""
+        """The frontier of the lowest rank among those in range of a teammate, else the one nearest to the leader."""
         leader = self._leader(agent, beliefs)
         if leader is None:
             return super().choose(agent, beliefs, frontiers)
         goals_m = self.heard_goals_m(agent, beliefs)
-        heard = [beliefs[mate].robot for mate in self.mates_in_contact(agent, beliefs)]
-        anchors_m = [goals_m.get(mate, beliefs[agent].mates[mate][:2]) for mate in {leader, *heard}]
+        heard = [beliefs[teammate].robot for teammate in self.teammates_in_contact(agent, beliefs)]
+        anchors_m = [goals_m.get(teammate, beliefs[agent].teammates[teammate][:2]) for teammate in {leader, *heard}]
         is_near = np.any([in_range(frontiers.terrain, frontiers.places_m, at, self._link) for at in anchors_m], axis=0)
         if not is_near.any():
-            at = goals_m.get(leader, beliefs[agent].mates[leader][:2])
+            at = goals_m.get(leader, beliefs[agent].teammates[leader][:2])
             return int(np.argmin(np.hypot(*(frontiers.places_m - at).T)))
-        rank = (frontiers.mate_lengths_m < frontiers.lengths_m).sum(axis=0)
+        rank = (frontiers.teammate_lengths_m < frontiers.lengths_m).sum(axis=0)
         among = np.flatnonzero(is_near)
         return int(among[np.lexsort((frontiers.lengths_m[among], rank[among]))[0]])
 
     def _leader(self, agent: str, beliefs: dict[str, Belief]) -> int | None:
-        """The mate with a lower number that was heard last; None if the robot is free to go anywhere."""
+        """The teammate with a lower number that was heard last; None if the robot is free to go anywhere."""
         belief = beliefs[agent]
-        heard = [(belief.contact_steps.get(mate, -1), -mate) for mate in belief.mates if mate < belief.robot]
+        heard = [
+            (belief.contact_steps.get(teammate, -1), -teammate)
+            for teammate in belief.teammates
+            if teammate < belief.robot
+        ]
         if not self._is_aware or not heard:
             return None
         step, number = max(heard)

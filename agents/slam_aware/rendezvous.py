@@ -92,17 +92,17 @@ class Rendezvous(MinPos):
 
     def _has_to_meet(self, belief: Belief) -> bool:
         """Whether someone shares no map with it, or cannot always be heard."""
-        return len(belief.mates) + 1 < len(self.robots) or self._is_peer
+        return len(belief.teammates) + 1 < len(self.robots) or self._is_peer
 
     def _is_complete(self, belief: Belief) -> bool:
         """Whether all of its group are in contact, and there is a group."""
-        is_heard = [belief.contact_steps.get(mate, -1) == belief.step for mate in belief.mates]
+        is_heard = [belief.contact_steps.get(teammate, -1) == belief.step for teammate in belief.teammates]
         return self._is_peer and len(is_heard) > 0 and all(is_heard)
 
     def _place_m(self, agent: str, beliefs: dict[str, Belief]) -> Array | None:
         """(2,) the appointed place, or else the landmark; None if the robot knows neither."""
         belief, appointed = beliefs[agent], self._appointments.get(agent)
-        if appointed is not None and appointed.owner in (belief.robot, *belief.mates):
+        if appointed is not None and appointed.owner in (belief.robot, *belief.teammates):
             return transform_points(_pose_map_odom(belief), appointed.place_odom_m[None])[0]
         first = min(belief.signs, key=lambda sign: sign.text, default=None)
         return None if first is None or (self._met[agent] + 1) % ALONE else np.asarray(first.position_m, float)
@@ -110,22 +110,22 @@ class Rendezvous(MinPos):
     def _appoint(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> None:
         """The robot of the lowest number in contact chooses the next place: the middle one of the frontiers."""
         belief = beliefs[agent]
-        contacts = [beliefs[other].robot for other in self.mates_in_contact(agent, beliefs)]
+        contacts = [beliefs[other].robot for other in self.teammates_in_contact(agent, beliefs)]
         if self._is_peer and contacts and belief.robot < min(contacts) and len(frontiers.labels):
             middle = frontiers.places_m.mean(axis=0)
             place = frontiers.places_m[int(np.argmin(np.hypot(*(frontiers.places_m - middle).T)))]
             self._keep(agent, belief, belief.robot, belief.step, place)
 
     def _pass_on(self, agent: str, beliefs: dict[str, Belief]) -> None:
-        """Take over the appointment of a mate in contact: that of the lowest number, the newest of those."""
+        """Take over the appointment of a teammate in contact: that of the lowest number, the newest of those."""
         belief, robot = beliefs[agent], self.robots[agent]
         mine = self._appointments.get(agent)
-        if mine is not None and mine.owner not in (belief.robot, *belief.mates):
+        if mine is not None and mine.owner not in (belief.robot, *belief.teammates):
             mine = None
-        contacts = self.mates_in_contact(agent, beliefs)
+        contacts = self.teammates_in_contact(agent, beliefs)
         if mine is None and contacts:  # at the first meeting: where the one of the lowest number is now
             first = min([belief.robot, *(beliefs[other].robot for other in contacts)])
-            place = robot.pose[:2] if first == belief.robot else belief.mates[first][:2]
+            place = robot.pose[:2] if first == belief.robot else belief.teammates[first][:2]
             mine = self._keep(agent, belief, first, belief.step, np.asarray(place, float))
         for other in contacts:
             theirs = self._appointments.get(other)

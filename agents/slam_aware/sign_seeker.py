@@ -67,7 +67,7 @@ class SignSeeker(MinPos):
         """Positions (2,) of signs that only the other group has read, the nearest first."""
         belief, here = beliefs[agent], self.robots[agent].pose[:2]
         vain = self._in_vain[agent]
-        map_id = belief.map_version, len(belief.mates)
+        map_id = belief.map_version, len(belief.teammates)
         mine_m = np.array([sign.position_m for sign in belief.signs]).reshape(-1, 2)
         found = []
         for hypothesis in belief.hypotheses:

@@ -5,7 +5,7 @@ Bourgault, Makarenko, Williams, Grocholsky and Durrant-Whyte ("Information based
 one bit. The way is weighed against it as by Gonzalez-Banos and Latombe ("Navigation strategies for exploring indoor
 environments", IJRR 2002): gain times exp(-lambda length). Candidates are the frontiers and places on a lattice of
 open floor; unlike with frontiers, a view over a large room counts more than a gap beside a cupboard. What the goals
-of mates will show is not counted again.
+of teammates will show is not counted again.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class InformationGain(FrontierTeam):
         views = ViewGain(terrain, self._range_m)
         for goal_m in self.heard_goals_m(agent, beliefs).values():
             views.claim(goal_m)
-        is_new = all(math.dist(place, robot.goal_m) >= self.explorer.forget_radius_m for place in seen_m)
+        is_new = all(math.dist(place, robot.goal_m) >= self.explorer.failed_radius_m for place in seen_m)
         if is_new and robot.goal_kind in ("place", "frontier") and views.area_m2(robot.goal_m[None])[0] >= GAIN_MIN_M2:
             plan = self.plan_to_place(terrain, agent, robot.goal_m, discs, 0.2)
             if plan is not None:
@@ -71,7 +71,7 @@ class InformationGain(FrontierTeam):
         lengths_m, places_m = self.ways.nearest_of_labels(terrain, labels, count)
         candidates = np.flatnonzero(np.isfinite(lengths_m))
         for place in [*self.banned(robot, belief, {}), *seen_m]:
-            candidates = candidates[np.hypot(*(places_m[candidates] - place).T) >= self.explorer.forget_radius_m]
+            candidates = candidates[np.hypot(*(places_m[candidates] - place).T) >= self.explorer.failed_radius_m]
         gains_m2 = views.area_m2(places_m[candidates])
         worth = gains_m2 * np.exp(-DECAY_PER_M * lengths_m[candidates])
         worth[gains_m2 < GAIN_MIN_M2] = 0.0
@@ -86,10 +86,10 @@ class InformationGain(FrontierTeam):
 
     def _views_taken_m(self, agent: str, belief: Belief) -> list[Array]:
         """Where the robot has gone for a view, in its present map: what it did not show there, it will not show."""
-        robot, map_id = self.robots[agent], (belief.map_version, len(belief.mates))
+        robot, map_id = self.robots[agent], (belief.map_version, len(belief.teammates))
         if self._taken.get(agent, (map_id, []))[0] != map_id or agent not in self._taken:
             self._taken[agent] = map_id, []
         taken = self._taken[agent][1]
-        if math.dist(robot.goal_m, robot.pose[:2]) <= self.explorer.forget_radius_m:
+        if math.dist(robot.goal_m, robot.pose[:2]) <= self.explorer.failed_radius_m:
             taken.append(robot.goal_m.copy())
         return taken

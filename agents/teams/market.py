@@ -4,7 +4,7 @@
 The frontiers are auctioned among the robots of a group that hear each other. In each round every robot bids for the
 goal that it can add to its tour at the least price, and the cheapest bid wins, until all are sold: sequential single-
 item auctions (Lagoudakis et al., "Auction-based multi-robot routing", RSS 2005), whose bidding rule for the least
-time of the team is the length of the whole tour. A robot drives to the first goal of its tour. What a mate out of
+time of the team is the length of the whole tour. A robot drives to the first goal of its tour. What a teammate out of
 contact said it drives to is not auctioned. There is no auctioneer: whoever is out of contact explores on its own.
 """
 
@@ -18,7 +18,7 @@ from twc_env.records.messages import Belief
 from ..shared.frontier_team import Frontiers, FrontierTeam
 
 SAME_M = 1.5
-"""A frontier within this distance of what a mate drives to is that mate's."""
+"""A frontier within this distance of what a teammate drives to is that teammate's."""
 GOALS_MAX = 30
 """Only so many of the nearest frontiers are auctioned."""
 
@@ -31,12 +31,12 @@ class Market(FrontierTeam):
     def choose(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> int | None:
         """The first goal of the robot's tour; the nearest frontier if it won nothing."""
         belief = beliefs[agent]
-        hearing = [beliefs[mate].robot for mate in self.mates_in_contact(agent, beliefs)]
+        hearing = [beliefs[teammate].robot for teammate in self.teammates_in_contact(agent, beliefs)]
         is_open = np.ones(len(frontiers.labels), bool)
-        for mate, goal_m in self.heard_goals_m(agent, beliefs).items():
-            if mate not in hearing:
+        for teammate, goal_m in self.heard_goals_m(agent, beliefs).items():
+            if teammate not in hearing:
                 is_open &= np.hypot(*(frontiers.centres_m - goal_m).T) >= SAME_M
-        rows = [0, *(1 + k for k, mate in enumerate(belief.mates) if mate in hearing)]
+        rows = [0, *(1 + k for k, teammate in enumerate(belief.teammates) if teammate in hearing)]
         lengths_m = (frontiers.all_lengths_m if len(rows) > 1 else frontiers.lengths_m[None])[rows]
         goals = np.flatnonzero(is_open)
         goals = goals[np.argsort(lengths_m[:, goals].min(axis=0), kind="stable")][:GOALS_MAX]

@@ -1,4 +1,4 @@
-"""MinPos: the frontier to which the fewest mates are closer (Bautin, Simonin and Charpillet 2012).
+"""MinPos: the frontier to which the fewest teammates are closer (Bautin, Simonin and Charpillet 2012).
 
 "MinPos: a novel frontier allocation algorithm for multi-robot exploration", ICIRA 2012. The rank of a robot towards a
 frontier is the number of robots with a shorter path to it. Each robot takes the frontier of its lowest rank; of
@@ -21,5 +21,5 @@ class MinPos(FrontierTeam):
 
     def choose(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> int | None:
         """The frontier of the lowest rank, the nearest of those."""
-        rank = (frontiers.mate_lengths_m < frontiers.lengths_m).sum(axis=0)
+        rank = (frontiers.teammate_lengths_m < frontiers.lengths_m).sum(axis=0)
         return int(np.lexsort((frontiers.lengths_m, rank))[0])

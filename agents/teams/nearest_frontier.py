@@ -1,8 +1,8 @@
 """Each robot drives to the nearest frontier of its group's merged map; when none is left, it seeks the other robots.
 
-Robots of one group share a map and spread out over its frontiers: those near the goal of a mate are claimed. A group
-that is not complete yet and has no frontier left tours the signs and the places not visited for longest, because maps
-merge where two robots have both been. This is the reference team of the results.
+Robots of one group share a map and spread out over its frontiers: those near the goal of a teammate are claimed. A
+group that is not complete yet and has no frontier left tours the signs and the places not visited for longest, because
+maps merge where two robots have both been. This is the reference team of the results.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..shared.tours import Tours
 
 
 class NearestFrontier(Explorer):
-    """Nearest frontiers (Yamauchi 1998) with claims of mates' goals, and tours of robots without a frontier."""
+    """Nearest frontiers (Yamauchi 1998) with claims of teammates' goals, and tours of robots without a frontier."""
 
     def __init__(self, config: EnvConfig, explorer: ExplorerConfig | None = None):
         super().__init__(config, explorer)
@@ -40,7 +40,7 @@ class NearestFrontier(Explorer):
     def _plan_to_frontier(
         self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
     ) -> Plan | None:
-        """The nearest frontier that is not claimed by a mate and has not failed recently."""
+        """The nearest frontier that is not claimed by a teammate and has not failed recently."""
         sizes = terrain.frontier_sizes
         if len(sizes) < 2:
             return None
@@ -53,8 +53,8 @@ class NearestFrontier(Explorer):
             claimed[terrain.label_near(goal_m, 0.3)] = True
             penalty[claimed] += explorer.claim_penalty_m
         for place in self.banned(robot, belief, beliefs):
-            label = terrain.label_near(place, explorer.forget_radius_m / 2)
-            small = np.hypot(*(centres - place).T) < explorer.forget_radius_m
+            label = terrain.label_near(place, explorer.failed_radius_m / 2)
+            small = np.hypot(*(centres - place).T) < explorer.failed_radius_m
             penalty[small] = np.inf
             if sizes[label] < 25:
                 penalty[label] = np.inf
@@ -72,5 +72,5 @@ class NearestFrontier(Explorer):
 
     def goals_of_teammates_m(self, agent: str, beliefs: dict[str, Belief]) -> list[Array]:
         """Frontier goals (2,) of other robots of the group."""
-        mates = [other for other, b in beliefs.items() if other != agent and b.robot in beliefs[agent].mates]
-        return [self.robots[mate].goal_m for mate in mates if self.robots[mate].goal_kind == "frontier"]
+        teammates = [other for other, b in beliefs.items() if other != agent and b.robot in beliefs[agent].teammates]
+        return [self.robots[teammate].goal_m for teammate in teammates if self.robots[teammate].goal_kind == "frontier"]

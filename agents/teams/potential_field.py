@@ -40,7 +40,7 @@ class PotentialField(FrontierTeam):
             around = robot.pose[2] + 2 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
             places_m = robot.pose[:2] + STEP_M * np.column_stack([np.cos(around), np.sin(around)])
             places_m = places_m[terrain.is_open(places_m)]
-            others_m = np.array([pose[:2] for pose in belief.mates.values()]).reshape(-1, 2)
+            others_m = np.array([pose[:2] for pose in belief.teammates.values()]).reshape(-1, 2)
             lowest, best = _potential(frontiers.lengths_m, frontiers.sizes_m, robot.pose[:2], others_m), None
             count = len(terrain.frontier_sizes) - 1
             for place in places_m:

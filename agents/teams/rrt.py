@@ -3,7 +3,7 @@
 Each robot grows a local tree from where it is, which begins anew at every frontier point found, and a global tree
 that is kept. Where an extension of a tree leaves the known floor, there is a frontier point. Points are filtered, and
 each robot takes the one of the greatest revenue: lambda h I - N, where I is the unknown area around the point, N the
-distance to it, and h > 1 for points near the robot. What mates drive to is discounted.
+distance to it, and h > 1 for points near the robot. What teammates drive to is discounted.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class RRT(FrontierTeam):
         for k in np.argsort(-revenue, kind="stable"):
             plan = self.plan_to_place(terrain, agent, points_m[k], discs, CLUSTER_M / 2)
             if plan is not None and all(
-                math.dist(place, plan.path_m[-1]) >= self.explorer.forget_radius_m for place in banned
+                math.dist(place, plan.path_m[-1]) >= self.explorer.failed_radius_m for place in banned
             ):
                 return plan, "frontier"
         plan = self.plan_to(terrain, agent, frontiers.labels, discs)  # no tree has reached a frontier
@@ -76,7 +76,7 @@ class RRT(FrontierTeam):
         terrain = frontiers.terrain
         pose, belief = self.robots[agent].pose, beliefs[agent]
         trees = self._trees.setdefault(agent, [RandomTree(pose[:2]), RandomTree(pose[:2])])
-        map_id = belief.map_version, len(belief.mates)
+        map_id = belief.map_version, len(belief.teammates)
         before_id, before = self._seen.get(agent, (map_id, pose))
         if before_id != map_id:  # the frame has jumped: trees that no longer lie on free floor would be wrong
             jump = compose(pose, inverse(before))

@@ -40,7 +40,7 @@ class Segments(FrontierTeam):
         lengths_m = frontiers.all_lengths_m
         names = np.unique(segment)
         costs_m = np.array([lengths_m[:, segment == name].min(axis=1) for name in names]).T  # (robots, segments)
-        poses = np.array([belief.pose_map_robot, *belief.mates.values()])
+        poses = np.array([belief.pose_map_robot, *belief.teammates.values()])
         costs_m -= STAY_M * (_at(terrain, segments, poses[:, :2])[:, None] == names)
         offered = np.tile(costs_m, (1, -(-len(costs_m) // len(names))))
         _, columns = linear_sum_assignment(offered)

@@ -1,4 +1,5 @@
-"""Each robot takes the frontiers of its group's map to which no mate has a shorter path, based on nearest-frontier."""
+"""Each robot takes the frontiers of its group's map to which no teammate has a shorter path, based on
+nearest-frontier."""
 
 from __future__ import annotations
 
@@ -24,9 +25,9 @@ class Voronoi(NearestFrontier):
     def extra_penalty_m(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> Array:
         """(frontiers,) penalty of those assigned to others."""
         belief, count = beliefs[agent], len(terrain.frontier_sizes)
-        if not belief.mates:
+        if not belief.teammates:
             return np.zeros(count)
-        poses = [belief.pose_map_robot, *belief.mates.values()]
+        poses = [belief.pose_map_robot, *belief.teammates.values()]
         lengths_m = np.array([self._lengths_m(terrain, pose) for pose in poses])
         is_mine = np.ones(count, bool)
         is_mine[1:] = lengths_m[0, 1:] <= lengths_m[:, 1:].min(axis=0)

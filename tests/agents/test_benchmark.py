@@ -21,7 +21,7 @@ def some_report(seed=0, **changes):
 
 
 @pytest.mark.parametrize(
-    ("changes", "verdict"),
+    ("changes", "outcome"),
     [
         ({}, True),
         ({"merged_robots": 2}, False),
@@ -31,8 +31,8 @@ def some_report(seed=0, **changes):
         ({"coverage_correct": 0.89}, False),
     ],
 )
-def test_a_seed_passes_only_if_every_criterion_holds(changes, verdict):
-    assert benchmark.passes(some_report(**changes)) == verdict
+def test_a_seed_passes_only_if_every_criterion_holds(changes, outcome):
+    assert benchmark.passes(some_report(**changes)) == outcome
 
 
 def test_seeds_are_numbers_and_ranges():

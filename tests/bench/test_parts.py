@@ -35,7 +35,7 @@ def test_parts_sum_to_the_whole_step_and_functions_are_restored():
     assert World.tick is before
     assert sum(row.share for row in rows) == pytest.approx(1.0)
     assert {row.part for row in rows if row.calls_per_step == 1.0} >= {"world: motion and sensors", REST}
-    rare = {"team: merging", "team: redrawing", "team: pose graph", "team: verification", "team: doubting merges"}
+    rare = {"team: merging", "team: redrawing", "team: pose graph", "team: verification", "team: merge review"}
     assert {row.part for row in rows if row.calls_per_step == 0.0} <= rare, "a part has another owner now"
     assert "the engine" in table_of(rows)
 

@@ -7,7 +7,7 @@ import pytest
 
 import twc_env
 from twc_env.slam.merging import map_merging
-from twc_env.slam.merging.mutual_observations import MutualObservations, Sightings
+from twc_env.slam.merging.mutual_observations import MutualObservations, ObservationCounts
 
 
 @dataclass
@@ -61,7 +61,7 @@ def wrong_merges(monkeypatch):
     told.append((MutualObservations, "count", MutualObservations.count))
     for name, lie in lies.items():
         monkeypatch.setattr(map_merging, name, lie)
-    monkeypatch.setattr(MutualObservations, "count", lambda *_: Sightings(0, 0))
+    monkeypatch.setattr(MutualObservations, "count", lambda *_: ObservationCounts(0, 0))
     return lambda: [monkeypatch.setattr(*honest) for honest in told]
 
 

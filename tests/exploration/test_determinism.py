@@ -42,7 +42,7 @@ while env.agents:
     for agent in env.possible_agents:
         belief = env.belief(agent)
         take(belief.pose_map_robot)
-        take(belief.mates)
+        take(belief.teammates)
     step += 1
 result = env.result()
 for grid in result.grids:

@@ -10,7 +10,7 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, see
 import twc_env
 from tests.soak.observation_check import ACTIONS, BLOCKS, random_actions
 from twc_env.exploration.episode import Episode
-from twc_env.exploration.macro_actions import MacroActions, Scout
+from twc_env.exploration.macro_actions import CandidateSearch, MacroActions
 from twc_env.exploration.observation.observations import ObservationBuilder
 from twc_env.planning.candidates import features_of, find_candidates
 from twc_env.planning.path_finder import PathFinder
@@ -123,7 +123,7 @@ def test_frontiers_of_robots_that_decide_nothing_are_of_the_present_map_and_of_t
             belief = env.belief(agent)
             here = belief.pose_map_robot
             found = find_candidates(belief, Terrain.of(belief, radius_m), finder, slots)
-            of_map = belief.map_version, len(belief.mates)
+            of_map = belief.map_version, len(belief.teammates)
             has_jumped = of_map != maps[robot]
             if has_jumped or env.episode.steps - looked[robot] >= 10 or info.get("is_deciding"):
                 assert np.array_equal(observations[agent]["frontiers"], features_of(found, here, slots))
@@ -137,7 +137,7 @@ def test_waypoint_steps_look_for_candidates_only_if_they_are_shown(are_shown):
     env = twc_env.parallel_env(config=settings(("waypoint", "synchronous"), **{"observation.frontiers": are_shown}))
     env.reset(seed=0)
     env.step({agent: np.full(2, 0.1) for agent in env.agents})
-    assert any(len(found.frontiers_m) > 0 for found in env.episode.pilot.candidates) == are_shown
+    assert any(len(found.frontiers_m) > 0 for found in env.episode.macro_actions.candidates) == are_shown
 
 
 def test_a_waypoint_step_ends_with_the_last_or_with_the_first_arrival():
@@ -176,17 +176,17 @@ def test_every_block_can_be_rebuilt_from_the_frames_for_every_kind_of_action(act
     random = np.random.default_rng(0)
     observations, infos = env.reset(seed=0, options={"starts": "map"})
     engine, builder = CooperativeSlam(env.config, 3), ObservationBuilder(env.config)
-    scout, pilot = Scout(env.config), MacroActions(env.config)
+    search, macro_actions = CandidateSearch(env.config), MacroActions(env.config)
     seen = set()
     while env.agents:
         for frames in env.frames_of_step or [env.frames]:
             engine.update(frames, contacts.pop(0))
             beliefs = [engine.belief(robot) for robot in range(3)]
             builder.notice(frames, beliefs)
-        looker = scout if action[0] == "velocity" else pilot
-        pilot.is_deciding[:] = [info.get("is_deciding", True) for info in infos.values()]
+        looker = search if action[0] == "velocity" else macro_actions
+        macro_actions.is_deciding[:] = [info.get("is_deciding", True) for info in infos.values()]
         looker.look(beliefs)
-        built = builder.build(looker.candidates, [pilot.mask(robot) for robot in range(3)])
+        built = builder.build(looker.candidates, [macro_actions.mask(robot) for robot in range(3)])
         for own, observation in zip(built, observations.values(), strict=True):
             assert own.keys() == observation.keys()
             for name in own:

@@ -60,7 +60,7 @@ def test_the_table_of_rewards_lists_every_term_and_weight():
 
 
 @pytest.mark.parametrize("topology", ["central", "peer"])
-def test_a_mate_in_contact_has_age_0_even_if_it_stands_still(topology):
+def test_a_teammate_in_contact_has_age_0_even_if_it_stands_still(topology):
     env = twc_env.parallel_env(robots=2, max_cycles=100, config={"link.topology": topology, "link.range_max_m": 1000.0})
     observations, _ = env.reset(seed=1)
     while env.agents:

@@ -155,7 +155,7 @@ def test_beliefs_are_invariant_to_the_pose_of_the_building(here, moved):
     for agent in here.env.possible_agents:
         a, b = here.env.belief(agent), moved.env.belief(agent)
         assert a.pose_map_robot == pytest.approx(b.pose_map_robot, abs=1e-6)
-        assert a.mates.keys() == b.mates.keys()
+        assert a.teammates.keys() == b.teammates.keys()
         assert [s.text for s in a.signs] == [s.text for s in b.signs]
         assert np.array([s.position_m for s in a.signs]) == pytest.approx(np.array([s.position_m for s in b.signs]))
         assert np.mean(a.grid.log_odds != b.grid.log_odds) < 1e-3

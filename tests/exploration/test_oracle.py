@@ -9,7 +9,7 @@ STEPS = 150
 @pytest.mark.parametrize("topology", ["central", "peer"])
 def test_with_true_starts_all_robots_share_a_correct_frame_from_the_first_step(explore, topology):
     log = explore(STEPS, max_cycles=STEPS, config={"slam.oracle": "starts", "link.topology": topology})
-    assert len(log.env.belief("robot_2").mates) == 2
+    assert len(log.env.belief("robot_2").teammates) == 2
     if topology == "central":
         assert all(observation["team"][:, 0].all() for observation in log.observations[0].values())
     figures = log.env.result().figures
@@ -25,7 +25,7 @@ def test_with_true_poses_the_estimate_is_exact_to_a_millimetre(explore):
     assert result.figures["closures"]["proposed"] == 0
     assert result.figures["wall_iou"] > 0.05
     belief = log.env.belief("robot_1")
-    apart = np.hypot(*(belief.mates[0][:2] - belief.pose_map_robot[:2]))
+    apart = np.hypot(*(belief.teammates[0][:2] - belief.pose_map_robot[:2]))
     true = log.env.state().reshape(3, 6)
     assert apart == pytest.approx(np.hypot(*(true[0, :2] - true[1, :2])), abs=1e-3)
 

@@ -97,7 +97,7 @@ def test_robots_that_met_share_a_group_but_each_holds_its_own_map(played):
 
 def test_robots_of_one_group_plan_on_their_own_maps(played):
     beliefs, known = played[0].beliefs[-1], {}
-    assert any({b.robot, *b.mates} == {c.robot, *c.mates} for b, c in combinations(beliefs, 2))
+    assert any({b.robot, *b.teammates} == {c.robot, *c.teammates} for b, c in combinations(beliefs, 2))
     for belief in beliefs:
         planned, alone = terrain_of(known, belief, 0.2), terrain_of({}, belief, 0.2)
         assert np.array_equal(planned.origin_m, alone.origin_m) and np.array_equal(planned.kind, alone.kind)
@@ -116,7 +116,7 @@ def test_robots_that_never_meet_know_only_themselves(explore):
     log = explore(60, robots=3, config={"link.topology": "peer", "link.range_max_m": 0.0})
     assert log.env.episode.bytes_sent == 0
     for robot, agent in enumerate(log.env.possible_agents):
-        assert log.env.belief(agent).mates == {}
+        assert log.env.belief(agent).teammates == {}
         assert [len(path) > 0 for path in log.env.engine.mappers[robot].keyframes] == [r == robot for r in range(3)]
 
 

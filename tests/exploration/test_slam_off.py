@@ -63,7 +63,7 @@ def test_map_and_team_blocks_stay_empty(log):
         for observation in observations.values():
             assert not observation["map"][[0, 1, 3, 5, 6]].any() and not observation["team"][:, :4].any()
     belief = log.env.belief("robot_0")
-    assert belief.grid.log_odds.size == 0 and belief.mates == {} and belief.signs == ()
+    assert belief.grid.log_odds.size == 0 and belief.teammates == {} and belief.signs == ()
 
 
 def test_the_other_blocks_contain_measurements(log):

@@ -165,7 +165,7 @@ class Own:
         self.kept = [self.propose, {"parts": PART}]
     def propose(self, keyframe, skipped_robots=()):
         return []
-    def forget(self, is_held):
+    def sparsify(self, is_held):
         pass
 """
 

@@ -41,7 +41,7 @@ def test_precision_and_recall_without_closures_are_nan():
 
 
 def test_arrays_of_unequal_shape_are_rejected():
-    with pytest.raises(DataError, match="as many verdicts"):
+    with pytest.raises(DataError, match="as many true answers"):
         score_closures([True, False], [True])
     with pytest.raises(DataError, match="as many measured"):
         closures_are_correct(np.zeros((3, 3)), np.zeros((1, 3)))

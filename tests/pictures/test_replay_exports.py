@@ -75,7 +75,7 @@ def test_estimates_stay_beside_the_true_robots_at_the_start_after_merges_and_wit
             actions = {a: wander_by_scan(ranges_m[k], env.episode.steps, 3 * k) for k, a in enumerate(env.agents)}
         observations, rewards, _, _, infos = env.step(actions)
         trace.note(rewards)
-        merged += bool(env.belief("robot_0").mates)
+        merged += bool(env.belief("robot_0").teammates)
     trace.write(tmp_path / "trace.npz")
     drawn = np.load(tmp_path / "trace.npz")
     away_m = np.linalg.norm((drawn["estimated_poses"] - drawn["true_poses"])[..., :2], axis=-1)

@@ -80,13 +80,13 @@ def rotation(angle):
     return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
 
 
-def test_a_mate_on_the_path_is_driven_around():
+def test_a_teammate_on_the_path_is_driven_around():
     follower = Follower(DYNAMICS)
     follower.start(np.array([[0.0, 0.0], [5.0, 0.0]]))
-    pose, mate, nearest = np.zeros(3), np.array([2.5, 0.05]), 10.0
+    pose, teammate, nearest = np.zeros(3), np.array([2.5, 0.05]), 10.0
     for _ in range(150):
-        pose = drive(pose, *follower.command(pose, scan_of_disc(pose, mate, 0.2)))
-        nearest = min(nearest, math.hypot(*(pose[:2] - mate)))
+        pose = drive(pose, *follower.command(pose, scan_of_disc(pose, teammate, 0.2)))
+        nearest = min(nearest, math.hypot(*(pose[:2] - teammate)))
     assert nearest > 0.4
     assert pose[0] > 4.7
 

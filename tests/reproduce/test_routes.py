@@ -4,7 +4,7 @@ import pytest
 from twc_env.config import EnvConfig
 from twc_env.errors import MapError
 from twc_env.maps import load_map
-from twc_env.reproduce.routes import CLEARANCE_M, SIGHTING_RANGE_M, RoutePlanner, room_tour, walk
+from twc_env.reproduce.routes import CLEARANCE_M, SIGN_PASS_RANGE_M, RoutePlanner, room_tour, walk
 
 
 @pytest.fixture(scope="module")
@@ -44,17 +44,19 @@ def test_the_walker_ends_where_its_way_ends_and_remembers_the_truth_beside_each_
     assert [k.index for k in walked.keyframes] == list(range(len(walked.keyframes)))
 
 
-def test_sightings_are_near_the_signs_they_are_of(plan, walked):
-    assert {plan.signs[s.sign].text for s in walked.sightings} >= {"A301 OPTICS LAB", "FIRE CABINET", "LASER IN USE"}
-    for s in walked.sightings:
+def test_passes_are_near_the_signs_they_are_of(plan, walked):
+    assert {plan.signs[s.sign].text for s in walked.sign_passes} >= {"A301 OPTICS LAB", "FIRE CABINET", "LASER IN USE"}
+    for s in walked.sign_passes:
         assert len(s.keyframe.signs) == 1
-        assert np.hypot(*(s.position_m - plan.signs[s.sign].position_m)) < SIGHTING_RANGE_M + 0.2
+        assert np.hypot(*(s.position_m - plan.signs[s.sign].position_m)) < SIGN_PASS_RANGE_M + 0.2
 
 
 def test_the_same_seed_walks_alike(plan, way, walked):
     again = walk(EnvConfig(), plan, way, robot=1, seed=3)
     assert np.array_equal(np.array(again.poses), np.array(walked.poses))
-    assert [s.keyframe.signs[0].text for s in again.sightings] == [s.keyframe.signs[0].text for s in walked.sightings]
+    assert [s.keyframe.signs[0].text for s in again.sign_passes] == [
+        s.keyframe.signs[0].text for s in walked.sign_passes
+    ]
 
 
 def test_a_floor_without_clear_room_is_refused(plan):

@@ -1,7 +1,9 @@
 import importlib
 
+import numpy as np
 import pytest
 
+from twc_env.records.messages import Belief, GridMap
 from twc_env.running.moved_modules import MOVED
 
 
@@ -10,3 +12,10 @@ def test_an_import_of_a_moved_module_names_the_new_one_which_exists(old):
     with pytest.raises(ModuleNotFoundError, match=f"^twc_env.{old} is now twc_env.{MOVED[old]}$"):
         importlib.import_module(f"twc_env.{old}")
     assert importlib.util.find_spec(f"twc_env.{MOVED[old]}") is not None
+
+
+def test_the_old_name_of_the_teammates_of_a_belief_names_the_new_one():
+    belief = Belief(0, 0, np.zeros(3), GridMap(np.zeros((1, 1)), np.zeros(2), 0.1))
+    with pytest.raises(AttributeError, match=r"^Belief\.mates is now Belief\.teammates$"):
+        belief.mates  # noqa: B018
+    assert belief.teammates == {}

@@ -44,7 +44,7 @@ def test_path_length_along_a_corridor_follows_the_odometry(scan, walls, width_m,
     assert np.mean(shares) == pytest.approx(1.0, abs=0.007)
 
 
-def _behind_a_mate(scan, walls, seed, length_m=14.0):
+def _behind_a_teammate(scan, walls, seed, length_m=14.0):
     """Estimated path length along a corridor as a share of the true one, with another robot close ahead."""
     random, ends = np.random.default_rng(seed), FrontEnds(override(_config(180, 0.01), {"robots": 2}), 2)
     corridor = walls((-LENGTH_M, -1.0), (LENGTH_M, -1.0), (LENGTH_M, 1.0), (-LENGTH_M, 1.0))
@@ -54,8 +54,8 @@ def _behind_a_mate(scan, walls, seed, length_m=14.0):
         motion = np.array([STEP_M, 0.0, 0.0]) * (step > 0)
         true = compose(true, motion)
         apart_m = max(2.0 - 0.02 * step, 0.5)
-        mate = walls(*(true[:2] + [apart_m, 0.0] + around).tolist())
-        seen_m = scan(np.concatenate([corridor, mate]), true)
+        teammate = walls(*(true[:2] + [apart_m, 0.0] + around).tolist())
+        seen_m = scan(np.concatenate([corridor, teammate]), true)
         seen_m[seen_m < 10.0] += random.normal(0, 0.01, np.count_nonzero(seen_m < 10.0))
         read = motion + random.normal(0, 1, 3) * (0.002, 0.001, 0.005) * (step > 0)
         ends.update([SensorFrame(0, step, 0.1 * step, read, 0.0, seen_m, None, ())])
@@ -63,7 +63,7 @@ def _behind_a_mate(scan, walls, seed, length_m=14.0):
 
 
 def test_another_robot_does_not_shorten_the_path_along_a_corridor(scan, walls):
-    assert [_behind_a_mate(scan, walls, seed) for seed in range(4)] == pytest.approx(np.ones(4), abs=0.01)
+    assert [_behind_a_teammate(scan, walls, seed) for seed in range(4)] == pytest.approx(np.ones(4), abs=0.01)
 
 
 def _driven(length_m, too_long, scan, walls, beams=180):

@@ -5,7 +5,7 @@ import pytest
 
 from twc_env.config import EnvConfig
 from twc_env.records.messages import LoopCandidate, LoopClosure, SignObservation
-from twc_env.slam.diagnostics import Listening, shortcomings
+from twc_env.slam.diagnostics import Listening, diagnostics_of
 from twc_env.slam.team import TeamMapper
 
 MACS = (1, 2, 3, 4)
@@ -33,14 +33,14 @@ def mapper_of(keyframe):
 
 
 def test_missing_cues_are_reported_for_all_or_for_one_robot(mapper_of):
-    nothing = shortcomings(mapper_of((0, None, None), (1, None, None)))
+    nothing = diagnostics_of(mapper_of((0, None, None), (1, None, None)))
     assert nothing[:2] == ["no signs read", "no WiFi heard"]
-    one = shortcomings(mapper_of((0, "A301", -50.0), (1, None, None)))
+    one = diagnostics_of(mapper_of((0, "A301", -50.0), (1, None, None)))
     assert one[:2] == ["no signs from robot 1", "no WiFi from robot 1"]
 
 
 def test_robots_without_a_common_map_are_reported(mapper_of):
-    lines = shortcomings(mapper_of((0, "A301", -50.0), (1, "B101", -60.0)))
+    lines = diagnostics_of(mapper_of((0, "A301", -50.0), (1, "B101", -60.0)))
     assert lines == ["no common map of [0] and [1]; 0 closures wait for others that agree"]
 
 
@@ -48,14 +48,14 @@ def test_a_device_offset_is_reported(mapper_of):
     odd = [(robot, name, -70.0 + 10.0 * robot) for name in NAMES[:3] for robot in (0, 1)]
     even = [(robot, name, -70.0 + 2.0 * robot) for name in NAMES[:3] for robot in (0, 1)]
     line = "robot 1 reads WiFi +10 dB against robot 0 where both read a name"
-    assert line in shortcomings(mapper_of(*odd))
-    assert not any("dB" in text for text in shortcomings(mapper_of(*even)))
+    assert line in diagnostics_of(mapper_of(*odd))
+    assert not any("dB" in text for text in diagnostics_of(mapper_of(*even)))
 
 
 def test_repeated_texts_are_counted(mapper_of):
     twice = mapper_of(*[(0, name, -50.0) for name in (*NAMES, *NAMES)])
-    assert any(line == "5 of 5 sign texts occur at several places" for line in shortcomings(twice))
-    assert not any("names" in line for line in shortcomings(mapper_of(*[(0, name, -50.0) for name in NAMES])))
+    assert any(line == "5 of 5 sign texts occur at several places" for line in diagnostics_of(twice))
+    assert not any("names" in line for line in diagnostics_of(mapper_of(*[(0, name, -50.0) for name in NAMES])))
 
 
 def test_rejected_candidates_are_counted_by_reason(mapper_of):
@@ -64,7 +64,7 @@ def test_rejected_candidates_are_counted_by_reason(mapper_of):
         candidate = LoopCandidate((0, 0), (1, 0), np.zeros(3), "twc")
         mapper.closures.append(LoopClosure(candidate, np.zeros(3), np.eye(3), 0.5, "rejected", reason))
     refused = "candidates refused: 2 by overlap, 1 by contradiction, 1 by distance from the estimate"
-    assert shortcomings(mapper)[-1] == refused
+    assert diagnostics_of(mapper)[-1] == refused
 
 
 def test_the_longest_and_the_present_link_outage_are_reported():

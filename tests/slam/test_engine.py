@@ -106,7 +106,7 @@ def test_the_engine_runs_in_a_process_that_never_loads_a_world(recorded, tmp_pat
     assert poses == b"".join(here.team.poses_of(robot).tobytes() for robot in range(config.robots)).hex()
 
 
-def test_a_front_end_does_not_depend_on_its_mates(recorded):
+def test_a_front_end_does_not_depend_on_its_teammates(recorded):
     config, frames, _ = recorded
     alone = CooperativeSlam(config, 1)
     together = CooperativeSlam(config, 3)
@@ -133,11 +133,11 @@ def test_robots_of_a_group_are_in_each_others_beliefs(engine):
     for robot in range(3):
         group = engine.team.groups[engine.team.group_index(robot)].robots
         belief = engine.belief(robot)
-        assert set(belief.mates) == set(group) - {robot}
+        assert set(belief.teammates) == set(group) - {robot}
         assert belief.pose_map_robot.tobytes() == engine.pose_map_robot(robot).tobytes()
-        for mate, pose in belief.mates.items():
-            assert pose.tobytes() == engine.pose_map_robot(mate).tobytes()
-            assert engine.belief(mate).grid.log_odds is belief.grid.log_odds
+        for teammate, pose in belief.teammates.items():
+            assert pose.tobytes() == engine.pose_map_robot(teammate).tobytes()
+            assert engine.belief(teammate).grid.log_odds is belief.grid.log_odds
 
 
 def test_what_others_forward_is_no_contact_with_its_robot(recorded):
@@ -174,7 +174,7 @@ def test_before_the_first_frame_every_robot_is_its_own_group():
     engine = CooperativeSlam(EnvConfig(), 2)
     for robot in range(2):
         belief = engine.belief(robot)
-        assert (belief.mates, belief.signs, belief.grid.log_odds.size) == ({}, (), 0)
+        assert (belief.teammates, belief.signs, belief.grid.log_odds.size) == ({}, (), 0)
         assert belief.pose_map_robot.tolist() == [0.0, 0.0, 0.0]
 
 

@@ -27,9 +27,9 @@ def seen_from(poses, places_m, merged=True):
         for slot, place in enumerate(places_m):
             rows["frontiers"][robot, slot, :3] = 1.0, *polar(place, (x, y, heading))
         if merged:
-            mate = poses[1 - robot]
-            turn = math.remainder(mate[2] - heading, 2 * math.pi)
-            bearing, share = polar(mate[:2], (x, y, heading))
+            teammate = poses[1 - robot]
+            turn = math.remainder(teammate[2] - heading, 2 * math.pi)
+            bearing, share = polar(teammate[:2], (x, y, heading))
             rows["team"][robot, 0, :4] = 1.0, bearing, share, turn / math.pi
     return rows
 
@@ -55,7 +55,7 @@ def notes_after(actions, **seen):
     return notes
 
 
-def test_the_goals_block_has_the_closeness_of_choices_to_own_and_mate_goals_after_motion():
+def test_the_goals_block_has_the_closeness_of_choices_to_own_and_teammate_goals_after_motion():
     notes = notes_after([0, 2])
     moved = ((1.5, 0.2, -1.0), (-4.5, 1.0, 0.7))
     goals = notes.beside(seen_from(moved, PLACES_M))["goals"]

@@ -358,7 +358,7 @@ class Faulty:
     def score(self, target, source):
         return 0.0
 
-    def forget(self, is_held):
+    def sparsify(self, is_held):
         pass
 """
 

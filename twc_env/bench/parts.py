@@ -46,7 +46,7 @@ class PartTime:
 
 def _parts() -> list[tuple[str, bool, Any, str]]:
     """(part, whether it belongs to the engine, owner, function or method) of all timed parts."""
-    from twc_env.exploration.assessment import map_scores as verdicts
+    from twc_env.exploration.assessment import map_scores
     from twc_env.exploration.episode import Episode
     from twc_env.exploration.observation import map_view
     from twc_env.exploration.observation.observations import ObservationBuilder
@@ -74,7 +74,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
         ("team: place recognition", True, ClosureSearch, "propose"),
         ("team: verification", True, LoopVerifier, "verify"),
         ("team: merging", True, TeamMapper, "_try_merge"),
-        ("team: doubting merges", True, TeamMapper, "_undo_wrong_merge"),
+        ("team: merge review", True, TeamMapper, "_undo_wrong_merge"),
         ("team: pose graph", True, MapOptimiser, "optimise"),
         ("team: redrawing", True, GroupMaps, "redraw"),
         ("team: the rest", True, CooperativeSlam, "absorb"),
@@ -82,7 +82,7 @@ def _parts() -> list[tuple[str, bool, Any, str]]:
         ("observation: notes", False, ObservationBuilder, "notice"),
         ("observation: map crop", False, map_view.MapViews, "draw"),
         ("observation: the rest", False, ObservationBuilder, "build"),
-        ("reward: map against the truth", False, verdicts, "standing"),
+        ("reward: map against the truth", False, map_scores, "standing"),
         ("end of the episode: report", False, Episode, "numbers"),
     ]
 

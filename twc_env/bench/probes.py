@@ -197,9 +197,9 @@ def _worker(map_name: str, steps: int, core: int, hear: Iterator[str], say: Call
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
     config = override(EnvConfig(), {"map": map_name, "max_cycles": steps})
-    env, scout = ExplorationEnv(config=config), ExplorationEnv(config=override(config, {"slam.mode": "off"}))
+    env, recorder = ExplorationEnv(config=config), ExplorationEnv(config=override(config, {"slam.mode": "off"}))
     for task in map(str.strip, hear):
-        actions = [] if task == COUNTING else record_actions(scout, int(task))
+        actions = [] if task == COUNTING else record_actions(recorder, int(task))
         if actions:
             env.reset(seed=int(task))
         say('"ready"\n')

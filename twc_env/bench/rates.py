@@ -110,12 +110,12 @@ class OurRuns:
 
     def __init__(self, config: EnvConfig, plan: Floorplan):
         self._env = ExplorationEnv(config=config, floorplan=plan)
-        self._scout = ExplorationEnv(config=override(config, {"slam.mode": "off"}), floorplan=plan)
+        self._recorder = ExplorationEnv(config=override(config, {"slam.mode": "off"}), floorplan=plan)
         self.once(0)
 
     def once(self, seed: int) -> Run:
         """Time one whole episode."""
-        actions = record_actions(self._scout, seed)
+        actions = record_actions(self._recorder, seed)
         self._env.reset(seed=seed)
         step, step_s = self._env.step, np.empty(len(actions))
         gc.collect()  # otherwise a run may include the collection of earlier objects

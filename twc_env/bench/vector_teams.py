@@ -82,8 +82,8 @@ def _windows(config: EnvConfig, count: int, measure_ceiling: Callable[[], None])
 
 def _recorded(config: EnvConfig, count: int) -> Array:
     """(steps, count, robots, 2) actions, row k for a team that wanders through the episode of seed k."""
-    scout = ExplorationEnv(config=override(config, {"slam.mode": "off"}))
-    episodes = [[list(step.values()) for step in record_actions(scout, seed)] for seed in range(count)]
+    recorder = ExplorationEnv(config=override(config, {"slam.mode": "off"}))
+    episodes = [[list(step.values()) for step in record_actions(recorder, seed)] for seed in range(count)]
     return np.array(episodes, np.float32).swapaxes(0, 1).copy()
 
 

@@ -64,9 +64,9 @@ def _benchmark(options: argparse.Namespace) -> int:
     try:
         for done, (job, report, was_there) in enumerate(benchmark.run_jobs(jobs, options.jobs), 1):
             reports[names[job.folder]].append(report)
-            verdict = "passes" if benchmark.passes(report) else "fails"
+            outcome = "passes" if benchmark.passes(report) else "fails"
             origin = " (reused)" if was_there else ""
-            print(f"[{done}/{len(jobs)}] {names[job.folder]} seed {job.seed}: {verdict}{origin}", file=sys.stderr)
+            print(f"[{done}/{len(jobs)}] {names[job.folder]} seed {job.seed}: {outcome}{origin}", file=sys.stderr)
     except KeyboardInterrupt:
         was_interrupted = True
         finished = sum(map(len, reports.values()))

@@ -30,7 +30,7 @@ from twc_env.maps import load_map
 from twc_env.records.messages import Belief, Contacts, SensorFrame
 from twc_env.slam.modes import Engine
 from twc_env.world.building.floorplan import Floorplan
-from twc_env.world.building.thinning import thinned
+from twc_env.world.building.subsampling import subsampled
 from twc_env.world.world import World
 
 if TYPE_CHECKING:
@@ -203,8 +203,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             self._viewer.follow(episode)
         seen = episode.observe()  # also updates the choices that the infos report
         infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.agents}
-        if episode.pilot is not None:
-            self._tell_choices(infos, episode.pilot, 0)
+        if episode.macro_actions is not None:
+            self._tell_choices(infos, episode.macro_actions, 0)
         return self._by_agent(seen), infos
 
     def step(self, actions: Mapping[str, Any]):
@@ -222,8 +222,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         for robot, agent in self._numbered:
             observations[agent] = seen[robot]
             infos[agent] = {"reward_terms": values[robot].copy()}
-        if episode.pilot is not None:
-            self._tell_choices(infos, episode.pilot, episode.steps - began)
+        if episode.macro_actions is not None:
+            self._tell_choices(infos, episode.macro_actions, episode.steps - began)
         truncated = self._all_false
         if episode.is_over:
             numbers: dict[str, Any] = episode.numbers()
@@ -346,7 +346,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         config = self.config if building is None else override(self.config, {"map": building})
         plan = self._own_floorplan if building is None else load_map(building)
         if plan is not self._plan:
-            self._world, self._plan = World(config, thinned(plan, config.building)), plan
+            self._world, self._plan = World(config, subsampled(plan, config.building)), plan
         return config
 
     def _by_agent(self, values: Sequence[Any]) -> dict[str, Any]:
@@ -356,12 +356,12 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             named[agent] = values[robot]
         return named
 
-    def _tell_choices(self, infos: dict[str, dict[str, Any]], pilot: MacroActions, time_steps: int) -> None:
+    def _tell_choices(self, infos: dict[str, dict[str, Any]], macro_actions: MacroActions, time_steps: int) -> None:
         """Add `is_deciding`, `time_steps` and, with choices among frontiers, `action_mask` to the infos."""
         for robot, info in enumerate(infos.values()):
-            info["is_deciding"], info["time_steps"] = bool(pilot.is_deciding[robot]), time_steps
+            info["is_deciding"], info["time_steps"] = bool(macro_actions.is_deciding[robot]), time_steps
             if self.config.action.kind == "frontier":
-                info["action_mask"] = pilot.mask(robot)
+                info["action_mask"] = macro_actions.mask(robot)
 
 
 def _action_space(config: EnvConfig) -> spaces.Space:

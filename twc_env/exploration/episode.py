@@ -11,11 +11,10 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.exploration import actions as action_blocks
-from twc_env.exploration.assessment import evaluation, rewards
-from twc_env.exploration.assessment import map_scores as verdicts
+from twc_env.exploration.assessment import evaluation, map_scores, rewards
 from twc_env.exploration.assessment.episode_record import EpisodeRecord
 from twc_env.exploration.compilation import FIRST_START
-from twc_env.exploration.macro_actions import MacroActions, Scout
+from twc_env.exploration.macro_actions import CandidateSearch, MacroActions
 from twc_env.exploration.observation.observations import ObservationBuilder, first_observations
 from twc_env.records.messages import Belief, Contacts, SensorFrame
 from twc_env.records.random_streams import random_stream
@@ -26,7 +25,7 @@ from twc_env.world.failures import Failures, silenced
 from twc_env.world.link import Link
 from twc_env.world.world import World
 
-_NOT_JUDGED: tuple[object, list[verdicts.GroupScore]] = None, []
+_NOT_EVALUATED: tuple[object, list[map_scores.GroupScore]] = None, []
 
 
 class Episode:
@@ -57,14 +56,17 @@ class Episode:
         self._link = Link(config.link, count, world.plan.home.wall_index, random_stream(seed, "link"))
         self._builder = ObservationBuilder(config)
         self._velocities = action_blocks.Velocities(config.dynamics, count)
-        self.pilot = None if config.action.kind == "velocity" else MacroActions(config, self._failures.is_alive(0))
+        self.macro_actions = (
+            None if config.action.kind == "velocity" else MacroActions(config, self._failures.is_alive(0))
+        )
         """Executes waypoint and frontier actions; None with velocity actions."""
-        self._looker = self.pilot or (Scout(config) if config.observation.frontiers else None)
-        """Updates the goal candidates: the pilot, or a `Scout` for the `frontiers` block with velocity actions."""
+        self._search = self.macro_actions or (CandidateSearch(config) if config.observation.frontiers else None)
+        """Updates the goal candidates: the macro actions, or a `CandidateSearch` for the `frontiers` block with
+        velocity actions."""
         self.record = EpisodeRecord(count)
         """Ground truth and front-end poses of all steps, for evaluation only."""
-        self._judged = _NOT_JUDGED
-        """The beliefs that were evaluated last, and the verdicts on them."""
+        self._evaluated = _NOT_EVALUATED
+        """The beliefs that were evaluated last, and their scores."""
         self._standing = rewards.Standing.nothing(count)
         self._uneventful = rewards.terms(self._transition(self._standing, np.zeros(count, bool), 0.0), "team")
         """Terms of a time step without contacts, messages and evaluation."""
@@ -80,7 +82,7 @@ class Episode:
         if FIRST_START.is_helped:  # compile the kernels of observations while the helper compiles the engine's
             first_observations(config, frames)
         self._think(frames)
-        self._bytes_judged = self.bytes_sent
+        self._bytes_evaluated = self.bytes_sent
 
     @property
     def floorplan(self) -> Floorplan:
@@ -105,64 +107,65 @@ class Episode:
         Returns the reward terms of each robot, summed over the time steps. `watch` is called after each time step.
         Raises ActionError for a malformed action; the state is unchanged then.
         """
-        pilot = self.pilot
-        if pilot is None:
+        macro_actions = self.macro_actions
+        if macro_actions is None:
             commands = self._velocities.decode(actions, agents)
             self.frames_of_step = []
             values = self._tick(commands)
             if watch is not None:
                 watch(self)
             return values
-        pilot.assign(actions, agents, self._beliefs)
+        macro_actions.assign(actions, agents, self._beliefs)
         self.frames_of_step = []
         sums: list[dict[str, float]] = []
         while True:
-            values = self._tick(pilot.commands(self._beliefs))
+            values = self._tick(macro_actions.commands(self._beliefs))
             if watch is not None:
                 watch(self)
             sums = [{k: s[k] + v[k] for k in v} for s, v in zip(sums, values, strict=True)] if sums else values
-            if pilot.is_decision_due(self._failures.is_alive(self.steps)) or self.is_over:
+            if macro_actions.is_decision_due(self._failures.is_alive(self.steps)) or self.is_over:
                 return sums
 
     def observe(self) -> list[Any]:
-        """The observation of each robot; first updates the goal candidates, with a pilot or a `frontiers` block."""
-        pilot, looker, masks = self.pilot, self._looker, None
-        if looker is None:
+        """The observation of each robot; first updates the goal candidates, with macro actions or a `frontiers`
+        block."""
+        macro_actions, search, masks = self.macro_actions, self._search, None
+        if search is None:
             return self._builder.build()
-        looker.look(self._beliefs)
-        if pilot is not None and self.config.action.kind == "frontier":
-            masks = [pilot.mask(robot) for robot in range(self.config.robots)]
-        return self._builder.build(looker.candidates, masks)
+        search.look(self._beliefs)
+        if macro_actions is not None and self.config.action.kind == "frontier":
+            masks = [macro_actions.mask(robot) for robot in range(self.config.robots)]
+        return self._builder.build(search.candidates, masks)
 
     def belief(self, robot: int) -> Belief:
         """What one robot knows: its map and pose. Estimates only."""
         return self.engine.belief(robot)
 
     def __getstate__(self) -> dict:
-        return self.__dict__ | {"_judged": _NOT_JUDGED}
+        return self.__dict__ | {"_evaluated": _NOT_EVALUATED}
 
-    def verdicts(self) -> list[verdicts.GroupScore]:
-        """All maps of the team evaluated now, see `verdicts_of`; cached until the engine's next update."""
+    def map_scores(self) -> list[map_scores.GroupScore]:
+        """All maps of the team evaluated now, see `scores_of`; cached until the engine's next update."""
         believed = self.engine.beliefs()  # a new object after each update of the engine
-        if self._judged[0] is not believed:
-            self._judged = believed, verdicts.verdicts_of(self.engine, self.record, self.floorplan.cells())
-        return self._judged[1]
+        if self._evaluated[0] is not believed:
+            self._evaluated = believed, map_scores.scores_of(self.engine, self.record, self.floorplan.cells())
+        return self._evaluated[1]
 
     def numbers(self) -> dict[str, float]:
         """The scalar figures of `result`."""
         paths = evaluation.EpisodePaths.of(self.engine, self.record)
         return evaluation.numbers(
-            self.config, self.seed, self.floorplan, self.engine, self.record, self.verdicts(), paths
+            self.config, self.seed, self.floorplan, self.engine, self.record, self.map_scores(), paths
         )
 
     def result(self) -> evaluation.EpisodeResult:
         """Evaluate the episode so far against ground truth."""
-        return evaluation.evaluate(self.config, self.seed, self.floorplan, self.engine, self.record, self.verdicts())
+        return evaluation.evaluate(self.config, self.seed, self.floorplan, self.engine, self.record, self.map_scores())
 
     def caption(self) -> str:
         """Caption of a picture: one line with time, merged robots and correctly mapped floor, from ground truth."""
         time_s = self.steps * self.config.dynamics.time_step_s
-        return verdicts.told(self.verdicts(), self.floorplan.cells(), self.config.robots, time_s)
+        return map_scores.told(self.map_scores(), self.floorplan.cells(), self.config.robots, time_s)
 
     def _tick(self, commands: Array) -> list[dict[str, float]]:
         """Advance by one time step; returns the reward terms of each robot."""
@@ -173,7 +176,7 @@ class Episode:
         self.steps += 1
         self.is_over = self.steps == self.config.max_cycles
         self._think(self.world.tick(commands))
-        return self._judge()
+        return self._reward_terms()
 
     def _think(self, frames: TeamFrames) -> None:
         """Process the frames of one time step: link, front ends, mappers, record and memory of observations."""
@@ -201,13 +204,13 @@ class Episode:
         self._beliefs = self.engine.beliefs()
         self._builder.notice(self._shown, self._beliefs)
 
-    def _judge(self) -> list[dict[str, float]]:
-        config, before, sent_before, contacts = self.config, self._standing, self._bytes_judged, self._touching
-        self._bytes_judged = sum(self.engine.bytes_sent.values())
+    def _reward_terms(self) -> list[dict[str, float]]:
+        config, before, sent_before, contacts = self.config, self._standing, self._bytes_evaluated, self._touching
+        self._bytes_evaluated = sum(self.engine.bytes_sent.values())
         if self.is_over or self.steps % config.reward.period_steps == 0:
-            last = self.verdicts() if self.is_over else ()
-            self._standing = verdicts.standing(self.engine, self.record, self.floorplan.cells(), last)
-        sent = (self._bytes_judged - sent_before) / config.robots
+            last = self.map_scores() if self.is_over else ()
+            self._standing = map_scores.standing(self.engine, self.record, self.floorplan.cells(), last)
+        sent = (self._bytes_evaluated - sent_before) / config.robots
         if self._standing is before and True not in contacts.tolist():
             return rewards.quiet(self._uneventful, sent) if sent else self._uneventful
         return rewards.terms(self._transition(before, contacts, sent), config.reward.sharing)

@@ -20,7 +20,7 @@ from twc_env.planning.terrain import Terrain
 from twc_env.records.geometry import transform_points
 from twc_env.records.messages import Belief, GridMap
 
-SIGN, MATE, STAY = (EXTRA_CHOICES.index(name) for name in ("sign", "mate", "stay"))
+SIGN, TEAMMATE, STAY = (EXTRA_CHOICES.index(name) for name in ("sign", "teammate", "stay"))
 
 
 def waypoint_space() -> spaces.Box:
@@ -29,11 +29,11 @@ def waypoint_space() -> spaces.Box:
 
 
 def frontier_space(config: ActionConfig) -> spaces.Discrete:
-    """Index of a choice: frontiers in the order of the `frontiers` block, then sign, mate, stay."""
+    """Index of a choice: frontiers in the order of the `frontiers` block, then sign, teammate, stay."""
     return spaces.Discrete(config.frontier_slots + len(EXTRA_CHOICES))
 
 
-class Scout:
+class CandidateSearch:
     """Keeps the goal candidates of each robot: updated every `observation.frontier_period_s` and when its map jumps."""
 
     def __init__(self, config: EnvConfig, finder: PathFinder | None = None):
@@ -74,7 +74,7 @@ class MacroActions:
         self._finder = PathFinder()
         count = config.robots
         self._drivers = [Driver(config.dynamics, self._finder) for _ in range(count)]
-        self._scout = Scout(config, self._finder)
+        self._search = CandidateSearch(config, self._finder)
         self._are_candidates_used = config.action.kind == "frontier" or config.observation.frontiers
         self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()
         """(robots,) whether the robot's action counts in the next step; if not, it still executes its last one."""
@@ -87,7 +87,7 @@ class MacroActions:
     @property
     def candidates(self) -> list[Candidates]:
         """Goals that each robot can choose; of a busy robot, for its observation only."""
-        return self._scout.candidates
+        return self._search.candidates
 
     def mask(self, robot: int) -> Array:
         """(choices,) int8, 1 for valid choices. The only one of a busy robot is `stay`, which means continue."""
@@ -98,14 +98,14 @@ class MacroActions:
             candidates = self.candidates[robot]
             mask[: len(candidates.frontiers_m)] = 1
             mask[slots + SIGN] = candidates.sign_m is not None
-            mask[slots + MATE] = candidates.mate_m is not None
+            mask[slots + TEAMMATE] = candidates.teammate_m is not None
         return mask
 
     def look(self, beliefs: Sequence[Belief]) -> None:
         """Update the candidates of the robots that decide now, unless nothing shows or chooses them."""
         self._terrains.clear()
         if self._are_candidates_used:
-            self._scout.look(beliefs, self.is_deciding, self._terrains)
+            self._search.look(beliefs, self.is_deciding, self._terrains)
 
     def assign(self, actions: Mapping[str, object], agents: Sequence[str], beliefs: Sequence[Belief]) -> None:
         """Set the goals of the robots that decide; actions of the others are only checked.
@@ -160,8 +160,8 @@ class MacroActions:
         candidates, slots = self.candidates[robot], self._action.frontier_slots
         if value < len(candidates.frontiers_m):
             return "frontier", candidates.frontiers_m[value]
-        place = {slots + SIGN: candidates.sign_m, slots + MATE: candidates.mate_m}.get(value)
-        return None if place is None else ("mate" if value == slots + MATE else "place", place)
+        place = {slots + SIGN: candidates.sign_m, slots + TEAMMATE: candidates.teammate_m}.get(value)
+        return None if place is None else ("teammate" if value == slots + TEAMMATE else "place", place)
 
     def _begin(self, robot: int, belief: Belief, goal: tuple[str, Array] | None) -> None:
         self._stay_until[robot] = 0

@@ -84,10 +84,10 @@ class SingleRobotEnv(gymnasium.Env):
 
         Raises ConfigError unless `action.kind = "frontier"`.
         """
-        pilot, kind = self._team.episode.pilot, self._team.config.action.kind
-        if pilot is None or kind != "frontier":
+        macro_actions, kind = self._team.episode.macro_actions, self._team.config.action.kind
+        if macro_actions is None or kind != "frontier":
             raise ConfigError(f"only choices have masks: action.kind must be 'frontier'; it is {kind!r}")
-        return pilot.mask(0).astype(bool)
+        return macro_actions.mask(0).astype(bool)
 
     def belief(self) -> Belief:
         """What the robot knows, see `ExplorationEnv.belief`."""

@@ -59,7 +59,7 @@ class EpisodeTrace:
         if not self._moments or step - self._moments[-1][0]["step"] >= self._period:
             self._add_moment(step)
         if self._maps != list(map(map_id, self._env.engine.beliefs())):
-            self._lay_maps(self._env.episode.verdicts())
+            self._lay_maps(self._env.episode.map_scores())
         live = np.array([self._env.engine.pose_map_robot(robot) for robot in range(len(self._alignment))])
         odom = self._env.episode.record.odom_poses[len(self._estimated) : step + 1]  # a step may last many time steps
         self._estimated += list(compose(self._alignment, compose(compose(live, inverse(odom[-1])), odom)))
@@ -92,17 +92,17 @@ class EpisodeTrace:
         except OSError as error:
             raise DataError(f"cannot write {path}: {error.strerror}; choose another place") from error
 
-    def _lay_maps(self, verdicts: Sequence[GroupScore]) -> None:
-        for verdict in verdicts:
-            self._alignment[list(verdict.view.viewers)] = verdict.pose_building_map
+    def _lay_maps(self, scores: Sequence[GroupScore]) -> None:
+        for score in scores:
+            self._alignment[list(score.view.viewers)] = score.pose_building_map
         self._maps = list(map(map_id, self._env.engine.beliefs()))
 
     def _add_moment(self, step: int) -> None:
-        env, verdicts = self._env, self._env.episode.verdicts()
-        self._lay_maps(verdicts)
-        closures, figures = evaluation.progress(env.engine, env.episode.record, env.floorplan.cells(), verdicts)
+        env, scores = self._env, self._env.episode.map_scores()
+        self._lay_maps(scores)
+        closures, figures = evaluation.progress(env.engine, env.episode.record, env.floorplan.cells(), scores)
         figures |= {"bytes_sent": env.episode.bytes_sent, "reward_sum": sum(self._rewards)}
-        layers, cells = zip(*map(_layer, verdicts), strict=True)
+        layers, cells = zip(*map(_layer, scores), strict=True)
         moment = {
             "step": step,
             "figures": {key: float(value) for key, value in figures.items()},
@@ -117,9 +117,9 @@ class EpisodeTrace:
             self._moments, self._period = self._moments[::2], 2 * self._period
 
 
-def _layer(verdict: GroupScore) -> tuple[dict[str, Any], bytes]:
+def _layer(score: GroupScore) -> tuple[dict[str, Any], bytes]:
     """One group's map, and its compressed cells (rows, columns) uint8: 0 unknown, 1 free, 2 wall; row 0: lowest y."""
-    grid = verdict.grid
+    grid = score.grid
     kind = np.full(grid.log_odds.shape, UNKNOWN, np.uint8)
     kind[grid.log_odds < 0] = FREE
     kind[grid.log_odds > 0] = WALL
@@ -128,10 +128,10 @@ def _layer(verdict: GroupScore) -> tuple[dict[str, Any], bytes]:
         rows = columns = np.zeros(1, int)
     kind = kind[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     layer = {
-        "robots": verdict.robots,
+        "robots": score.robots,
         "shape": kind.shape,
         "origin_m": (np.asarray(grid.origin_m) + np.array([columns[0], rows[0]]) * grid.resolution_m).tolist(),
         "resolution_m": grid.resolution_m,
-        "pose_building_map": verdict.pose_building_map.tolist(),
+        "pose_building_map": score.pose_building_map.tolist(),
     }
     return layer, zlib.compress(kind.tobytes(), 6)

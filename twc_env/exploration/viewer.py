@@ -62,14 +62,14 @@ class Viewer:
             self._window.close()
 
     def _picture(self, episode: Episode) -> Array:
-        verdicts = episode.verdicts()
-        lines = self._seen.lines(verdicts, episode.record.count, episode.config.dynamics.time_step_s)
+        scores = episode.map_scores()
+        lines = self._seen.lines(scores, episode.record.count, episode.config.dynamics.time_step_s)
         layers = self._layers
         signal = self._signal_of(episode.floorplan, episode.config.radio) if layers.signal else None
         if layers.robot is not None:
-            verdicts = [v for v in verdicts if layers.robot in v.view.viewers] or verdicts
+            scores = [v for v in scores if layers.robot in v.view.viewers] or scores
         return render(
-            layered(scene_of(episode.floorplan, episode.engine, episode.record, verdicts, lines, signal), layers)
+            layered(scene_of(episode.floorplan, episode.engine, episode.record, scores, lines, signal), layers)
         )
 
     def _signal_of(self, plan: Floorplan, config: RadioConfig) -> SignalLayer:
@@ -87,15 +87,15 @@ class SeenClosures:
     def __init__(self) -> None:
         self._since: dict[tuple, tuple[str, int]] = {}
 
-    def lines(self, verdicts: Sequence[GroupScore], step: int, time_step_s: float) -> tuple[ClosureLine, ...]:
+    def lines(self, scores: Sequence[GroupScore], step: int, time_step_s: float) -> tuple[ClosureLine, ...]:
         """The accepted and rejected closures, at their estimated positions in the building frame."""
-        best, shown = verdicts[0], {robot: v for v in reversed(verdicts) for robot in v.view.viewers}
+        best, shown = scores[0], {robot: v for v in reversed(scores) for robot in v.view.viewers}
         shown |= dict.fromkeys(best.robots, best)
 
         def place_m(robot: int, index: int) -> Array:
-            verdict = shown[robot]
-            pose = verdict.view.mapper.poses_of(robot)[index : index + 1, :2]
-            return transform_points(verdict.pose_building_map, pose)[0]
+            score = shown[robot]
+            pose = score.view.mapper.poses_of(robot)[index : index + 1, :2]
+            return transform_points(score.pose_building_map, pose)[0]
 
         lines = []
         for closure in best.view.mapper.closures:

@@ -48,7 +48,7 @@ def score_closures(is_correct: ArrayLike, is_accepted: ArrayLike) -> ClosureScor
     """
     is_correct, is_accepted = np.asarray(is_correct, bool), np.asarray(is_accepted, bool)
     if is_correct.ndim != 1 or is_correct.shape != is_accepted.shape:
-        raise DataError(f"need as many verdicts as decisions (k,); got {is_correct.shape} and {is_accepted.shape}")
+        raise DataError(f"need as many true answers as decisions (k,); got {is_correct.shape} and {is_accepted.shape}")
     right = int(np.count_nonzero(is_correct & is_accepted))
     accepted = int(np.count_nonzero(is_accepted))
     possible = int(np.count_nonzero(is_correct))

@@ -1,4 +1,4 @@
-"""Goal candidates of one robot: reachable frontiers by path length, the nearest known sign and the nearest mate."""
+"""Goal candidates of one robot: reachable frontiers by path length, the nearest known sign and the nearest teammate."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class Candidates:
     """(k,) path length to it, weighted by the traversal cost."""
     sizes_m: Array
     """(k,) number of cells of the frontier times the cell size."""
-    is_mate_nearer: Array
-    """(k,) bool: the Euclidean distance of some mate is less than this robot's path length."""
+    is_teammate_nearer: Array
+    """(k,) bool: the Euclidean distance of some teammate is less than this robot's path length."""
     sign_m: Array | None
     """(2,) nearest known sign at least `SIGN_AWAY_M` away."""
-    mate_m: Array | None
+    teammate_m: Array | None
     """(2,) nearest robot in the same map."""
 
 
@@ -41,7 +41,7 @@ NOTHING = Candidates(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, boo
 
 
 def find_candidates(belief: Belief, terrain: Terrain, finder: PathFinder, count_max: int) -> Candidates:
-    """At most `count_max` reachable frontiers, the nearest sign and the nearest mate."""
+    """At most `count_max` reachable frontiers, the nearest sign and the nearest teammate."""
     here = belief.pose_map_robot
     if not finder.spread(terrain, here[:2]):
         return NOTHING
@@ -49,15 +49,15 @@ def find_candidates(belief: Belief, terrain: Terrain, finder: PathFinder, count_
     lengths_m, places_m = finder.nearest_of_labels(terrain, terrain.labels, len(sizes) - 1)
     usable = np.flatnonzero(np.isfinite(lengths_m) & (sizes >= CELLS_MIN))
     chosen = usable[np.lexsort((usable, lengths_m[usable]))][:count_max]
-    mates_m = np.array([pose[:2] for pose in belief.mates.values()]).reshape(-1, 2)
-    away_m = np.linalg.norm(places_m[chosen][:, None] - mates_m[None], axis=-1)  # (chosen, mates)
+    teammates_m = np.array([pose[:2] for pose in belief.teammates.values()]).reshape(-1, 2)
+    away_m = np.linalg.norm(places_m[chosen][:, None] - teammates_m[None], axis=-1)  # (chosen, teammates)
     return Candidates(
         places_m[chosen],
         lengths_m[chosen],
         sizes[chosen] * terrain.resolution_m,
         (away_m < lengths_m[chosen][:, None]).any(axis=1),
         _nearest([s.position_m for s in belief.signs], here, SIGN_AWAY_M),
-        _nearest([pose[:2] for pose in belief.mates.values()], here, 0.0),
+        _nearest([pose[:2] for pose in belief.teammates.values()], here, 0.0),
     )
 
 
@@ -71,12 +71,11 @@ def features_of(candidates: Candidates, pose_map_robot: Array, count_max: int) -
     """(count_max, 6) float32 in [-1, 1], one row per frontier, then zero rows.
 
     Columns: 1; bearing / pi; distance d / (d + 10 m); path length l / (l + 10 m); size s / (s + 5 m);
-    whether a mate is nearer.
+    whether a teammate is nearer.
     """
     rows = np.zeros((count_max, 6), np.float32)
-    for row, place, length, size, nearer in zip(
-        rows, candidates.frontiers_m, candidates.lengths_m, candidates.sizes_m, candidates.is_mate_nearer, strict=False
-    ):
+    columns = candidates.frontiers_m, candidates.lengths_m, candidates.sizes_m, candidates.is_teammate_nearer
+    for row, place, length, size, nearer in zip(rows, *columns, strict=False):
         x, y, _ = between(pose_map_robot, np.array([*place, 0.0])).tolist()
         away = math.hypot(x, y)
         shares = away / (away + 10.0), length / (length + 10.0), size / (size + 5.0)

@@ -19,15 +19,15 @@ CHECK_S = 0.5
 REPLAN_S = 4.0
 """Period of replanning."""
 ARRIVAL_M = 0.35
-MATE_ARRIVAL_M = 1.2
+TEAMMATE_ARRIVAL_M = 1.2
 GOAL_SQUARE_SHARE = 0.65
 """Half side of the square in which paths end, as a share of the arrival distance; its corners lie inside the latter."""
 STUCK_S, STUCK_M = 3.0, 0.3
 """A robot is stuck if it moved no further than `STUCK_M` in `STUCK_S`."""
 BACK_OUT_S = 1.2
 """A stuck robot backs out toward the longest ranges for this long, then the goal has failed."""
-MATE_RADIUS_M, MATE_COST, MATE_RANGE_M = 0.6, 12, 6.0
-"""Mates up to `MATE_RANGE_M` away raise the traversal cost within `MATE_RADIUS_M`."""
+TEAMMATE_RADIUS_M, TEAMMATE_COST, TEAMMATE_RANGE_M = 0.6, 12, 6.0
+"""Teammates up to `TEAMMATE_RANGE_M` away raise the traversal cost within `TEAMMATE_RADIUS_M`."""
 CHECK_LENGTH_M = 3.0
 """Length of the path that is checked for walls."""
 NARROW_FACTOR = 0.6
@@ -46,11 +46,12 @@ class Driver:
     def start(self, goal_m: Array, belief: Belief, kind: str = "place", arrival_m: float = ARRIVAL_M) -> None:
         """Head for goal_m (2,) in the map frame.
 
-        kind: "place", "frontier" (has arrived once the frontier is mapped) or "mate" (arrives at `MATE_ARRIVAL_M`).
+        kind: "place", "frontier" (has arrived once the frontier is mapped) or "teammate" (arrives at
+        `TEAMMATE_ARRIVAL_M`).
         """
         self._goal_m = np.asarray(goal_m, float).copy()
         self._is_frontier = kind == "frontier"
-        self._arrival_m = MATE_ARRIVAL_M if kind == "mate" else arrival_m
+        self._arrival_m = TEAMMATE_ARRIVAL_M if kind == "teammate" else arrival_m
         self._map_id, self._pose = map_id(belief), belief.pose_map_robot
         self._ticks, self._back_out_ticks = 0, 0
         self._anchor = (float(self._pose[0]), float(self._pose[1]), 0)
@@ -122,9 +123,10 @@ class Driver:
 
     def _plan(self, belief: Belief, terrain_of) -> bool:
         discs = [
-            Disc(float(pose[0]), float(pose[1]), MATE_RADIUS_M, MATE_COST)
-            for pose in belief.mates.values()
-            if math.dist(pose[:2], self._pose[:2]) < MATE_RANGE_M and math.dist(pose[:2], self._goal_m) > MATE_RADIUS_M
+            Disc(float(pose[0]), float(pose[1]), TEAMMATE_RADIUS_M, TEAMMATE_COST)
+            for pose in belief.teammates.values()
+            if math.dist(pose[:2], self._pose[:2]) < TEAMMATE_RANGE_M
+            and math.dist(pose[:2], self._goal_m) > TEAMMATE_RADIUS_M
         ]
         for squeeze in (1.0, NARROW_FACTOR):
             terrain: Terrain = terrain_of(belief, squeeze)
@@ -147,4 +149,4 @@ class Driver:
 
 def map_id(belief: Belief) -> tuple[int, int]:
     """Differs whenever the map frame has jumped."""
-    return belief.map_version, len(belief.mates)
+    return belief.map_version, len(belief.teammates)

@@ -30,7 +30,7 @@ FAR = np.int32(2**30)
 
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """A disc in the map frame with an additional traversal cost: a mate, or an obstacle that is not in the map."""
+    """A disc in the map frame with an additional traversal cost: a teammate, or an obstacle that is not in the map."""
 
     x_m: float
     y_m: float

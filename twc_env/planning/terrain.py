@@ -224,8 +224,8 @@ class Terrain:
 
     @classmethod
     def of(cls, belief: Belief, robot_radius_m: float) -> Terrain:
-        """The terrain of a robot's map, with its own and its mates' positions."""
-        poses = np.array([belief.pose_map_robot, *belief.mates.values()])
+        """The terrain of a robot's map, with its own and its teammates' positions."""
+        poses = np.array([belief.pose_map_robot, *belief.teammates.values()])
         return cls(belief.grid, robot_radius_m, poses[:, :2])
 
     @property

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import TypeVar, dataclass_transform
+from typing import NoReturn, TypeVar, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -264,7 +264,7 @@ class MergeHypothesis:
     """Number of pending closures that agree with it; merging takes about three, at two places."""
     signs: tuple[KnownSign, ...]
     """What the other group has read, where it would be in this map."""
-    mates: dict[int, Array]
+    teammates: dict[int, Array]
     """Robots of the other group -> (3,) pose at their newest keyframe, as it would be in this map."""
 
 
@@ -277,7 +277,7 @@ class Belief:
     pose_map_robot: Array
     """(3,)."""
     grid: GridMap
-    mates: dict[int, Array] = field(default_factory=dict)
+    teammates: dict[int, Array] = field(default_factory=dict)
     """Other robots of the group -> (3,) estimated pose in the same map frame: current with a central mapper, as of the
     newest keyframe received with one mapper per robot."""
     signs: tuple[KnownSign, ...] = ()
@@ -302,5 +302,11 @@ class Belief:
     disabled (`slam.k_visibility`), or nothing heard yet."""
     transmitter_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(k, 2) estimated positions of the transmitters used for that map."""
+
+    @property
+    def mates(self) -> NoReturn:
+        """The name of `teammates` until version 0.1.0."""
+        raise AttributeError("Belief.mates is now Belief.teammates")
+
     hypotheses: tuple[MergeHypothesis, ...] = ()
     """The best supported one for each group with which this robot's map is not merged, if there is any."""

@@ -184,7 +184,7 @@ NOBODY = -2
 
 
 def nobody(robots: int) -> tuple[Array, Array, Array]:
-    """Mates, their poses and contact steps, as in `TeamBeliefs`, of robots without any contact."""
+    """Teammates, their poses and contact steps, as in `TeamBeliefs`, of robots without any contact."""
     shape = robots, max(robots - 1, 0)
     return np.full(shape, NOBODY), np.zeros((*shape, 3)), np.full(shape, NOBODY)
 
@@ -192,7 +192,7 @@ def nobody(robots: int) -> tuple[Array, Array, Array]:
 class TeamBeliefs(_Team[Belief]):
     """The beliefs of all robots after one step."""
 
-    __slots__ = ("contact_steps", "grids", "mate_poses", "mates", "poses", "signs", "since_closure_m")
+    __slots__ = ("contact_steps", "grids", "poses", "signs", "since_closure_m", "teammate_poses", "teammates")
 
     def __init__(
         self,
@@ -200,24 +200,25 @@ class TeamBeliefs(_Team[Belief]):
         since_closure_m: Array,
         grids: Sequence[GridMap],
         signs: Sequence[Sequence[KnownSign]],
-        mates: Array,
-        mate_poses: Array,
+        teammates: Array,
+        teammate_poses: Array,
         contact_steps: Array,
     ):
         """Arrays with one row per robot, not modified afterwards; records hold read-only views of them.
 
-        poses (robots, 3, 3): `pose_map_robot`, `pose_std` and `pose_odom`. mates (robots, robots - 1) int: the other
-        robots in the same map, then `NOBODY`; mate_poses (robots, robots - 1, 3): their poses. contact_steps
+        poses (robots, 3, 3): `pose_map_robot`, `pose_std` and `pose_odom`. teammates (robots, robots - 1) int: the
+        other robots in the same map, then `NOBODY`; teammate_poses (robots, robots - 1, 3): their poses. contact_steps
         (robots, robots - 1) int: `Belief.contact_steps` of all other robots in order; `NOBODY`: no entry.
         """
         self._records = None
         self.poses, self.since_closure_m, self.grids = poses, since_closure_m, grids
-        self.signs, self.mates, self.mate_poses, self.contact_steps = signs, mates, mate_poses, contact_steps
+        self.signs, self.contact_steps = signs, contact_steps
+        self.teammates, self.teammate_poses = teammates, teammate_poses
 
     def teammates_of(self, robot: int) -> dict[int, Array]:
-        """`Belief.mates` of a robot."""
-        mates = zip(self.mates[robot].tolist(), read_only(self.mate_poses[robot]), strict=True)
-        return {mate: pose for mate, pose in mates if mate >= 0}
+        """`Belief.teammates` of a robot."""
+        teammates = zip(self.teammates[robot].tolist(), read_only(self.teammate_poses[robot]), strict=True)
+        return {teammate: pose for teammate, pose in teammates if teammate >= 0}
 
     def contact_steps_of(self, robot: int) -> dict[int, int]:
         """`Belief.contact_steps` of a robot."""
@@ -232,10 +233,10 @@ class TeamBeliefs(_Team[Belief]):
             stacked: Any = beliefs
             return stacked
         rows = [pose for b in beliefs for pose in (b.pose_map_robot, b.pose_std, b.pose_odom)]
-        mates, mate_poses, contact_steps = nobody(len(beliefs))
+        teammates, teammate_poses, contact_steps = nobody(len(beliefs))
         for k, belief in enumerate(beliefs):
-            mates[k, : len(belief.mates)] = list(belief.mates)
-            for row, pose in zip(mate_poses[k], belief.mates.values(), strict=False):
+            teammates[k, : len(belief.teammates)] = list(belief.teammates)
+            for row, pose in zip(teammate_poses[k], belief.teammates.values(), strict=False):
                 row[:] = pose
             for other, step in belief.contact_steps.items():
                 contact_steps[k, other if other < k else other - 1] = step
@@ -244,8 +245,8 @@ class TeamBeliefs(_Team[Belief]):
             np.array([belief.since_closure_m for belief in beliefs]),
             [belief.grid for belief in beliefs],
             [belief.signs for belief in beliefs],
-            mates,
-            mate_poses,
+            teammates,
+            teammate_poses,
             contact_steps,
         )
         team._records = list(beliefs)

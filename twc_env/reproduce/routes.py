@@ -36,12 +36,12 @@ LEGS_AT_ONCE = 6
 AIM_AHEAD_M = 0.5
 PASS_GAP_S = 3.0
 """A sign that was out of view for longer begins a new pass."""
-SIGHTING_RANGE_M = 3.0
-"""A pass counts as a sighting if the sign was read within this distance (papers.md T3)."""
+SIGN_PASS_RANGE_M = 3.0
+"""A pass counts if the sign was read within this distance (papers.md T3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class SignPass:
     """One pass of a robot by a sign: the reading at the closest approach, and the ground truth."""
 
     keyframe: Keyframe
@@ -59,7 +59,7 @@ class Walk:
     keyframes: list[Keyframe] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)
     """(keyframes) of (3,) true poses."""
-    sightings: list[Sighting] = field(default_factory=list)
+    sign_passes: list[SignPass] = field(default_factory=list)
     travel_m: float = 0.0
 
 
@@ -144,13 +144,13 @@ def walk(config: EnvConfig, plan: Floorplan, way_m: Array, robot: int, seed: int
             result.poses.append(pose.copy())
             for observation, (reading, sign, position, time_s) in zip(keyframe.signs, waiting, strict=True):
                 single = dataclasses.replace(keyframe, signs=(observation,))
-                passes.add(Sighting(single, sign, position), reading.range_m, time_s)
+                passes.add(SignPass(single, sign, position), reading.range_m, time_s)
             waiting = []
         command, at = steer(pose, way_m, at, config)
         if command is None:
             break
         world.step(np.array([command]))
-    result.sightings = passes.finished()
+    result.sign_passes = passes.finished()
     result.travel_m = result.keyframes[-1].travel_m
     return result
 
@@ -159,22 +159,22 @@ class _Passes:
     """Groups readings of the same sign into passes and keeps the nearest reading of each."""
 
     def __init__(self):
-        self._open: dict[int, tuple[float, float, Sighting]] = {}
-        self._done: list[tuple[float, Sighting]] = []
+        self._open: dict[int, tuple[float, float, SignPass]] = {}
+        self._done: list[tuple[float, SignPass]] = []
 
-    def add(self, sighting: Sighting, range_m: float, time_s: float) -> None:
-        held = self._open.get(sighting.sign)
+    def add(self, sign_pass: SignPass, range_m: float, time_s: float) -> None:
+        held = self._open.get(sign_pass.sign)
         if held is not None and time_s - held[0] > PASS_GAP_S:
             self._done.append(held[1:])
             held = None
         if held is None or range_m < held[1]:
-            held = (time_s, range_m, sighting)
-        self._open[sighting.sign] = (time_s, *held[1:])
+            held = (time_s, range_m, sign_pass)
+        self._open[sign_pass.sign] = (time_s, *held[1:])
 
-    def finished(self) -> list[Sighting]:
-        """The sightings in order of time."""
+    def finished(self) -> list[SignPass]:
+        """The passes in order of time."""
         passes = self._done + [held[1:] for held in self._open.values()]
-        near = [sighting for range_m, sighting in passes if range_m <= SIGHTING_RANGE_M]
+        near = [sign_pass for range_m, sign_pass in passes if range_m <= SIGN_PASS_RANGE_M]
         return sorted(near, key=lambda s: (s.keyframe.index, s.sign))
 
 

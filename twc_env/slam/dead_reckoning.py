@@ -36,7 +36,7 @@ class DeadReckoning(BindsAnew):
         """Latest scan of each robot and its step; one number if all robots have sensed in the same step."""
         grids = [self._grid] * robot_count
         self._constant = np.zeros(robot_count), grids, [()] * robot_count, *nobody(robot_count)
-        """Constant fields of `TeamBeliefs`: drift, grids, signs, mates, their poses and contact steps."""
+        """Constant fields of `TeamBeliefs`: drift, grids, signs, teammates, their poses and contact steps."""
         self._views = [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
         self.bytes_sent: dict[str, int] = {}
         """Empty: no messages."""
@@ -106,7 +106,7 @@ class DeadReckoning(BindsAnew):
         return self._poses[robot, 0]
 
     def beliefs(self) -> TeamBeliefs:
-        """Beliefs of all robots: integrated odometry, empty maps, no mates and no signs."""
+        """Beliefs of all robots: integrated odometry, empty maps, no teammates and no signs."""
         if self._beliefs is None:
             self._beliefs = _OdometryBeliefs(self._poses, self._constant, self._steps, self._ranges_m)
         return self._beliefs
@@ -117,14 +117,14 @@ class DeadReckoning(BindsAnew):
 
 
 class _OdometryBeliefs(TeamBeliefs):
-    """Beliefs of robots without mates; the records are created on demand."""
+    """Beliefs of robots without teammates; the records are created on demand."""
 
     __slots__ = ("_ranges_m", "_steps")
 
     def __init__(self, poses: Array, constant: tuple, steps: Sequence[int] | int, ranges_m: Sequence[Array] | Array):
         # Sets the parent's fields directly: faster, and this runs in every step of an environment without engine.
         self._records, self.poses = None, poses
-        self.since_closure_m, self.grids, self.signs, self.mates, self.mate_poses, self.contact_steps = constant
+        self.since_closure_m, self.grids, self.signs, self.teammates, self.teammate_poses, self.contact_steps = constant
         self._steps, self._ranges_m = steps, ranges_m
 
     def _make(self) -> list[Belief]:

@@ -69,7 +69,7 @@ class Listening:
         return found
 
 
-def shortcomings(mapper: TeamMapper) -> list[str]:
+def diagnostics_of(mapper: TeamMapper) -> list[str]:
     """One line per problem of a mapper so far, in a fixed order; empty without problems."""
     return [
         *_missing(mapper.keyframes, "signs", "no signs read", lambda k: len(k.signs) > 0),

@@ -19,7 +19,7 @@ from twc_env.records.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.records.team_messages import NOBODY, TeamBeliefs, TeamFrames, nobody
 from twc_env.records.whole_copy import CopiedWhole
 from twc_env.slam import cues
-from twc_env.slam.diagnostics import Listening, shortcomings
+from twc_env.slam.diagnostics import Listening, diagnostics_of
 from twc_env.slam.exchange import Exchange
 from twc_env.slam.front_end.frame_check import check_frames
 from twc_env.slam.front_end.robot_clocks import RobotClocks
@@ -37,10 +37,10 @@ _INT = np.dtype(np.int64)
 
 
 @borrowing_kernel
-def _believe(held, step, poses_odom, mates, out, mate_poses, contact_steps):
+def _believe(held, step, poses_odom, teammates, out, teammate_poses, contact_steps):
     """Write out (robots, 3, 3): pose in the map frame, its standard deviation, pose in the odom frame.
 
-    Also mate_poses (robots, robots - 1, 3) in the map frame, with one mapper per robot as of the newest keyframe
+    Also teammate_poses (robots, robots - 1, 3) in the map frame, with one mapper per robot as of the newest keyframe
     received, otherwise current; and contact_steps (robots, robots - 1) as in `TeamBeliefs`.
     """
     poses_map_odom, std, std_share, is_central, received_poses, is_heard, last_steps = parts_of(held)
@@ -53,11 +53,11 @@ def _believe(held, step, poses_odom, mates, out, mate_poses, contact_steps):
         for j in range(3):
             out[k, 1, j] = std_share * std[k, j]
         out[k, 2, 0], out[k, 2, 1], out[k, 2, 2] = x, y, heading
-    for k in range(mates.shape[0]):
-        for a in range(mates.shape[1]):
-            mate = max(mates[k, a], 0)
+    for k in range(teammates.shape[0]):
+        for a in range(teammates.shape[1]):
+            teammate = max(teammates[k, a], 0)
             for j in range(3):
-                mate_poses[k, a, j] = out[mate, 0, j] if is_central else received_poses[k, a, j]
+                teammate_poses[k, a, j] = out[teammate, 0, j] if is_central else received_poses[k, a, j]
             listener, other = 0 if is_central else k, a if a < k else a + 1
             contact_steps[k, a] = step if is_heard[listener, other] else last_steps[listener, other]
 
@@ -119,11 +119,11 @@ class CooperativeSlam(CopiedWhole):
         self._since_closure_m, self._std = np.zeros(robot_count), np.zeros((robot_count, 3))
         """Of each robot: path length since its last closure, and the standard deviation accumulated on it."""
         self._odometry_scale_std = None if config.slam.cues.lidar else config.slam.odometry_filter.odometry_scale_std
-        self._mates, self._mate_poses, self._contact_steps = nobody(robot_count)
+        self._teammates, self._teammate_poses, self._contact_steps = nobody(robot_count)
         """As in `TeamBeliefs`."""
-        self._shapes = self._poses.shape, self._mate_poses.shape, self._contact_steps.shape
-        self._received_poses = np.zeros_like(self._mate_poses)
-        """With one mapper per robot: poses of the mates as of the newest keyframe received."""
+        self._shapes = self._poses.shape, self._teammate_poses.shape, self._contact_steps.shape
+        self._received_poses = np.zeros_like(self._teammate_poses)
+        """With one mapper per robot: poses of the teammates as of the newest keyframe received."""
         self._maps: HeldMaps | None = None
         """Cache of `_look_up_maps`; None: outdated."""
         self._counts = [(-1, -1, -1, -1)] * len(self.mappers)
@@ -221,11 +221,13 @@ class CooperativeSlam(CopiedWhole):
 
     def _update_poses(self) -> None:
         """Compute the poses in the map frames from the current front-end poses, and the steps of the last contacts."""
-        poses, mates, pairs = self._shapes
-        self._poses, self._mate_poses, self._contact_steps = np.empty(poses), np.empty(mates), np.empty(pairs, _INT)
+        poses, teammates, pairs = self._shapes
+        self._poses, self._teammate_poses = np.empty(poses), np.empty(teammates)
+        self._contact_steps = np.empty(pairs, _INT)
         self._beliefs, listening = None, self._listening
         now = (
-            listening.last_step, self.poses_odom, self._mates, self._poses, self._mate_poses, self._contact_steps,
+            listening.last_step, self.poses_odom, self._teammates, self._poses, self._teammate_poses,
+            self._contact_steps,
         )  # fmt: skip
         if self._run is None:
             std_share = MATCHED_STD_SHARE if self._odometry_scale_std is None else 1.0
@@ -237,7 +239,7 @@ class CooperativeSlam(CopiedWhole):
         self._run(*now)
 
     def _update_robots(self, number: int, mapper: TeamMapper) -> None:
-        """Update odom frames, drift and mates if the mapper has changed; earlier beliefs keep their arrays."""
+        """Update odom frames, drift and teammates if the mapper has changed; earlier beliefs keep their arrays."""
         counts, before = mapper.counts(), self._counts[number]
         if counts == before:
             return
@@ -255,15 +257,15 @@ class CooperativeSlam(CopiedWhole):
         self._since_closure_m = since_m
 
     def _update_teammates(self, robots: Sequence[int], mapper: TeamMapper) -> None:
-        """Update the mates of these robots."""
-        mates = self._mates.copy()
+        """Update the teammates of these robots."""
+        teammates = self._teammates.copy()
         for robot in robots:
-            others = [mate for mate in mapper.groups[mapper.group_index(robot)].robots if mate != robot]
-            mates[robot] = others + [NOBODY] * (mates.shape[1] - len(others))
+            others = [teammate for teammate in mapper.groups[mapper.group_index(robot)].robots if teammate != robot]
+            teammates[robot] = others + [NOBODY] * (teammates.shape[1] - len(others))
             if not self._is_central:
-                for k, mate in enumerate(others):
-                    self._received_poses[robot, k] = mapper.latest_pose_of(mate)
-        self._mates = mates
+                for k, teammate in enumerate(others):
+                    self._received_poses[robot, k] = mapper.latest_pose_of(teammate)
+        self._teammates = teammates
 
     def finish(self) -> None:
         """Process everything queued in the mappers (end of an episode or log); nothing more is sent."""
@@ -293,7 +295,7 @@ class CooperativeSlam(CopiedWhole):
         lines = []
         for number, mapper in enumerate(self.mappers):
             others = [r for r in range(len(self.robots)) if self._is_central or r != number]
-            own = self._listening.lines(number, others) + shortcomings(mapper)
+            own = self._listening.lines(number, others) + diagnostics_of(mapper)
             lines += own if self._is_central else [f"mapper of robot {number}: {line}" for line in own]
         return lines
 
@@ -311,8 +313,8 @@ class CooperativeSlam(CopiedWhole):
             if self._maps is None:
                 self._maps = self._look_up_maps()
             self._beliefs = MapBeliefs(
-                self._poses, self._since_closure_m, self._maps, self._mates, self._mate_poses, self._contact_steps,
-                *self._latest_scans,
+                self._poses, self._since_closure_m, self._maps, self._teammates, self._teammate_poses,
+                self._contact_steps, *self._latest_scans,
             )  # fmt: skip
         return self._beliefs
 

@@ -60,19 +60,19 @@ class TeamMapper:
         """(robot, keyframe index) of scans to request."""
         self._search = ClosureSearch(config, self._graph, self._maps, robot_count)
         places = config.slam.place_recognition
-        sightings = MutualObservations(config, self._graph, self._maps)
-        self._judge = MergeTests(
-            config.slam.merging, self._graph, places.spares_missing_cues, places.meets_by_wifi, sightings
+        mutual_observations = MutualObservations(config, self._graph, self._maps)
+        self._tests = MergeTests(
+            config.slam.merging, self._graph, places.spares_missing_cues, places.meets_by_wifi, mutual_observations
         )
-        self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._judge)
+        self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._tests)
         radio = config.slam.radio_slam
         self._radio = RadioConstraints(radio, robot_count, config.slam.cues.lidar) if radio.online else None
-        forgetting = None
+        sparsification = None
         if self._radio is None and not self._on_request:  # both need all keyframes later
-            forgetting = KeyframeSparsification(self._graph, (self._search, self._judge, self._maps))
+            sparsification = KeyframeSparsification(self._graph, (self._search, self._tests, self._maps))
         self._trials = None if config.slam.cues.lidar else MergeTrials(config.slam.pose_graph, self._graph)
         self.optimiser = MapOptimiser(
-            config.slam.pose_graph, self._graph, self._maps, self._judge, self._radio, forgetting
+            config.slam.pose_graph, self._graph, self._maps, self._tests, self._radio, sparsification
         )
         """Schedules the optimisation of the groups' maps."""
         self._tried_counts: dict[tuple[tuple[int, ...], tuple[int, ...]], int] = {}
@@ -126,7 +126,7 @@ class TeamMapper:
                 self._split_uncertain(self._trials)
             self._retry_merges()
         if is_turn and self.optimiser.may_remove:
-            self.optimiser.forget()
+            self.optimiser.sparsify()
         elif is_turn and step >= self.optimiser.due_step:
             self.optimiser.optimise_dirty(step)
         self._graph.end_step()
@@ -251,7 +251,7 @@ class TeamMapper:
         if closure.status == "accepted":
             a, b = sorted(self._groups_of(closure))
             if a == b:
-                self._judge_inside_map(closure)
+                self._test_inside_map(closure)
             else:
                 self._graph.set_pending([closure])
                 self._try_merge(a, b, is_patient=True)
@@ -260,7 +260,7 @@ class TeamMapper:
     def _groups_of(self, closure: LoopClosure) -> tuple[int, int]:
         return self.group_index(closure.candidate.target[0]), self.group_index(closure.candidate.source[0])
 
-    def _judge_inside_map(self, closure: LoopClosure) -> None:
+    def _test_inside_map(self, closure: LoopClosure) -> None:
         """Accept a closure within one map unless it deviates from the estimate by more than drift explains."""
         away, turned, squared = self._graph.disagreement(closure)
         travel = self._travel_between(closure.candidate)
@@ -296,7 +296,7 @@ class TeamMapper:
         if is_patient and (robots_a, robots_b) in self._uncertain:
             return False
         self._tried_counts[robots_a, robots_b] = len(pending)
-        proposal = self._judge.proposal(pending, robots_a) or self._judge.sighted_proposal(
+        proposal = self._tests.proposal(pending, robots_a) or self._tests.observed_proposal(
             pending[-1:] if is_patient else pending, robots_a, robots_b
         )
         if proposal is None:
@@ -304,16 +304,16 @@ class TeamMapper:
         pose_a_b = proposal.pose_a_b
         if proposal.support.sum() < self._review.closures_needed(robots_a, robots_b, proposal):
             return False
-        if not self._judge.cues_confirm(robots_a, robots_b, proposal):
+        if not self._tests.cues_confirm(robots_a, robots_b, proposal):
             return False
-        if self._judge.signs_disagree(robots_a, robots_b, pose_a_b):
+        if self._tests.signs_disagree(robots_a, robots_b, pose_a_b):
             return False
-        if self._on_request and self._maps.ask_for(self._judge.overlap(robots_a, robots_b, pose_a_b, OVERLAP_REACH_M)):
+        if self._on_request and self._maps.ask_for(self._tests.overlap(robots_a, robots_b, pose_a_b, OVERLAP_REACH_M)):
             return False
-        if self._judge.sightings_contradict(robots_a, robots_b, pose_a_b):
+        if self._tests.mutual_observations_contradict(robots_a, robots_b, pose_a_b):
             return False
         grids = self._maps.known_grid(robots_a, a), self._maps.known_grid(robots_b, b)
-        if self._judge.walls_disagree(*grids, pose_a_b):
+        if self._tests.walls_disagree(*grids, pose_a_b):
             return False
         if self._trials is not None and not self._trials.is_well_constrained(robots_a, robots_b, proposal):
             self._uncertain.add((robots_a, robots_b))
@@ -324,7 +324,7 @@ class TeamMapper:
         merged = self.group_index(robots_a[0])
         self.optimiser.mark_dirty(merged, True)
         for closure in pending:
-            self._judge_inside_map(closure)
+            self._test_inside_map(closure)
         self.optimiser.optimise(merged, is_thorough=self._trials is not None)
         return True
 
@@ -379,6 +379,6 @@ class TeamMapper:
         """Split a group into two, each with a map of its own."""
         self._maps.split(self.group_index(a[0]), (a, b))
         self.optimiser.reset_fixed()
-        self._search.forget_closures_of(a + b)
+        self._search.drop_closures_of(a + b)
         for side in (a, b):
             self.optimiser.optimise(self.group_index(side[0]))

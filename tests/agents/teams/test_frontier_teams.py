@@ -28,7 +28,7 @@ def believed(*x_m: float) -> dict[str, Belief]:
     grid = corridor()
     return {
         f"robot_{k}": Belief(
-            k, 0, pose, grid, mates={m: p for m, p in enumerate(poses) if m != k}, ranges_m=np.zeros(0)
+            k, 0, pose, grid, teammates={m: p for m, p in enumerate(poses) if m != k}, ranges_m=np.zeros(0)
         )
         for k, pose in enumerate(poses)
     }
@@ -85,10 +85,12 @@ def test_two_robots_share_a_single_frontier_if_there_is_no_other():
     assert assignment.assigned(np.array([[3.0], [4.0]])) == 0
 
 
-def test_a_frontier_in_sight_of_a_mates_goal_loses_its_utility():
+def test_a_frontier_in_sight_of_a_teammates_goal_loses_its_utility():
     lengths_m, sight_m = np.array([[6.0, 9.0], [1.0, 30.0]]), 5.0
     far_apart = np.array([[0.0, 0.0], [20.0, 0.0]])
-    assert cost_utility.assigned(lengths_m, far_apart, sight_m) == 1  # the mate takes the first: it loses all utility
+    assert (
+        cost_utility.assigned(lengths_m, far_apart, sight_m) == 1
+    )  # the teammate takes the first: it loses all utility
     assert cost_utility.assigned(lengths_m[:1], far_apart, sight_m) == 0
 
 

@@ -38,13 +38,13 @@ class Maze:
     def scan(self, robot, pose, beams=120, reach_m=8.0):
         ranges = np.full(beams, reach_m)
         seen = self.seen[robot]
-        mates = [p for j, p in enumerate(self.poses) if j != robot]
+        teammates = [p for j, p in enumerate(self.poses) if j != robot]
         for k in range(beams):
             angle = pose[2] + 2 * math.pi * k / beams
             for r in np.arange(0.0, reach_m, 0.05):
                 x, y = pose[0] + r * math.cos(angle), pose[1] + r * math.sin(angle)
                 row, column = int(y / CELL_M), int(x / CELL_M)
-                if any(math.hypot(p[0] - x, p[1] - y) < 0.2 for p in mates):
+                if any(math.hypot(p[0] - x, p[1] - y) < 0.2 for p in teammates):
                     ranges[k] = r
                     break
                 if self.wall[row, column]:
@@ -218,7 +218,7 @@ def test_a_robot_enclosed_by_its_map_plans_with_a_smaller_radius():
     assert policy.robots["robot_0"].goal_kind == ""
 
 
-def test_a_robot_plans_on_its_own_map_even_if_its_mate_holds_another():
+def test_a_robot_plans_on_its_own_map_even_if_its_teammate_holds_another():
     team, agents = NearestFrontier(EnvConfig(robots=2)), ["robot_0", "robot_1"]
     team.reset(0, agents)
     known = [np.zeros((40, 60), np.int16) for _ in agents]

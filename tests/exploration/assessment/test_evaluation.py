@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import twc_env
-from twc_env.exploration.assessment import map_scores as verdicts
+from twc_env.exploration.assessment import map_scores
 from twc_env.records.geometry import compose, inverse
 from twc_env.records.messages import GridMap
 from twc_env.slam.merging.merge_review import MergeReview
@@ -224,19 +224,19 @@ def test_a_wrong_merge_stays_counted_whether_or_not_it_is_undone(
 def test_a_result_between_two_evaluations_adds_nothing_to_later_ones(monkeypatch):
     env = twc_env.parallel_env(robots=2, max_cycles=6, config={"reward.period_steps": 3})
     env.reset(seed=0)
-    found, judge_view = [], verdicts.judge_view
+    found, score_view = [], map_scores.score_view
     for step in range(1, 7):
         env.step(dict.fromkeys(env.agents, np.zeros(2)))
         wrong = ((0, 1),) if step == 4 else ()
         with monkeypatch.context() as lie:
-            lie.setattr(verdicts, "judge_view", lambda *given, w=wrong: replace(judge_view(*given), wrong_pairs=w))
+            lie.setattr(map_scores, "score_view", lambda *given, w=wrong: replace(score_view(*given), wrong_pairs=w))
             found.append(env.result().figures["wrong_merges"])
     assert found == [0, 0, 0, 1, 0, 0]
 
 
 def test_maps_are_evaluated_once_per_step(monkeypatch):
-    judged, judge_view = [], verdicts.judge_view
-    monkeypatch.setattr(verdicts, "judge_view", lambda *given: judged.append(given[0]) or judge_view(*given))
+    evaluated, score_view = [], map_scores.score_view
+    monkeypatch.setattr(map_scores, "score_view", lambda *given: evaluated.append(given[0]) or score_view(*given))
     env = twc_env.parallel_env(map="twin-02", robots=2, max_cycles=20, render_mode="rgb_array")
     env.reset(seed=0)
     for step in (1, 2):
@@ -244,7 +244,7 @@ def test_maps_are_evaluated_once_per_step(monkeypatch):
         env.render()
         env.episode.caption()
         env.result()
-        assert len(judged) == step * len(env.engine.views())
+        assert len(evaluated) == step * len(env.engine.views())
 
 
 def test_maps_changed_within_a_step_are_evaluated_again(explore):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twc_env.exploration.assessment.map_evaluation import JUDGED_MAX, MapEvaluators, lay
+from twc_env.exploration.assessment.map_evaluation import KEYFRAMES_MAX, MapEvaluators, lay
 from twc_env.maps import load_map
 from twc_env.records.geometry import compose
 from twc_env.records.messages import GridMap
@@ -14,8 +14,9 @@ def cells():
     return load_map("twin-01").cells()
 
 
-def judged(count, robots=3, seed=0, apart_m=0.0):
-    """Arguments of `MapEvaluators.judge` for a map of so many keyframes; apart_m: error of the last robot's frame."""
+def evaluator_arguments(count, robots=3, seed=0, apart_m=0.0):
+    """Arguments of `MapEvaluators.evaluate` for a map of so many keyframes; apart_m: error of the last robot's
+    frame."""
     random = np.random.default_rng(seed)
     robot_of, steps = random.integers(0, robots, count), np.sort(random.integers(0, 900, count))
     truth = random.normal(0.0, 5.0, (900, robots, 3))
@@ -28,27 +29,27 @@ def judged(count, robots=3, seed=0, apart_m=0.0):
     return tuple(range(robots)), nodes, truth, grid
 
 
-@pytest.mark.parametrize("count", [500, JUDGED_MAX, JUDGED_MAX + 1, 2 * JUDGED_MAX + 1, 3 * JUDGED_MAX])
+@pytest.mark.parametrize("count", [500, KEYFRAMES_MAX, KEYFRAMES_MAX + 1, 2 * KEYFRAMES_MAX + 1, 3 * KEYFRAMES_MAX])
 @pytest.mark.parametrize("apart_m", [0.0, 5.0])
-def test_a_copy_judges_a_map_as_the_original_does(cells, count, apart_m):
-    judges, arguments = MapEvaluators(), judged(count, apart_m=apart_m)
-    first, again = (judges.judge(0, *arguments, cells) for _ in range(2))
+def test_a_copy_evaluates_a_map_as_the_original_does(cells, count, apart_m):
+    evaluators, arguments = MapEvaluators(), evaluator_arguments(count, apart_m=apart_m)
+    first, again = (evaluators.evaluate(0, *arguments, cells) for _ in range(2))
     assert first == again
     assert len(first[1]) == (2 if apart_m else 0)
 
 
 @pytest.mark.parametrize("apart_m", [0.0, 5.0])
 def test_the_memory_of_judging_is_bounded(cells, apart_m):
-    judges, rows = MapEvaluators(), []
-    for count in (JUDGED_MAX // 2, JUDGED_MAX, 3 * JUDGED_MAX, 20 * JUDGED_MAX):
-        arguments = judged(count, apart_m=apart_m)
+    evaluators, rows = MapEvaluators(), []
+    for count in (KEYFRAMES_MAX // 2, KEYFRAMES_MAX, 3 * KEYFRAMES_MAX, 20 * KEYFRAMES_MAX):
+        arguments = evaluator_arguments(count, apart_m=apart_m)
         for _ in range(2):
-            judges.judge(0, *arguments, cells)
-        rows.append(max(map(len, judges._room)))
-    assert max(rows) == JUDGED_MAX + 3
+            evaluators.evaluate(0, *arguments, cells)
+        rows.append(max(map(len, evaluators._room)))
+    assert max(rows) == KEYFRAMES_MAX + 3
 
 
 def test_a_subset_of_many_keyframes_gives_nearly_the_alignment_of_all(cells):
-    robots, nodes, truth, grid = judged(5 * JUDGED_MAX)
-    pose, _, _ = MapEvaluators().judge(0, robots, nodes, truth, grid, cells)
+    robots, nodes, truth, grid = evaluator_arguments(5 * KEYFRAMES_MAX)
+    pose, _, _ = MapEvaluators().evaluate(0, robots, nodes, truth, grid, cells)
     assert pose == pytest.approx(lay(robots, nodes, truth)[0], abs=0.01)

@@ -7,7 +7,7 @@ import twc_env
 from twc_env import metrics
 from twc_env.config import RewardConfig
 from twc_env.exploration.assessment.map_evaluation import MapEvaluators
-from twc_env.exploration.assessment.map_scores import verdicts_of
+from twc_env.exploration.assessment.map_scores import scores_of
 from twc_env.exploration.assessment.rewards import (
     POTENTIALS,
     EvaluatedMap,
@@ -78,17 +78,17 @@ def test_the_map_is_evaluated_periodically_and_at_the_last_step(explore):
 def test_cached_counts_give_the_same_area_as_a_full_count(wander):
     env = twc_env.parallel_env(map="twin-02", robots=3, max_cycles=400)
     env.reset(seed=1)
-    cells, judged = env.floorplan.cells(), 0
+    cells, evaluated = env.floorplan.cells(), 0
     while env.agents:
         ranges_m = env.frames.ranges_m
         env.step({a: wander(ranges_m[k], env.episode.steps, k) for k, a in enumerate(env.agents)})
         if env.episode.steps % 50 == 0:
-            for verdict in verdicts_of(env.engine, env.episode.record, cells):
-                where = verdict.view.viewers[0], verdict.grid, verdict.pose_building_map, cells
-                area_m2 = env.episode.record.map_judges.correct_area_m2(*where)
+            for score in scores_of(env.engine, env.episode.record, cells):
+                where = score.view.viewers[0], score.grid, score.pose_building_map, cells
+                area_m2 = env.episode.record.map_evaluators.correct_area_m2(*where)
                 assert area_m2 == MapEvaluators().correct_area_m2(*where)
-                judged += area_m2 > 0
-    assert judged > 8
+                evaluated += area_m2 > 0
+    assert evaluated > 8
 
 
 def test_the_terms_have_the_names_of_their_weights(team):

@@ -247,11 +247,11 @@ def test_the_age_of_a_closure_restarts_when_its_status_changes():
     closure = Thing(status="pending", candidate=Thing(target=(0, 0), source=(1, 0), recogniser="text"))
     mapper = Thing(closures=[closure], poses_of=lambda robot: np.array([[1.0 + robot, 0.0, 0.0]]))
     view = Thing(mapper=mapper, viewers=(0, 1))
-    verdict = Thing(view=view, robots=(0, 1), pose_building_map=np.array([10.0, 0.0, 0.0]))
+    score = Thing(view=view, robots=(0, 1), pose_building_map=np.array([10.0, 0.0, 0.0]))
     seen = SeenClosures()
 
     def line(step):
-        return [(x.is_accepted, x.age_s) for x in seen.lines([verdict], step, 0.1)]
+        return [(x.is_accepted, x.age_s) for x in seen.lines([score], step, 0.1)]
 
     assert line(1) == []
     closure.status = "rejected"
@@ -260,4 +260,4 @@ def test_the_age_of_a_closure_restarts_when_its_status_changes():
     closure.status = "accepted"
     assert line(40) == [(True, 0.0)]
     assert line(20) == [(True, 0.0)]  # as after restoring a snapshot
-    assert np.array_equal(seen.lines([verdict], 50, 0.1)[0].ends_m, [[11.0, 0.0], [12.0, 0.0]])
+    assert np.array_equal(seen.lines([score], 50, 0.1)[0].ends_m, [[11.0, 0.0], [12.0, 0.0]])

@@ -67,16 +67,16 @@ def test_an_empty_map_is_all_unknown():
     assert (picture[map_view.UNKNOWN] == 255).all() and picture.any(axis=(1, 2)).sum() == 1
 
 
-def test_path_mates_and_signs_are_drawn_in_the_robot_frame(room):
+def test_path_teammates_and_signs_are_drawn_in_the_robot_frame(room):
     poses = np.zeros((1, 3, 3))
     poses[0, 0], poses[0, 2] = (5.0, 4.0, 0.5 * math.pi), (1.0, 1.0, 0.0)
-    path, mates = (
+    path, teammates = (
         np.array([[[2.1, 1.1, 90.0], [1.1, 0.4, 0.0]]]),
         np.array([[[1.1, math.nan], [-1.1, 0.0], [0.0, 0.0]]]),
     )
     maps = map_view.BelievedMaps.of([room], [np.array([[5.1], [6.1]])])
-    views = map_view.MapViews(CELLS, CELL_M, path, np.array([3]), mates).draw(maps, poses)
-    cells = [np.argwhere(views[0, k]).tolist() for k in (map_view.PATH, map_view.MATES, map_view.SIGNS)]
+    views = map_view.MapViews(CELLS, CELL_M, path, np.array([3]), teammates).draw(maps, poses)
+    cells = [np.argwhere(views[0, k]).tolist() for k in (map_view.PATH, map_view.TEAMMATES, map_view.SIGNS)]
     assert cells == [[[HALF - 3, HALF], [HALF, HALF + 4]], [[HALF - 5, HALF + 4]], [[HALF - 1, HALF + 8]]]
 
 

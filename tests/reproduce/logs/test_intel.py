@@ -7,7 +7,7 @@ from twc_env.reproduce.logs import intel
 from twc_env.reproduce.runner import Runner
 
 
-def test_relations_between_robots_that_share_no_map_are_not_judged():
+def test_relations_between_robots_that_share_no_map_are_not_compared():
     poses = np.array([[0.0, 0, 0], [1.0, 0, 0], [5.0, 5.0, 1.0], [6.0, 5.0, 1.0]])
     measured = np.array([[1.0, 0.2, 0.1], [3.0, 0.0, 0.0]])
     relations = Relations(np.array([0, 1]), np.array([1, 3]), measured, np.zeros(2))

@@ -7,11 +7,11 @@ from twc_env.world.sensors.misreading import TableReader, codes_of, draw_count
 from twc_env.world.sensors.ocr_table import load_table, table_of
 
 
-def test_the_texts_that_judge_the_table_share_no_word_with_those_that_made_it():
+def test_the_texts_that_evaluate_the_table_share_no_word_with_those_that_made_it():
     made_of = {word for text in ocr_measure.WORDS for word in text.split() if len(word) > 2}
-    judged = {word for text in ocr.held_out_texts() for word in text.split()}
-    assert not made_of & judged
-    assert len(judged) > 60
+    held_out = {word for text in ocr.held_out_texts() for word in text.split()}
+    assert not made_of & held_out
+    assert len(held_out) > 60
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def test_neighbours_along_a_trace_may_be_passed_in_either_direction():
 @needs_data
 def test_fused_learns_on_one_real_floor_what_beats_the_others_on_the_other():
     floors = {name: surveyed_places.read_floor(DATA / "indoor20" / part) for name, part in real_places.FLOORS.items()}
-    figures = real_places.judge_draw(floors, seed=100)
+    figures = real_places.evaluate_draw(floors, seed=100)
     for floor in floors:
         fused = figures[floor].pop("fused")["average_precision"]
         assert fused > max(other["average_precision"] for other in figures[floor].values())

@@ -7,7 +7,7 @@ from twc_env.maps import load_map
 from twc_env.records.json_values import plain
 from twc_env.reproduce.runner import Runner
 from twc_env.reproduce.twc import twc_table1, twc_table2
-from twc_env.reproduce.twc.sighting_scores import judge_some
+from twc_env.reproduce.twc.sign_pass_scores import score_some
 from twc_env.reproduce.twc.twc_scenes import SCENES, scene_config, scene_plan, walk_scene
 
 
@@ -74,7 +74,7 @@ def test_with_signs_of_departments_the_hard_rule_is_near_the_print_on_walks_of_b
     for scene in SCENES:
         config = scene_config(scene)
         walks = [walk_scene(config, scene, "departments", seed) for seed in (52, 53, 54)]
-        figures = [judge_some(config, walk, "departments", ("twc",)) for walk in walks]
+        figures = [score_some(config, walk, "departments", ("twc",)) for walk in walks]
         for cells, (precision, recall) in zip(zip(*figures, strict=True), twc_table1.PRINT[scene]["twc"], strict=True):
             gaps.append(100 * np.mean([cell["precision"] for cell in cells]) - precision)
             gaps.append(100 * np.mean([cell["recall_absolute"] for cell in cells]) - recall)
@@ -118,7 +118,7 @@ def test_curves_fall_and_reach_what_the_rows_say(table, options, runner, tmp_pat
 
 
 def test_other_readings_of_the_equations_have_rows_of_their_own():
-    found = twc_table1.judge_scene("#01", 51, has_alternatives=True)["figures"]
+    found = twc_table1.evaluate_scene("#01", 51, has_alternatives=True)["figures"]
     rows = {(f["method"], f["gamma"]): f for f in found}
     assert {f"{method} {mode}" for method in ("wifi", "twc") for mode in ("inverse", "eq7")} < {row[0] for row in rows}
     assert all(

@@ -49,8 +49,8 @@ def looked_at(scan_m, keyframe, recogniser, is_one_map=False) -> LoopClosure:
 @pytest.mark.parametrize("is_end_seen", [False, True])
 def test_robots_do_not_constrain_the_position_along_a_corridor(keyframe, scan, walls, is_end_seen, status, recogniser):
     corridor = walls((-40.0, -0.6), (3.0 if is_end_seen else 40.0, -0.6), (3.0, 0.6), (-40.0, 0.6))
-    mate = np.concatenate([corridor, walls((-0.8, -0.15), (-0.5, -0.15), (-0.5, 0.15), (-0.8, 0.15))])
-    closure = looked_at(scan(mate, (0.0, 0.0, 0.0)), keyframe, recogniser, is_one_map=recogniser == "proximity")
+    teammate = np.concatenate([corridor, walls((-0.8, -0.15), (-0.5, -0.15), (-0.5, 0.15), (-0.8, 0.15))])
+    closure = looked_at(scan(teammate, (0.0, 0.0, 0.0)), keyframe, recogniser, is_one_map=recogniser == "proximity")
     assert closure.status == (status if is_end_seen else "rejected")
     assert ("robots" in closure.reason) is not is_end_seen
 

@@ -27,18 +27,18 @@ STEPS, SMALL = 3000, (300, 100)
 """In these tests maps of 300 keyframes count as large, and the latest 100 keyframes as movable."""
 
 
-def started(steps=STEPS, forgets=True, **settings):
+def started(steps=STEPS, sparsifies=True, **settings):
     """An environment of three robots after `reset`, and the actions of a reactive policy."""
     env = parallel_env(config=override(EnvConfig(), {"max_cycles": steps, "map": "twin-02", **settings}))
     env.reset(seed=1)
     for mapper in env.episode.engine.mappers:
-        mapper.optimiser.fixed_keyframes = FixedKeyframes(*SMALL, forgets)
+        mapper.optimiser.fixed_keyframes = FixedKeyframes(*SMALL, sparsifies)
     return env, wander(env, 1)
 
 
-def before_the_end(steps, forgets=True, **settings):
+def before_the_end(steps, sparsifies=True, **settings):
     """The environment after all but the last step of such an episode."""
-    env, actions = started(steps, forgets, **settings)
+    env, actions = started(steps, sparsifies, **settings)
     for _ in range(steps - 1):
         env.step(next(actions))
     return env
@@ -52,7 +52,7 @@ def error_m(env) -> float:
 @pytest.fixture(scope="module")
 def walked():
     """The same long episode with and without removal of keyframes, before its last step."""
-    return [before_the_end(STEPS, forgets) for forgets in (True, False)]
+    return [before_the_end(STEPS, sparsifies) for sparsifies in (True, False)]
 
 
 def mappers_of(walked):
@@ -60,18 +60,18 @@ def mappers_of(walked):
 
 
 def test_a_map_with_removed_keyframes_is_smaller_and_as_accurate(walked):
-    forgetful, other = mappers_of(walked)
-    assert len(other.nodes[0]) > 900 and len(forgetful.nodes[0]) < 0.6 * len(other.nodes[0])
-    assert [group.robots for group in forgetful.groups] == [group.robots for group in other.groups] == [(0, 1, 2)]
+    sparse, other = mappers_of(walked)
+    assert len(other.nodes[0]) > 900 and len(sparse.nodes[0]) < 0.6 * len(other.nodes[0])
+    assert [group.robots for group in sparse.groups] == [group.robots for group in other.groups] == [(0, 1, 2)]
     errors = [error_m(env) for env in walked]
     assert errors[0] < max(1.1 * errors[1], 0.02)
 
 
 def test_poses_of_removed_keyframes_are_still_known(walked):
-    for forgetful, other in [mappers_of(walked)]:
+    for sparse, other in [mappers_of(walked)]:
         for robot in range(3):
-            assert np.array_equal(forgetful.keyframe_steps(robot), other.keyframe_steps(robot))
-            assert np.abs(forgetful.poses_of(robot) - other.poses_of(robot))[:, :2].max() < 0.15
+            assert np.array_equal(sparse.keyframe_steps(robot), other.keyframe_steps(robot))
+            assert np.abs(sparse.poses_of(robot) - other.poses_of(robot))[:, :2].max() < 0.15
 
 
 def test_the_graph_is_consistent_after_removal(walked):
@@ -136,7 +136,7 @@ def test_every_recogniser_works_without_removed_keyframes(recogniser):
 
 
 @pytest.mark.parametrize("robust", ["plain", "dcs", "gnc"])
-def test_maps_of_other_back_ends_are_also_thinned(robust):
+def test_maps_of_other_back_ends_are_also_sparsified(robust):
     env = before_the_end(2000, **{"slam.pose_graph.robust": robust})
     graph = env.episode.engine.team._graph
     assert graph.node_count < 0.65 * graph.arrived_count
@@ -152,7 +152,7 @@ def test_signs_are_known_from_the_remaining_keyframes(keyframe):
     assert len(places) == 1 and len(memory.signs[0]) == 2
     seen = [view.index for view, _ in memory.signs[0][0].views]
     unseen = next(k for k in range(9) if k not in seen)
-    memory.forget(lambda one: one.index == unseen)
+    memory.sparsify(lambda one: one.index == unseen)
     assert [[view.index for view, _ in place.views] for place in memory.signs[0]] == [[unseen]]
     assert memory.place_of((read[unseen], sign)) is memory.signs[0][0] and memory.place_of((read[0], sign)) is None
 
@@ -253,11 +253,11 @@ def test_keyframes_of_the_firm_closures_of_a_merge_are_kept(keyframe):
     assert not may_go[graph.node((0, 1 + firm))] and not may_go[graph.node((1, 1 + firm))]
 
 
-def test_old_proposals_are_forgotten_and_later_ones_kept(keyframe):
+def test_old_proposals_are_dropped_and_later_ones_kept(keyframe):
     tried, reach_m = ProposalFilter(), 2.0
     ends = [(keyframe(robot=0, travel_m=a), keyframe(robot=1, travel_m=b)) for a, b in ((5, 5), (50, 5), (5, 50))]
     assert all(tried.is_new(*pair, reach_m) for pair in ends)
-    tried.forget([40.0, 40.0])
+    tried.drop_before([40.0, 40.0])
     assert [tried.is_new(*pair, reach_m) for pair in ends] == [True, False, False]
 
 
@@ -268,7 +268,7 @@ def test_readings_at_removed_keyframes_are_dropped_unless_unique(keyframe):
         readings.add(
             keyframe(robot=0, index=node, signs=(SignObservation(text, np.array([1.0, 0.0]), 0.0),)), node, poses
         )
-    readings.forget(np.array([0, 0, 0, 0, 0, 5]), np.array([0, -1, -1, -1, -1, 1]), poses)
+    readings.sparsify(np.array([0, 0, 0, 0, 0, 5]), np.array([0, -1, -1, -1, -1, 1]), poses)
     assert readings._readings[: readings._count, 1].tolist() == [0, 0, 1]
     poses = poses[[0, 5]]
     assert sorted(s.text for s in readings.known(poses, [0])) == ["exit", "lift", "room"]
@@ -281,7 +281,7 @@ def test_device_offsets_are_kept_without_their_texts():
     devices = DeviceOffsets()
     devices.make_room(2)
     devices.offset_db[0, 1] = 8.0
-    devices.forget([])
+    devices.keep([])
     assert devices.offset_db[0, 1] == 8.0
 
 

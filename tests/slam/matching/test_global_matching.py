@@ -15,7 +15,7 @@ from twc_env.slam.matching.global_matching import (
     lattice_headings,
     match_globally,
     score_fields,
-    thinned,
+    subsampled,
 )
 
 
@@ -72,7 +72,7 @@ def test_branch_and_bound_equals_exhaustive_search(seed):
     random = np.random.default_rng(seed)
     pose = np.array([*random.uniform(-0.5, 0.5, 2), random.uniform(-3, 3)])
     target = room()
-    source = thinned(transform_points(inverse(pose), target) + random.normal(0, 0.02, target.shape), 40)
+    source = subsampled(transform_points(inverse(pose), target) + random.normal(0, 0.02, target.shape), 40)
     found = match_globally(target, source, window_m=0.7, score_min=0.0)
     best, heading, column, row = brute_force(target, source, 7, lattice_headings(source))
     assert round(found.score * FULL * len(source)) == best

@@ -64,7 +64,7 @@ def test_the_larger_of_two_consistent_sets_wins():
     assert proposal.support.tolist() == [False] * 3 + [True] * 5
 
 
-def test_three_signs_outweigh_two_with_more_sightings():
+def test_three_signs_outweigh_two_with_more_readings():
     lie = np.array([-3.0, 4.0, 0.5])
     targets, sources, measured, signs, alike = closures(2, 6, pose_a_b=lie, noise_m=0.01)
     seen_again = targets, sources, measured, np.tile([[0.0, 0.0], [4.0, 0.0]], (3, 1)), alike
@@ -219,7 +219,7 @@ def radio_survey(random, positions, noise_db=1.0, offset_db=0.0, shift=(0.0, 0.0
     return prints
 
 
-def wifi_verdict(claimed_shift, noise_db=1.0, offset_db=0.0, count=40):
+def wifi_hypothesis_test(claimed_shift, noise_db=1.0, offset_db=0.0, count=40):
     """Robot 1 followed the path of robot 0; the merge to check is wrong by `claimed_shift`."""
     random = np.random.default_rng(0)
     path = np.stack([np.linspace(-8, 8, count), 2 * np.sin(np.linspace(0, 6, count))], axis=1)
@@ -232,18 +232,18 @@ def wifi_verdict(claimed_shift, noise_db=1.0, offset_db=0.0, count=40):
 
 
 def test_radio_confirms_two_robots_on_the_same_path():
-    assert wifi_verdict((0.0, 0.0)) is True
+    assert wifi_hypothesis_test((0.0, 0.0)) is True
 
 
 def test_radio_tolerates_device_offsets():
-    assert wifi_verdict((0.0, 0.0), offset_db=8.0) is True
+    assert wifi_hypothesis_test((0.0, 0.0), offset_db=8.0) is True
 
 
 def test_radio_contradicts_if_the_second_robot_was_elsewhere():
-    assert wifi_verdict((11.0, 9.0)) is False
+    assert wifi_hypothesis_test((11.0, 9.0)) is False
 
 
-def test_radio_gives_no_verdict_if_the_paths_are_apart():
+def test_radio_decides_nothing_if_the_paths_are_apart():
     random = np.random.default_rng(0)
     path = np.stack([np.linspace(-8, 8, 40), np.zeros(40)], axis=1)
     positions = np.concatenate([path, path + [0.0, 30.0]])
@@ -253,7 +253,7 @@ def test_radio_gives_no_verdict_if_the_paths_are_apart():
     assert wifi_agrees(positions, robots, travels_m, heard, np.arange(80), robots == 1) is None
 
 
-def test_radio_gives_no_verdict_without_readings():
+def test_radio_decides_nothing_without_readings():
     empty = heard_at([Fingerprint(np.zeros(0, np.int64), np.zeros(0))] * 20)
     positions = np.tile(np.stack([np.arange(10.0), np.zeros(10)], axis=1), (2, 1))
     robots = np.repeat([0, 1], 10)

@@ -29,8 +29,8 @@ def told():
 def test_a_hypothesis_is_about_robots_of_another_map(told):
     for belief, _ in told:
         for hypothesis in belief.hypotheses:
-            assert not set(hypothesis.robots) & {belief.robot, *belief.mates}
-            assert set(hypothesis.mates) == set(hypothesis.robots)
+            assert not set(hypothesis.robots) & {belief.robot, *belief.teammates}
+            assert set(hypothesis.teammates) == set(hypothesis.robots)
             assert hypothesis.support >= 1
 
 
@@ -38,7 +38,7 @@ def test_most_hypotheses_place_the_other_robot_where_it_is(told):
     errors_m = []
     for belief, poses in told:
         for hypothesis in belief.hypotheses:
-            for robot, pose in hypothesis.mates.items():
+            for robot, pose in hypothesis.teammates.items():
                 implied = between(belief.pose_map_robot, pose)
                 errors_m.append(np.hypot(*(implied - between(poses[belief.robot], poses[robot]))[:2]))
     assert np.median(errors_m) < 1.5  # the other robot has moved on since its newest keyframe
@@ -48,7 +48,7 @@ def test_two_robots_hold_opposite_hypotheses_of_each_other(told):
     by_step = {}
     for belief, _ in told:
         for hypothesis in belief.hypotheses:
-            if len(belief.mates) == 0 and len(hypothesis.robots) == 1:
+            if len(belief.teammates) == 0 and len(hypothesis.robots) == 1:
                 by_step.setdefault((belief.step, frozenset((belief.robot, *hypothesis.robots))), []).append(hypothesis)
     pairs = [pair for pair in by_step.values() if len(pair) == 2 and pair[0].support == pair[1].support]
     assert pairs

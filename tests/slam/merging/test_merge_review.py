@@ -14,7 +14,7 @@ from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.merging.map_merging import MergeProposal
 from twc_env.slam.merging.merge_review import Merge, MergeReview
 from twc_env.slam.merging.merge_tests import MergeTests
-from twc_env.slam.merging.mutual_observations import MutualObservations, Sightings
+from twc_env.slam.merging.mutual_observations import MutualObservations, ObservationCounts
 from twc_env.slam.pose_graph import robust_back_end as robust_backend
 from twc_env.slam.team import TeamMapper
 
@@ -72,7 +72,7 @@ def wrong_pairs(team, true_poses) -> list[tuple[int, int]]:
 
 
 def run(recorded, shift=ROOM_M, steps=400, **settings):
-    """An engine with an injected merge; its groups and robot 0's mates and map version after every step."""
+    """An engine with an injected merge; its groups and robot 0's teammates and map version after every step."""
     config, frames, true_poses = recorded
     engine = CooperativeSlam(override(config, settings), 3)
     groups, beliefs = [], []
@@ -82,7 +82,7 @@ def run(recorded, shift=ROOM_M, steps=400, **settings):
             plant(engine.team, closures(engine.team, true_poses, shift))
         groups.append([group.robots for group in engine.team.groups])
         belief = engine.belief(0)
-        beliefs.append((set(belief.mates), belief.map_version))
+        beliefs.append((set(belief.teammates), belief.map_version))
     return engine, groups, beliefs
 
 
@@ -141,11 +141,11 @@ def test_only_steps_without_messages_and_due_work_are_skipped(recorded, monkeypa
 
 @pytest.fixture
 def say_seen_through(monkeypatch):
-    """A function: from its call on, sightings contradict every merge."""
-    return lambda: monkeypatch.setattr(MutualObservations, "count", lambda *_: Sightings(0, 5))
+    """A function: from its call on, mutual observations contradict every merge."""
+    return lambda: monkeypatch.setattr(MutualObservations, "count", lambda *_: ObservationCounts(0, 5))
 
 
-def test_robots_are_not_merged_if_sightings_contradict(recorded, say_seen_through):
+def test_robots_are_not_merged_if_mutual_observations_contradict(recorded, say_seen_through):
     config, frames, _ = recorded
     merged = []
     for is_told in (False, True):
@@ -157,7 +157,7 @@ def test_robots_are_not_merged_if_sightings_contradict(recorded, say_seen_throug
     assert merged == [True, False]
 
 
-def test_a_merge_is_undone_when_sightings_contradict_it(recorded, say_seen_through):
+def test_a_merge_is_undone_when_mutual_observations_contradict_it(recorded, say_seen_through):
     team = run(recorded, shift=(0.0, 0.0, 0.0), steps=PLANTED_STEP + 1)[0].team
     step = team._review.merges[-1].due_step
     assert team._review.wrong(step - 1, False) is None
@@ -186,7 +186,7 @@ def test_more_closures_for_another_pose_replace_a_merge(recorded):
     for count, is_merged in ((4, False), (7, True)):
         for closure in closures(team, true_poses, count=count):
             team._graph.add_closure(closure)
-            team._judge_inside_map(closure)
+            team._test_inside_map(closure)
         for step in range(PLANTED_STEP + 1, PLANTED_STEP + 4):
             team.update(step, [])
         if not is_merged:
@@ -200,10 +200,10 @@ def test_a_rival_by_which_robots_saw_through_each_other_outvotes_nothing(recorde
     team, true_poses = engine.team, recorded[2]
     for closure in closures(team, true_poses, ROOM_M, count=7):
         team._graph.add_closure(closure)
-        team._judge_inside_map(closure)
+        team._test_inside_map(closure)
     review, merge, found = team._review, team._review.merges[-1], {}
     for name, seen_through in (("allowed", 0), ("contradicted", 5)):
-        monkeypatch.setattr(MutualObservations, "count", lambda *_, through=seen_through: Sightings(0, through))
+        monkeypatch.setattr(MutualObservations, "count", lambda *_, through=seen_through: ObservationCounts(0, through))
         merge.refusals_seen = -1
         found[name] = review.wrong(PLANTED_STEP + 1, False)
     assert "closures agree on another place" in found["allowed"][1]
@@ -218,9 +218,9 @@ def test_one_closure_is_enough_where_robots_saw_each_other(recorded, monkeypatch
     team = engine.team
     sides = sorted(team.group_index(robot) for robot in (0, 1))
     team._graph.add_closure(closures(team, true_poses, count=1)[0])
-    monkeypatch.setattr(MutualObservations, "count", lambda *_: Sightings(9, 0, 9))
+    monkeypatch.setattr(MutualObservations, "count", lambda *_: ObservationCounts(9, 0, 9))
     assert not team._try_merge(*sides)
-    monkeypatch.setattr(MutualObservations, "count", lambda *_: Sightings(10, 0, 5))
+    monkeypatch.setattr(MutualObservations, "count", lambda *_: ObservationCounts(10, 0, 5))
     assert team._try_merge(*sides)
     assert wrong_pairs(team, true_poses) == []
 
@@ -232,7 +232,7 @@ def test_many_closures_by_two_signs_do_not_replace_a_merge_by_more_signs(recorde
     spot = true_poses[PLANTED_STEP, 0, :2]
     for closure in closures(team, true_poses, ROOM_M, count, signs_m=[spot, spot + 3.0]):
         team._graph.add_closure(closure)
-        team._judge_inside_map(closure)
+        team._test_inside_map(closure)
     team.optimiser.optimise(team.group_index(0), is_thorough=True)
     for step in range(PLANTED_STEP + 1, PLANTED_STEP + 4):
         team.update(step, [])
@@ -261,7 +261,7 @@ def test_the_back_end_may_not_replace_more_signs_by_fewer(recorded, monkeypatch)
     spot, asked = true_poses[PLANTED_STEP, 0, :2], []
     for closure in closures(team, true_poses, ROOM_M, 12, signs_m=[spot, spot + 3.0]):
         team._graph.add_closure(closure)
-        team._judge_inside_map(closure)
+        team._test_inside_map(closure)
     real = robust_backend.revise
 
     def revise(poses, graph, is_used, config, fixed, is_thorough, may_replace):
@@ -332,7 +332,7 @@ def test_correct_merges_are_kept(recorded):
 def test_after_a_split_other_merges_are_restricted_to_one_side(undone, sides, left):
     review = undone[0].team._review
     wrong = Merge((0,), (1,), due_step=9)
-    fresh = MergeReview(review._rule, review._graph, review._maps, review._judge)
+    fresh = MergeReview(review._rule, review._graph, review._maps, review._tests)
     fresh.merges = [wrong, Merge((0, 1), (2, 3), 20), Merge((2,), (3,), 30), Merge((4,), (5,), 40)]
     fresh.record_undone(wrong, sides)
     assert sorted((merge.a, merge.b) for merge in fresh.merges) == left

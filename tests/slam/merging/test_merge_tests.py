@@ -28,12 +28,12 @@ def say(count: int, pose_a_b: tuple, recogniser: str) -> list[LoopClosure]:
     return made
 
 
-def judge(doubts_radio: bool = True) -> MergeTests:
-    return MergeTests(MergingConfig(), GRAPH, doubts_radio=doubts_radio)
+def merge_tests(is_strict: bool = True) -> MergeTests:
+    return MergeTests(MergingConfig(), GRAPH, is_strict=is_strict)
 
 
 def place_said(closures: list[LoopClosure], others: int = 0):
-    found = judge().proposal(closures, (0,), others)
+    found = merge_tests().proposal(closures, (0,), others)
     return None if found is None else pytest.approx(tuple(found.pose_a_b), abs=1e-6)
 
 
@@ -70,8 +70,8 @@ def test_closures_of_the_present_merge_count_against_wifi_but_not_against_sign_c
 @pytest.mark.parametrize("recogniser", ["wifi", "meeting"])
 def test_sign_closures_outweigh_any_number_of_wifi_closures(recogniser):
     sounds, signs = say(9, TRUE, recogniser), say(2, ELSEWHERE, "twc")
-    assert judge().weight(sounds, (0,)) < judge().weight(signs, (0,))
-    assert judge(doubts_radio=False).weight(sounds, (0,)) > judge(doubts_radio=False).weight(signs, (0,))
+    assert merge_tests().weight(sounds, (0,)) < merge_tests().weight(signs, (0,))
+    assert merge_tests(is_strict=False).weight(sounds, (0,)) > merge_tests(is_strict=False).weight(signs, (0,))
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -81,9 +81,9 @@ def test_loose_closures_have_no_weight(axis):
         closure.covariance[axis, axis] = 4.0
     assert all(closure.is_loose for closure in loose)
     assert place_said(loose) is None
-    assert judge(doubts_radio=False).proposal(loose, (0,)) is None
+    assert merge_tests(is_strict=False).proposal(loose, (0,)) is None
     assert place_said(say(3, ELSEWHERE, "twc") + loose) == ELSEWHERE
-    assert judge(doubts_radio=False).weight(loose, (0,)) == (0, 0, 0)
+    assert merge_tests(is_strict=False).weight(loose, (0,)) == (0, 0, 0)
 
 
 @pytest.mark.parametrize(("before_m", "after_m", "may"), [(0.0, 2.0, False), (2.0, 0.0, True), (2.0, 4.0, True)])

@@ -17,7 +17,7 @@ from twc_env.slam.merging.mutual_observations import (
     GAP_MAX_M,
     PLACES_MIN,
     MutualObservations,
-    Sightings,
+    ObservationCounts,
     _count,
     _predict,
 )
@@ -42,8 +42,11 @@ def scan(disc_m: np.ndarray | None) -> np.ndarray:
     return ranges
 
 
-def sightings(other_steps=None, have_scans=True, is_seen=True, config=None, paths=(HERE, THERE)) -> MutualObservations:
-    """Sightings of robots 0 and 1, with a keyframe every 10 steps; other_steps: those of robot 1's keyframes."""
+def observations_of(
+    other_steps=None, have_scans=True, is_seen=True, config=None, paths=(HERE, THERE)
+) -> MutualObservations:
+    """Mutual observations of robots 0 and 1, with a keyframe every 10 steps; other_steps: those of robot 1's
+    keyframes."""
     steps = [10 * np.arange(COUNT), 10 * np.arange(COUNT) if other_steps is None else other_steps]
     here, there = paths
     poses = np.concatenate([here, between(START_B, there)])
@@ -60,39 +63,41 @@ def sightings(other_steps=None, have_scans=True, is_seen=True, config=None, path
 
 
 def test_robots_that_see_each_other_confirm_a_merge():
-    counted = sightings().count([0], [1], START_B)
-    assert counted == Sightings(2 * COUNT, 0, COUNT), "every second keyframe is 0.5 m or more from the last place"
+    counted = observations_of().count([0], [1], START_B)
+    assert counted == ObservationCounts(2 * COUNT, 0, COUNT), (
+        "every second keyframe is 0.5 m or more from the last place"
+    )
     assert counted.confirm and counted.prove and not counted.contradict
 
 
 def test_a_robot_that_stands_still_proves_nothing():
     """It may be a pillar as wide as a robot, whichever room the hypothesis puts it in."""
-    still = sightings(paths=(HERE, np.tile(THERE[COUNT // 2], (COUNT, 1))))
+    still = observations_of(paths=(HERE, np.tile(THERE[COUNT // 2], (COUNT, 1))))
     counted = still._between(0, 1, START_B, False)
     assert counted[0] == COUNT and counted[2] == 1
-    assert not Sightings(*counted).prove and Sightings(*counted).confirm
+    assert not ObservationCounts(*counted).prove and ObservationCounts(*counted).confirm
 
 
 @pytest.mark.parametrize("aside_m", [(0.0, -3.0, 0.0), (-1.5, -2.5, 0.0), (0.5, 2.5, 0.3)])
 def test_free_space_at_a_predicted_robot_contradicts_a_merge(aside_m):
     wrong = compose(np.array(aside_m), START_B)
-    counted = sightings().count([0], [1], wrong)
+    counted = observations_of().count([0], [1], wrong)
     assert counted.contradict and not counted.confirm
-    assert sightings(is_seen=False).count([0], [1], START_B).contradict
+    assert observations_of(is_seen=False).count([0], [1], START_B).contradict
 
 
 def test_an_error_along_the_path_is_no_contradiction():
-    counted = sightings().count([0], [1], compose(np.array([-1.0, 0.0, 0.0]), START_B))
+    counted = observations_of().count([0], [1], compose(np.array([-1.0, 0.0, 0.0]), START_B))
     assert counted.seen_through == 0
 
 
 def test_the_other_robot_is_interpolated_between_its_keyframes():
-    assert sightings(10 * np.arange(COUNT) + 3).count([0], [1], START_B).confirm
+    assert observations_of(10 * np.arange(COUNT) + 3).count([0], [1], START_B).confirm
 
 
 def test_robots_at_other_times_give_no_evidence():
     later = 10 * np.arange(COUNT) + 10_000
-    assert sightings(later).count([0], [1], START_B) == Sightings(0, 0)
+    assert observations_of(later).count([0], [1], START_B) == ObservationCounts(0, 0)
 
 
 @pytest.mark.parametrize("step", [10 * COUNT - 10, 0, -1])
@@ -100,11 +105,11 @@ def test_frames_that_all_arrived_in_one_step_give_no_evidence(step):
     """As in a log that is replayed robot by robot; -1: unknown step."""
     steps = np.full(COUNT, step)
     wrong = compose(np.array([0.0, -3.0, 0.0]), START_B)
-    assert sightings(steps).count([0], [1], wrong) == Sightings(0, 0)
+    assert observations_of(steps).count([0], [1], wrong) == ObservationCounts(0, 0)
 
 
 def test_only_scans_that_have_arrived_are_used():
-    assert sightings(have_scans=False).count([0], [1], START_B) == Sightings(0, 0)
+    assert observations_of(have_scans=False).count([0], [1], START_B) == ObservationCounts(0, 0)
 
 
 @pytest.mark.parametrize(
@@ -116,8 +121,8 @@ def test_only_scans_that_have_arrived_are_used():
     ],
 )
 def test_the_check_can_be_disabled_and_needs_marked_scans(setting):
-    off = sightings(config=override(EnvConfig(robots=2), setting))
-    assert off.count([0], [1], START_B) == Sightings(0, 0)
+    off = observations_of(config=override(EnvConfig(robots=2), setting))
+    assert off.count([0], [1], START_B) == ObservationCounts(0, 0)
 
 
 def test_a_robot_is_not_interpolated_over_a_gap():
@@ -138,23 +143,25 @@ def test_few_beams_may_miss_a_robot_far_away(distance_m, seen_through):
 
 
 @pytest.mark.parametrize(("seen", "is_confirmed"), [(CONFIRMATION_MIN, True), (CONFIRMATION_MIN - 1, False)])
-def test_sightings_confirm_a_merge_by_few_scans(seen, is_confirmed):
+def test_mutual_observations_confirm_a_merge_by_few_scans(seen, is_confirmed):
     rule = override(EnvConfig(), {"slam.merging.wifi_check": False}).slam.merging
-    told = SimpleNamespace(count=lambda *_: Sightings(seen, 0))
+    told = SimpleNamespace(count=lambda *_: ObservationCounts(seen, 0))
     compared = SimpleNamespace(sign_m=None, text_similarity=np.nan)
     proposal = SimpleNamespace(pose_a_b=START_B, agreeing=[SimpleNamespace(candidate=compared)] * 3, weight=(3, 3, 3))
-    assert MergeTests(rule, SimpleNamespace(), sightings=told).cues_confirm((0,), (1,), proposal) is is_confirmed
+    assert (
+        MergeTests(rule, SimpleNamespace(), mutual_observations=told).cues_confirm((0,), (1,), proposal) is is_confirmed
+    )
 
 
-SEEN = Sightings(CONFIRMATION_MIN, 0, PLACES_MIN)
+SEEN = ObservationCounts(CONFIRMATION_MIN, 0, PLACES_MIN)
 
 
-def judge_of(told) -> MergeTests:
-    """Of robots 0 and 1, with one keyframe each; `told`: the sightings by the pose of robot 1's map in that of robot
-    0."""
+def merge_tests_of(told) -> MergeTests:
+    """Of robots 0 and 1, with one keyframe each; `told`: the mutual observations by the pose of robot 1's map in that
+    of robot 0."""
     graph = SimpleNamespace(poses=np.zeros((2, 3)), node=lambda key: key[0])
     counted = SimpleNamespace(are_known=True, count=lambda _a, _b, pose: told(pose))
-    return MergeTests(EnvConfig().slam.merging, graph, sightings=counted)
+    return MergeTests(EnvConfig().slam.merging, graph, mutual_observations=counted)
 
 
 def closure(x_m: float, is_loose=False, sign_m=(1.0, 0.0)):
@@ -167,28 +174,30 @@ def closure(x_m: float, is_loose=False, sign_m=(1.0, 0.0)):
 
 def test_of_single_closures_the_one_by_which_robots_saw_each_other_is_proposed():
     made = [closure(x_m) for x_m in (2.0, 5.0, 5.1, 9.0)]
-    judge = judge_of(lambda pose: SEEN if abs(pose[0] - 5.0) < 0.5 else Sightings(3, 0, 3))
-    found = judge.sighted_proposal(made, (0,), (1,))
+    tests = merge_tests_of(lambda pose: SEEN if abs(pose[0] - 5.0) < 0.5 else ObservationCounts(3, 0, 3))
+    found = tests.observed_proposal(made, (0,), (1,))
     assert found.pose_a_b == pytest.approx((5.1, 0.0, 0.0)) and found.is_proven
     assert found.support.tolist() == [False, True, True, False] and found.agreeing == (made[1], made[2])
-    assert judge_of(lambda _: Sightings(CONFIRMATION_MIN, 0, 1)).sighted_proposal(made, (0,), (1,)) is None
+    assert (
+        merge_tests_of(lambda _: ObservationCounts(CONFIRMATION_MIN, 0, 1)).observed_proposal(made, (0,), (1,)) is None
+    )
 
 
-def test_the_most_sightings_decide_between_proven_hypotheses():
-    judge = judge_of(lambda pose: SEEN._replace(seen=30) if pose[0] == 2.0 else SEEN)
-    found = judge.sighted_proposal([closure(2.0), closure(9.0)], (0,), (1,))
+def test_the_most_mutual_observations_decide_between_proven_hypotheses():
+    tests = merge_tests_of(lambda pose: SEEN._replace(seen=30) if pose[0] == 2.0 else SEEN)
+    found = tests.observed_proposal([closure(2.0), closure(9.0)], (0,), (1,))
     assert found.pose_a_b[0] == 2.0
 
 
 @pytest.mark.parametrize("setting", [{"is_loose": True}, {"sign_m": None}])
-def test_loose_closures_and_those_without_a_sign_are_not_proven_by_sightings(setting):
-    assert judge_of(lambda _: SEEN).sighted_proposal([closure(2.0, **setting)], (0,), (1,)) is None
+def test_loose_closures_and_those_without_a_sign_are_not_proven_by_mutual_observations(setting):
+    assert merge_tests_of(lambda _: SEEN).observed_proposal([closure(2.0, **setting)], (0,), (1,)) is None
 
 
 def test_only_the_latest_hypotheses_are_tested():
     tested = []
-    judge = judge_of(lambda pose: tested.append(pose[0]) or Sightings(0, 0))
-    judge.sighted_proposal([closure(2.0 * k) for k in range(2 * HYPOTHESES_MAX)], (0,), (1,))
+    tests = merge_tests_of(lambda pose: tested.append(pose[0]) or ObservationCounts(0, 0))
+    tests.observed_proposal([closure(2.0 * k) for k in range(2 * HYPOTHESES_MAX)], (0,), (1,))
     assert tested == [2.0 * k for k in reversed(range(HYPOTHESES_MAX, 2 * HYPOTHESES_MAX))]
 
 
@@ -209,24 +218,31 @@ def test_keyframes_carry_the_step_of_the_engine_whatever_the_frame_numbers():
 
 def test_a_robot_hidden_by_a_wall_gives_no_evidence():
     """A wall in between hides the robot: neither seen nor seen through."""
-    hidden = sightings()
+    hidden = observations_of()
     hidden._graph.rows_of = lambda nodes: (hidden._graph.poses[nodes], np.full((len(nodes), BEAMS), 1.0))
-    assert hidden.count([0], [1], START_B) == Sightings(0, 0)
+    assert hidden.count([0], [1], START_B) == ObservationCounts(0, 0)
 
 
-def test_the_verdict_follows_from_the_counts():
-    assert Sightings(CONFIRMATION_MIN, 1).confirm and not Sightings(CONFIRMATION_MIN - 1, 0).confirm
-    assert not Sightings(CONFIRMATION_MIN, 2).confirm
-    assert Sightings(CONFIRMATION_MIN, 1, PLACES_MIN).prove and not Sightings(CONFIRMATION_MIN, 1, PLACES_MIN - 1).prove
-    assert not Sightings(CONFIRMATION_MIN - 1, 0, PLACES_MIN).prove
-    assert Sightings(1, 2).contradict and not Sightings(2, 2).contradict and not Sightings(0, 1).contradict
+def test_the_decision_follows_from_the_counts():
+    assert ObservationCounts(CONFIRMATION_MIN, 1).confirm and not ObservationCounts(CONFIRMATION_MIN - 1, 0).confirm
+    assert not ObservationCounts(CONFIRMATION_MIN, 2).confirm
+    assert (
+        ObservationCounts(CONFIRMATION_MIN, 1, PLACES_MIN).prove
+        and not ObservationCounts(CONFIRMATION_MIN, 1, PLACES_MIN - 1).prove
+    )
+    assert not ObservationCounts(CONFIRMATION_MIN - 1, 0, PLACES_MIN).prove
+    assert (
+        ObservationCounts(1, 2).contradict
+        and not ObservationCounts(2, 2).contradict
+        and not ObservationCounts(0, 1).contradict
+    )
 
 
-def test_missing_sightings_contradict_a_merge():
-    judge = MergeTests(EnvConfig().slam.merging, SimpleNamespace(), sightings=sightings())
-    assert judge.sightings_contradict([0], [1], compose(np.array([0.0, -3.0, 0.0]), START_B))
-    assert not judge.sightings_contradict([0], [1], START_B)
-    assert not MergeTests(EnvConfig().slam.merging, SimpleNamespace()).sightings_contradict([0], [1], START_B)
+def test_missing_mutual_observations_contradict_a_merge():
+    tests = MergeTests(EnvConfig().slam.merging, SimpleNamespace(), mutual_observations=observations_of())
+    assert tests.mutual_observations_contradict([0], [1], compose(np.array([0.0, -3.0, 0.0]), START_B))
+    assert not tests.mutual_observations_contradict([0], [1], START_B)
+    assert not MergeTests(EnvConfig().slam.merging, SimpleNamespace()).mutual_observations_contradict([0], [1], START_B)
 
 
 def test_true_relative_poses_are_confirmed_and_shifted_ones_are_not():
@@ -243,7 +259,7 @@ def test_true_relative_poses_are_confirmed_and_shifted_ones_are_not():
     team = env.unwrapped.engine.mappers[0]
     frames = [compose(truth[team.keyframe_steps(r)[-1] + 1][r], inverse(team.latest_pose_of(r))) for r in (1, 2)]
     counted = [
-        team._judge._sightings.count([1], [2], compose(np.array(by), between(*frames)))
+        team._tests._mutual_observations.count([1], [2], compose(np.array(by), between(*frames)))
         for by in ((0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (0.0, 3.0, 0.0))
     ]
     assert counted[0].confirm and not counted[0].contradict, counted

@@ -119,6 +119,6 @@ def test_removed_places_give_no_candidates(recogniser, place, compared):
     for robot in compared:
         recogniser.propose(place(robot, 0.0), (robot,))
     recogniser.propose(place(0, 3.0), (0,))
-    recogniser.forget(lambda keyframe: keyframe.travel_m >= 2.0)
+    recogniser.sparsify(lambda keyframe: keyframe.travel_m >= 2.0)
     found = recogniser.propose(place(2, 0.0), (2,))
     assert sorted(candidate.target for candidate in found) == [(0, 20), (0, 30)]

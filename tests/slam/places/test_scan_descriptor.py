@@ -42,7 +42,7 @@ def test_the_search_key_is_invariant_to_rotations_only(scan, office, hall):
     assert np.abs(keys[0] - keys[2]).max() > 0.1
 
 
-def test_open_beams_and_mates_are_ignored():
+def test_open_beams_and_teammates_are_ignored():
     ranges = np.full(180, RANGE_MAX_M)
     ranges[::2] = -2.0
     assert not describe(ranges, RANGE_MAX_M).any()
@@ -60,6 +60,6 @@ def test_scans_of_one_room_agree_at_the_true_pose_and_contradict_at_a_wrong_one(
     assert scan_agreement(b, a, inverse(wrong), RANGE_MAX_M) == pytest.approx(wrongly)
 
 
-def test_scans_without_a_common_wall_give_no_verdict():
+def test_scans_without_a_common_wall_decide_nothing():
     nothing = np.full(90, RANGE_MAX_M)
     assert scan_agreement(nothing, nothing, np.zeros(3), RANGE_MAX_M) == (0.0, 0.0)

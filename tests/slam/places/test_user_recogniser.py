@@ -87,7 +87,10 @@ def test_the_settings_mention_custom_classes():
     [
         ("places.py:SameRoute", r"no class 'SameRoute' in .*places\.py; it has SameRouter$"),
         ("other.py:Mine", "there is no file other.py"),
-        ("places.py:Half", r"has no name and no forget: a place recogniser has what .*\.Recogniser names"),
+        (
+            "places.py:Half",
+            r"has no name and no sparsify: a place recogniser has what .*\.Recogniser names \(sparsify was forget",
+        ),
         ("places", r"must be one of .*, fused or FILE\.py:CLASS; got 'places'"),
     ],
 )
@@ -118,7 +121,7 @@ def test_the_error_of_an_invalid_recogniser_names_the_remedy(own, name, remedy):
 def test_invalid_candidates_are_rejected_before_the_engine_uses_them(own, keyframe, proposed, remedy):
     Path("odd.py").write_text(
         "from twc_env.records.messages import LoopCandidate\n\n\nclass Odd:\n    name = 'odd'\n\n"
-        "    def __init__(self, *_):\n        pass\n\n    def forget(self, is_held):\n        pass\n\n"
+        "    def __init__(self, *_):\n        pass\n\n    def sparsify(self, is_held):\n        pass\n\n"
         f"    def propose(self, keyframe, *_):\n        return {proposed} if keyframe.robot else []\n"
     )
     recogniser = make_recogniser(PlaceRecognitionConfig(recogniser="odd.py:Odd"), 8.0)

@@ -8,7 +8,7 @@ import pytest
 from twc_env import parallel_env
 from twc_env.bench.rates import wander
 from twc_env.config import EnvConfig, override
-from twc_env.exploration.assessment import map_evaluation as map_judge
+from twc_env.exploration.assessment import map_evaluation
 from twc_env.records.geometry import compose
 from twc_env.slam.merging.map_optimiser import MapOptimiser
 from twc_env.slam.places import sign_readings
@@ -120,11 +120,11 @@ def test_a_subset_of_keyframes_gives_the_alignment_of_all(stride):
     truth = random.normal(0, 5, (900, 3, 3))
     poses = compose([1.0, 2.0, 0.5], truth[steps, robots]) + random.normal(0, 0.01, (count, 3))
     poses[robots == 2] = compose([3.0, 0.0, 0.0], poses[robots == 2])
-    laid, room = np.empty(3), map_judge._room_for(count, 3)
+    laid, room = np.empty(3), map_evaluation._room_for(count, 3)
     paths, lengths = np.argsort(robots != np.arange(3)[:, None], axis=1, kind="stable"), np.bincount(robots)
     nodes = poses, steps, paths, lengths
-    wrong = map_judge._lay_paths(np.arange(3), *nodes, truth, stride, room, laid)
-    every, pairs = map_judge.lay((0, 1, 2), nodes, truth)
+    wrong = map_evaluation._lay_paths(np.arange(3), *nodes, truth, stride, room, laid)
+    every, pairs = map_evaluation.lay((0, 1, 2), nodes, truth)
     assert laid == pytest.approx(every, abs=0.3 if stride > 1 else 0.0)
     assert wrong == len(pairs) == 2
 

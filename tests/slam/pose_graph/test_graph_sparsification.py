@@ -6,7 +6,7 @@ import pytest
 from twc_env.records.geometry import between, compose, poses_along
 from twc_env.slam.pose_graph import solver as pose_graph
 from twc_env.slam.pose_graph.graph_arrays import ODOMETRY
-from twc_env.slam.pose_graph.graph_sparsification import Edges, thinned
+from twc_env.slam.pose_graph.graph_sparsification import Edges, sparsified
 
 
 def chain(motions, std):
@@ -45,7 +45,7 @@ def test_odometry_across_removed_nodes_composes_motions_and_covariances():
     random = np.random.default_rng(0)
     motions = random.normal((0.7, 0.0, 0.2), (0.1, 0.1, 0.3), (6, 3))
     edges, poses = chain(motions, (0.02, 0.02, 0.01))
-    left = thinned(edges, without(7, 1, 2, 4, 5))
+    left = sparsified(edges, without(7, 1, 2, 4, 5))
     assert left.ends.tolist() == [[0, 3], [3, 6]]
     assert left.measured == pytest.approx(between(poses[[0, 3]], poses[[3, 6]]))
     many = np.zeros((20000, 3))
@@ -63,7 +63,7 @@ def test_transferred_closures_keep_the_optimum_of_the_other_nodes():
     whole = with_closures(edges, [((0, 5), met)], (0.01, 0.01, 0.005))
     best = fitted(whole, poses)
     for gone in ((5,), (4, 5), (5, 6), (1, 2, 5)):
-        left = thinned(whole, without(9, *gone))
+        left = sparsified(whole, without(9, *gone))
         handed = left.of(left.closure >= 0)
         assert handed.closure.tolist() == [0] and not np.isin(left.ends, gone).any()
         kept = [k for k in range(9) if k not in gone]
@@ -77,8 +77,8 @@ def test_nodes_with_enough_closures_take_no_transferred_ones():
         graph = with_closures(
             edges, [(pair, between(*poses[list(pair)])) for pair in pairs[first:]], (0.01, 0.01, 0.005)
         )
-        assert thinned(graph, without(21)).closure.tolist() == graph.closure.tolist()
-        thin = thinned(graph, without(21, 11))
+        assert sparsified(graph, without(21)).closure.tolist() == graph.closure.tolist()
+        thin = sparsified(graph, without(21, 11))
         assert sorted(thin.closure[thin.closure >= 0].tolist()) == list(left)
 
 
@@ -86,7 +86,7 @@ def test_closures_between_the_same_nodes_are_fused():
     edges, poses = chain(np.tile((0.7, 0.0, 0.0), (20, 1)), (0.001, 0.001, 0.001))
     first, second = between(poses[0], poses[10]), between(poses[11], poses[0])
     graph = with_closures(edges, [((0, 10), compose(first, (0.1, 0.0, 0.0))), ((11, 0), second)], (0.1, 0.1, 0.05))
-    left = thinned(graph, without(21, 11))
+    left = sparsified(graph, without(21, 11))
     assert left.closure[left.closure >= 0].tolist() == [0]
     tie = left.of(left.closure >= 0)
     assert tie.measured[0] == pytest.approx(compose(first, (0.05, 0.0, 0.0)), abs=1e-3)
@@ -97,4 +97,4 @@ def test_an_uninformative_closure_is_not_transferred():
     motions = np.tile((0.7, 0.0, 0.0), (8, 1))
     edges, poses = chain(motions, (2.0, 2.0, 0.01))
     graph = with_closures(edges, [((0, 4), between(poses[0], poses[4]))], (0.01, 0.01, 0.005))
-    assert thinned(graph, without(9, 3, 4, 5)).closure.max() == ODOMETRY
+    assert sparsified(graph, without(9, 3, 4, 5)).closure.max() == ODOMETRY

@@ -149,7 +149,7 @@ def test_several_beams_of_a_scan_in_a_cell_count_as_one_hit():
     assert grid.log_odds.max() <= 2 * LOG_ODDS_HIT
 
 
-def test_clearing_forgets_everything(room, scan):
+def test_clearing_removes_everything(room, scan):
     pose = np.zeros(3)
     grid = OccupancyGrid(CELL_M, RANGE_MAX_M, BEAMS)
     grid.integrate(pose[None], scan(room, pose, BEAMS)[None])

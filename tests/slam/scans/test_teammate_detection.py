@@ -33,21 +33,21 @@ def room(walls, scan):
 @pytest.mark.parametrize(
     "centre", [(1.5, 0.4), (2.0, 0.0), (2.0, -0.02), (-1.2, 1.0), (0.6, -0.5), (3.0, 1.5), (-3.2, -2)]
 )
-def test_only_the_beams_on_a_mate_are_marked(room, centre):
-    ranges, is_mate = disc(room, centre)
+def test_only_the_beams_on_a_teammate_are_marked(room, centre):
+    ranges, is_teammate = disc(room, centre)
     scan = marked(ranges)
-    assert is_mate.sum() >= 2
+    assert is_teammate.sum() >= 2
     assert np.abs(scan) == pytest.approx(ranges)
-    assert np.array_equal(scan < 0, is_mate)
+    assert np.array_equal(scan < 0, is_teammate)
 
 
-def test_two_mates_are_both_marked(room):
+def test_two_teammates_are_both_marked(room):
     ranges, first = disc(room, (1.5, 0.4))
     ranges, second = disc(ranges, (-1.0, -1.2))
     assert np.array_equal(marked(ranges) < 0, first | second)
 
 
-def test_an_empty_room_has_no_mates(room, office, scan):
+def test_an_empty_room_has_no_teammates(room, office, scan):
     assert np.all(marked(room) >= 0)
     assert np.all(marked(np.full(180, RANGE_MAX_M)) >= 0)
     assert np.all(marked(np.full(180, 1.0)) >= 0)
@@ -93,11 +93,11 @@ def test_a_stationary_disc_becomes_a_wall_again_and_a_moving_one_does_not():
 
 @pytest.mark.parametrize("centre", [(1.5, 0.4), (0.45, 0.1), (-0.6, -0.5), (3.0, 1.5), (1.5, 0.0)])
 @pytest.mark.parametrize("far_m", [3.5, np.inf])
-def test_objects_as_narrow_as_a_mate_are_ignored(room, centre, far_m):
-    ranges, is_mate = disc(np.where(room > 3.5, far_m, room), centre)
-    ranges[is_mate] += np.random.default_rng(0).normal(0, 0.02, is_mate.sum())
+def test_objects_as_narrow_as_a_teammate_are_ignored(room, centre, far_m):
+    ranges, is_teammate = disc(np.where(room > 3.5, far_m, room), centre)
+    ranges[is_teammate] += np.random.default_rng(0).normal(0, 0.02, is_teammate.sum())
     scan = without_narrow(ranges, 2 * RADIUS_M + 0.1)
-    assert np.array_equal(scan < 0, is_mate)
+    assert np.array_equal(scan < 0, is_teammate)
     assert not (without_narrow(ranges, 0.5 * RADIUS_M) < 0).any()
 
 

@@ -70,10 +70,10 @@ def test_a_square_is_identical_whatever_was_cached_before(monkeypatch):
     kept = CrossingTable(plan.wall_index, points, plan.wall_loss_db[None])
     first = [crossed(kept, place, len(points))[1].tobytes() for place in places]
     monkeypatch.setattr(crossing_table, "_ENTRIES_MAX", 3 * len(points))
-    forgetful = CrossingTable(plan.wall_index, points, plan.wall_loss_db[None])
+    small = CrossingTable(plan.wall_index, points, plan.wall_loss_db[None])
     for k in np.random.default_rng(2).permutation(60):
-        assert crossed(forgetful, places[k], len(points))[1].tobytes() == first[k]
-        assert np.count_nonzero(forgetful.arrays[3] >= 0) <= 3
+        assert crossed(small, places[k], len(points))[1].tobytes() == first[k]
+        assert np.count_nonzero(small.arrays[3] >= 0) <= 3
 
 
 def test_arrays_from_before_an_enlargement_are_not_read_beyond_their_end():

@@ -56,7 +56,7 @@ SETTINGS: dict = {
             "gyro_bias_walk_rad_s": 0.0,
         },
         "local_map": {"size_m": 60.0, "memory_m": 40.0, "match_iterations_max": 30},
-        # Every scan is a keyframe; there are no mates in the scans.
+        # Every scan is a keyframe; there are no teammates in the scans.
         "keyframe": {"distance_m": 0.05, "turn_rad": 0.05, "mask_teammates": False},
         "place_recognition": {"recogniser": "lidar", "proximity_m": 4.0, "scan_similarity_min": 0.6},
         # Drift over long loops: a wider search. Steps are far apart in time, so the backlog is verified at once.

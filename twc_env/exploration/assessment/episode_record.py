@@ -28,7 +28,7 @@ class EpisodeRecord(BindsAnew):
         """`_note` bound to these arrays."""
         self.wrong_pairs: set[tuple[int, int]] = set()
         """Pairs of robots that were wrongly merged at a step at which the rewards were evaluated."""
-        self.map_judges = MapEvaluators()
+        self.map_evaluators = MapEvaluators()
 
     def append(self, true_poses: Array, odom_poses: Array, motions: Array, contacts: Array) -> None:
         """Append one step: true poses, front-end poses, measured motions (robots, 3); contacts (robots,) bool."""

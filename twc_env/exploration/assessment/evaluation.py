@@ -60,13 +60,13 @@ class EpisodeResult:
 
 
 def progress(
-    engine: Engine, record: EpisodeRecord, cells: Cells, verdicts: Sequence[GroupScore]
+    engine: Engine, record: EpisodeRecord, cells: Cells, scores: Sequence[GroupScore]
 ) -> tuple[list[dict], dict[str, float]]:
     """Data for pictures over time, defined as in the report; does not modify the record.
 
     Returns closures as in `EpisodeResult`, and figures.
     """
-    paths, best = TeamPaths(engine, record.odom_poses), verdicts[0]
+    paths, best = TeamPaths(engine, record.odom_poses), scores[0]
     estimated, alignment = paths.as_seen(), paths.alignment(record.true_poses)
     closures = _closures(engine, best, record, alignment)
     status = [row["status"] for row in closures]
@@ -76,7 +76,7 @@ def progress(
         "wall_iou": score.wall_iou,
         "team_ate_m": position_error_m(alignment, estimated, record.true_poses),
         "merged_robots": len(best.robots),
-        "wrong_pairs": sum(len(v.wrong_pairs) for v in verdicts),
+        "wrong_pairs": sum(len(v.wrong_pairs) for v in scores),
         "closures_accepted": status.count("accepted"),
         "closures_rejected": status.count("rejected"),
     }
@@ -104,11 +104,11 @@ class EpisodePaths(NamedTuple):
 
 def numbers(
     config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord,
-    verdicts: Sequence[GroupScore], paths: EpisodePaths,
+    scores: Sequence[GroupScore], paths: EpisodePaths,
 ) -> dict[str, float]:  # fmt: skip
-    """The scalar figures of the report; verdicts, paths: of the present maps. Modifies nothing."""
-    cells, best = floorplan.cells(), verdicts[0]
-    wrong_pairs = record.wrong_pairs.union(*(verdict.wrong_pairs for verdict in verdicts))
+    """The scalar figures of the report; scores, paths: of the present maps. Modifies nothing."""
+    cells, best = floorplan.cells(), scores[0]
+    wrong_pairs = record.wrong_pairs.union(*(score.wrong_pairs for score in scores))
     true, estimated, alignment, reckoned = paths
     score = _score(best.grid, best.pose_building_map, cells)
     robots = range(true.shape[1])
@@ -144,16 +144,16 @@ def numbers(
 
 def evaluate(
     config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord,
-    verdicts: Sequence[GroupScore],
+    scores: Sequence[GroupScore],
 ) -> EpisodeResult:  # fmt: skip
-    """All figures of the report and the data for pictures and exports; verdicts: of the present maps."""
-    paths, best = EpisodePaths.of(engine, record), verdicts[0]
+    """All figures of the report and the data for pictures and exports; scores: of the present maps."""
+    paths, best = EpisodePaths.of(engine, record), scores[0]
     true, estimated = paths.true, paths.estimated
     closures = _closures(engine, best, record, paths.alignment)
     counted = metrics.score_closures([c["correct"] for c in closures], [c["status"] == "accepted" for c in closures])
     figures = {
         "map": config.map,
-        **numbers(config, seed, floorplan, engine, record, verdicts, paths),
+        **numbers(config, seed, floorplan, engine, record, scores, paths),
         "per_robot_ate_m": [
             metrics.absolute_trajectory_error_m(estimated[:, r], true[:, r]) for r in range(true.shape[1])
         ],
@@ -177,10 +177,10 @@ def evaluate(
         true_poses=true.copy(),
         estimated_poses=estimated,
         odometry_poses=paths.reckoned,
-        groups=tuple(v.robots for v in verdicts),
-        viewers=tuple(v.view.viewers for v in verdicts),
-        grids=tuple(GridMap(v.grid.log_odds.copy(), v.grid.origin_m.copy(), v.grid.resolution_m) for v in verdicts),
-        pose_building_map=np.array([v.pose_building_map for v in verdicts]),
+        groups=tuple(v.robots for v in scores),
+        viewers=tuple(v.view.viewers for v in scores),
+        grids=tuple(GridMap(v.grid.log_odds.copy(), v.grid.origin_m.copy(), v.grid.resolution_m) for v in scores),
+        pose_building_map=np.array([v.pose_building_map for v in scores]),
         closures=closures,
         graph=best.view.mapper.graph(),
     )

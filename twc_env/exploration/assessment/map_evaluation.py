@@ -25,7 +25,7 @@ from twc_env.world.building.floor_cells import Cells
 
 PLACE_M, TURN_RAD = 0.02, 0.001
 """Resolution to which a map's alignment is rounded, so that its mask stays valid for longer."""
-JUDGED_MAX = 4000
+KEYFRAMES_MAX = 4000
 """If a mapper has more keyframes than this, `MapEvaluators` uses every second one, with twice as many every third, and
 so on, which bounds its run time and memory."""
 NOT_KNOWN = -1.0
@@ -36,7 +36,7 @@ Nodes = tuple[Array, Array, Array, Array]
 Pairs = tuple[tuple[int, int], ...]
 
 
-Judgement = tuple[list[float], Pairs, float]
+MapEvaluation = tuple[list[float], Pairs, float]
 """Evaluation of a map: x, y, heading of its rigid alignment with the building; pairs of its robots whose relative frame
 is wrong by more than 1 m or 10 degrees; correctly mapped area [m2]."""
 
@@ -123,11 +123,11 @@ def _lay_paths(robots, poses, step_of_node, paths, lengths, truth, stride, room,
 @kernel
 def _stride(nodes):
     """Of a mapper with this number of keyframes `MapEvaluators` uses every n-th one of each robot: n."""
-    return 1 + nodes // (JUDGED_MAX + 1)
+    return 1 + nodes // (KEYFRAMES_MAX + 1)
 
 
 @borrowing_kernel
-def _judge(
+def _evaluate(
     room, place, mask, known, counts, result, robots, poses, step_of_node, paths, lengths, truth, log_odds, touched
 ):  # fmt: skip
     """Write to result (5,): alignment of the map, number of wrong pairs, number of free cells on the floor.
@@ -158,14 +158,14 @@ class _Held:
         self.known, self.counts = np.full(grid.touched.shape, -1), np.zeros(grid.touched.shape, np.int64)
         """(blocks, blocks) `GridMap.touched` at each block's last count, -1: never; its free cells on the floor."""
         self.arguments = np.array(place, float), self.mask, self.known, self.counts
-        """Arguments of `_judge`."""
+        """Arguments of `_evaluate`."""
 
 
 class MapEvaluators:
     """Evaluates maps, with a cache per map. The cache can be computed from the maps, so copies start with none.
 
     Memory: of each map the two latest places with a mask of a byte per cell and, if it has grown in between, the map
-    itself; and 100 bytes for each of at most `JUDGED_MAX` keyframes, and one more of each robot.
+    itself; and 100 bytes for each of at most `KEYFRAMES_MAX` keyframes, and one more of each robot.
     """
 
     def __init__(self) -> None:
@@ -173,22 +173,22 @@ class MapEvaluators:
         """By owner, the latest two places of its map, newest first: maps often alternate between two."""
         self._room: tuple[Array, ...] = ()
         self._run: Callable[..., None] | None = None
-        """`_judge` bound to the scratch arrays `_room`."""
+        """`_evaluate` bound to the scratch arrays `_room`."""
         self._result = np.empty(5)
 
     def __reduce__(self):
         return MapEvaluators, ()
 
-    def judge(
+    def evaluate(
         self, owner: int, robots: tuple[int, ...], nodes: Nodes, true_poses: Array, grid: GridMap, cells: Cells
-    ) -> Judgement | None:
+    ) -> MapEvaluation | None:
         """Align the map of these robots with the building and measure its `correct_area_m2`; None without keyframes.
 
         owner: key of the map in the cache; nodes, true_poses: as in `lay`.
         """
         kept = self._held.get(owner)
         if kept and kept[0].grid is grid:
-            x, y, turn, wrong, count = self._judge_again(kept[0], robots, nodes, true_poses)
+            x, y, turn, wrong, count = self._evaluate_again(kept[0], robots, nodes, true_poses)
             if wrong == 0.0:  # otherwise, which is rare, `lay` below names the pairs
                 pose = [x, y, turn]
                 if count == NOT_KNOWN:
@@ -200,16 +200,16 @@ class MapEvaluators:
         pose = laid[0].tolist()
         return pose, laid[1], self.correct_area_m2(owner, grid, pose, cells)
 
-    def _judge_again(self, held: _Held, robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> list[float]:
-        """The result (5,) of `_judge` for a cached map."""
+    def _evaluate_again(self, held: _Held, robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> list[float]:
+        """The result (5,) of `_evaluate` for a cached map."""
         robots_in_all = true_poses.shape[1]
-        if not self._room or min(len(nodes[0]), JUDGED_MAX) + robots_in_all > len(self._room[0]):
-            self._room, self._run = _room_for(min(2 * len(nodes[0]), JUDGED_MAX), robots_in_all), None
+        if not self._room or min(len(nodes[0]), KEYFRAMES_MAX) + robots_in_all > len(self._room[0]):
+            self._room, self._run = _room_for(min(2 * len(nodes[0]), KEYFRAMES_MAX), robots_in_all), None
         now = (
             *held.arguments, self._result, _numbers(robots), *nodes, true_poses, held.grid.log_odds, held.grid.touched
         )  # fmt: skip
         if self._run is None:
-            self._run = bound(_judge, Lent(self._room), *now)
+            self._run = bound(_evaluate, Lent(self._room), *now)
         self._run(*now)
         said: list[float] = self._result.tolist()
         return said

@@ -33,7 +33,7 @@ class GroupScore:
     correct_area_m2: float
 
 
-def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupScore:
+def score_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupScore:
     """Align a group's map with the building and measure it."""
     place = lay(view.robots, view.mapper.nodes, record.true_poses)
     grid, area_m2 = view.mapper.grid_of(view.group), 0.0
@@ -46,16 +46,16 @@ def judge_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupScore:
     return GroupScore(view, view.robots, grid, pose, wrong, area_m2)
 
 
-def verdicts_of(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupScore]:
+def scores_of(engine: Engine, record: EpisodeRecord, cells: Cells) -> list[GroupScore]:
     """Evaluate every map that robots use, largest group (then largest correct area) first; modifies nothing."""
-    verdicts = [judge_view(view, record, cells) for view in engine.views()]
-    return sorted(verdicts, key=lambda v: (-len(v.robots), -v.correct_area_m2))
+    scores = [score_view(view, record, cells) for view in engine.views()]
+    return sorted(scores, key=lambda v: (-len(v.robots), -v.correct_area_m2))
 
 
-def told(verdicts: Sequence[GroupScore], cells: Cells, robots: int, time_s: float) -> str:
-    """Caption of a picture: one line on the state of a team of `robots` robots; verdicts: largest group first."""
-    best = verdicts[0]
-    wrong = ", merged wrongly" if any(verdict.wrong_pairs for verdict in verdicts) else ""
+def told(scores: Sequence[GroupScore], cells: Cells, robots: int, time_s: float) -> str:
+    """Caption of a picture: one line on the state of a team of `robots` robots; scores: largest group first."""
+    best = scores[0]
+    wrong = ", merged wrongly" if any(score.wrong_pairs for score in scores) else ""
     share = best.correct_area_m2 / floor_m2(cells)
     merged = f"{len(best.robots)} of {robots} robots in one map{wrong}"
     return f"{time_s:.1f} s   {merged}   {100 * share:.1f} % of the floor mapped correctly"
@@ -64,9 +64,9 @@ def told(verdicts: Sequence[GroupScore], cells: Cells, robots: int, time_s: floa
 def standing(engine: Engine, record: EpisodeRecord, cells: Cells, last: Sequence[GroupScore] = ()) -> Standing:
     """The potentials of the rewards, evaluated now. Adds wrong pairs to the record.
 
-    last: exact verdicts of the last time step, whose areas are used instead of those counted over cells of the map.
+    last: exact scores of the last time step, whose areas are used instead of those counted over cells of the map.
     """
-    true_poses, judge, mapper = record.true_poses, record.map_judges.judge, None
+    true_poses, evaluate, mapper = record.true_poses, record.map_evaluators.evaluate, None
     true, believed = true_poses[-1, :, :2].tolist(), engine.beliefs().poses[:, 0].tolist()
     maps, errors_m, floor = [], [0.0] * len(true), floor_m2(cells)
     for view in engine.views():
@@ -76,18 +76,18 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells, last: Sequence
             nodes, groups = mapper.nodes, mapper.groups
         group = groups[view.group]
         robots = group.robots
-        judged = judge(viewers[0], robots, nodes, true_poses, group.grid.snapshot(), cells)
-        if judged is not None:
-            (x, y, turn), wrong, area_m2 = judged
+        evaluated = evaluate(viewers[0], robots, nodes, true_poses, group.grid.snapshot(), cells)
+        if evaluated is not None:
+            (x, y, turn), wrong, area_m2 = evaluated
             c, s = math.cos(turn), math.sin(turn)
             if wrong:
                 record.wrong_pairs.update(wrong)
-            for verdict in last:
-                if verdict.view is view:
-                    area_m2 = verdict.correct_area_m2
+            for score in last:
+                if score.view is view:
+                    area_m2 = score.correct_area_m2
             maps.append(EvaluatedMap(viewers, len(robots), not wrong, area_m2 / floor))
         for robot in viewers:
-            if judged is None:  # no keyframe yet: its map begins where it started
+            if evaluated is None:  # no keyframe yet: its map begins where it started
                 x, y, turn = true_poses[0, robot].tolist()
                 c, s = math.cos(turn), math.sin(turn)
             ahead, left, _ = believed[robot]

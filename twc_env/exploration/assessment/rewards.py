@@ -67,7 +67,7 @@ class Transition(NamedTuple):
     before: Standing
     after: Standing
     contacts: Array
-    """(robots,) bool: touched a wall or a mate."""
+    """(robots,) bool: touched a wall or a teammate."""
     bytes_per_robot: float
     """Sent by the team in this step."""
     step_count_max: int

@@ -193,7 +193,7 @@ def scene_of(
     floorplan: Floorplan,
     engine: Engine,
     record: EpisodeRecord,
-    verdicts: Sequence[GroupScore],
+    scores: Sequence[GroupScore],
     closures: tuple[ClosureLine, ...] = (),
     signal: SignalLayer | None = None,
 ) -> Scene:
@@ -201,18 +201,18 @@ def scene_of(
     cells = floorplan.cells()
     true = record.true_poses
     estimated = np.full((true.shape[1], 3), np.nan)
-    for verdict in verdicts:
-        for robot in verdict.view.viewers:
-            estimated[robot] = compose(verdict.pose_building_map, engine.pose_map_robot(robot))
+    for score in scores:
+        for robot in score.view.viewers:
+            estimated[robot] = compose(score.pose_building_map, engine.pose_map_robot(robot))
     return Scene(
         walls=cells.wall,
         origin_m=cells.origin_m,
         resolution_m=cells.resolution_m,
-        grids=tuple(v.grid for v in verdicts),
-        pose_building_map=np.array([v.pose_building_map for v in verdicts]),
+        grids=tuple(v.grid for v in scores),
+        pose_building_map=np.array([v.pose_building_map for v in scores]),
         true_poses=true[-1],
         estimated_poses=estimated,
-        groups=tuple(v.robots for v in verdicts),
+        groups=tuple(v.robots for v in scores),
         trails_m=tuple(true[-TRAIL_STEPS:, robot, :2] for robot in range(true.shape[1])),
         closures=closures,
         signal=signal,

@@ -18,13 +18,13 @@ from twc_env.slam.scans.cell_kinds import UNKNOWN as UNKNOWN_CELL
 from twc_env.slam.scans.cell_kinds import WALL as WALL_CELL
 from twc_env.slam.scans.cell_kinds import kinds_of
 
-FREE, WALL, UNKNOWN, FRONTIER, PATH, MATES, SIGNS = range(7)
+FREE, WALL, UNKNOWN, FRONTIER, PATH, TEAMMATES, SIGNS = range(7)
 CHANNELS = 7
 _BYTE = np.dtype(np.uint8)
 OUTSIDE = np.uint32(2**32 - 1)
 """Instead of a pixel's index: the point lies outside the image."""
 OVERVIEW_CHANNELS = 4
-"""Free, wall, this robot, mates."""
+"""Free, wall, this robot, teammates."""
 
 
 def crop_around(grid: GridMap, pose_map_robot: Array, cells: int, cell_m: float) -> Array:
@@ -57,20 +57,20 @@ class BelievedMaps(NamedTuple):
 
 
 class MapViews(BindsAnew):
-    """Draws the egocentric map image of each robot, with its path, mates and signs."""
+    """Draws the egocentric map image of each robot, with its path, teammates and signs."""
 
-    def __init__(self, cells: int, cell_m: float, paths_odom: Array, path_counts: Array, mates: Array):
+    def __init__(self, cells: int, cell_m: float, paths_odom: Array, path_counts: Array, teammates: Array):
         """These arrays are read at each `draw`: paths_odom (robots, >= 2, k) ring buffers with the latest of
-        `path_counts` (robots,) positions in the odom frame; mates (robots, >= 2, m) positions in the robot frame. NaN
-        for none.
+        `path_counts` (robots,) positions in the odom frame; teammates (robots, >= 2, m) positions in the robot frame.
+        NaN for none.
         """
         self._shape = len(paths_odom), CHANNELS, cells, cells
-        self._kept = paths_odom, path_counts, mates, float(cell_m)
+        self._kept = paths_odom, path_counts, teammates, float(cell_m)
         self._run: Callable[..., None] | None = None
         """`_crop_and_mark` bound to these and to scratch arrays."""
 
     def draw(self, maps: BelievedMaps, poses: Array) -> Array:
-        """(robots, 7, cells, cells) uint8: `crop_around` of each robot, and its path, mates and signs.
+        """(robots, 7, cells, cells) uint8: `crop_around` of each robot, and its path, teammates and signs.
 
         poses (robots, 3, 3): pose in the map frame, its standard deviation, pose in the odom frame.
         """
@@ -229,12 +229,12 @@ def _crop(kinds, x, y, heading, inverse_m, cell_m, room, out):
 
 @borrowing_kernel
 def _crop_and_mark(kept, kinds, places, signs, poses, out):
-    """Fill all channels of all robots: map, path, mates and signs."""
-    paths, path_counts, mates, cell_m, levels, firsts, scratch, numbers = parts_of(kept)
+    """Fill all channels of all robots: map, path, teammates and signs."""
+    paths, path_counts, teammates, cell_m, levels, firsts, scratch, numbers = parts_of(kept)
     inverse_m, room = 1.0 / cell_m, (levels, firsts, scratch, numbers)
     for i in range(len(kinds)):
         here, odom, place = poses[i, 0], poses[i, 2], places[i]
         _crop(kinds[i], here[0] - place[0], here[1] - place[1], here[2], place[2], cell_m, room, out[i])
         _mark(out[i, 4], paths[i], path_counts[i], odom[0], odom[1], odom[2], inverse_m, numbers)
-        _mark(out[i, 5], mates[i], mates.shape[2], 0.0, 0.0, 0.0, inverse_m, numbers)
+        _mark(out[i, 5], teammates[i], teammates.shape[2], 0.0, 0.0, 0.0, inverse_m, numbers)
         _mark(out[i, 6], signs[i], signs[i].shape[1], here[0], here[1], here[2], inverse_m, numbers)

@@ -13,13 +13,13 @@ from twc_env.exploration.observation import map_view
 
 POSE_LIMITS = np.array([1000.0, 1000.0, 1.0, 1.0, 100.0, 100.0, math.pi, 10_000.0], np.float32)
 POSE_LOWEST = POSE_LIMITS * np.array([-1, -1, -1, -1, 0, 0, 0, 0], np.float32)
-EXTRA_CHOICES = ("sign", "mate", "stay")
+EXTRA_CHOICES = ("sign", "teammate", "stay")
 """Choices that follow the frontiers in the action space, in this order."""
 
 
 def block_spaces(config: EnvConfig) -> dict[str, spaces.Space]:
     """Spaces of the blocks that the config enables, in the order of the observation."""
-    shape, mates = config.observation, max(config.robots - 1, 1)
+    shape, teammates = config.observation, max(config.robots - 1, 1)
     chooses = config.action.kind == "frontier"
     slots = config.action.frontier_slots
     blocks: dict[str, spaces.Space] = {
@@ -31,7 +31,7 @@ def block_spaces(config: EnvConfig) -> dict[str, spaces.Space]:
         "pose": spaces.Box(POSE_LOWEST, POSE_LIMITS, dtype=np.float32),
         "wifi": spaces.Box(0.0, 1.0, (shape.wifi_slots,), np.float32),
         "signs": spaces.Box(-1.0, 1.0, (shape.sign_slots, 5), np.float32),
-        "team": spaces.Box(-1.0, 1.0, (mates, 5), np.float32),
+        "team": spaces.Box(-1.0, 1.0, (teammates, 5), np.float32),
         "frontiers": spaces.Box(-1.0, 1.0, (slots, 6), np.float32),
     }
     wanted = {

@@ -39,10 +39,10 @@ class ObservationBuilder:
         self._robots = range(robots)
         self._blank: dict[str, Any] = dict.fromkeys(self._names)
         self._signs = RecentSigns(robots, shape.sign_slots)
-        self._small = SmallBlocks(config, self._signs)
+        self._small = small = SmallBlocks(config, self._signs)
         self._map_cells, self._map_cell_m = shape.map_cells, shape.map_cell_m
         self._views = map_view.MapViews(
-            shape.map_cells, shape.map_cell_m, self._small.paths_odom, self._small.path_counts, self._small.mate_places
+            shape.map_cells, shape.map_cell_m, small.paths_odom, small.path_counts, small.teammate_places
         )
         self._seen_of: tuple[Sequence[GridMap] | None, list[Array]] = None, self._signs.places
         self._seen = map_view.BelievedMaps.of([], [])
@@ -67,7 +67,7 @@ class ObservationBuilder:
         rows = self._small.build()
         if names == _USUAL and not self._is_flat:
             return _usual(rows, self._maps())
-        # after the small blocks, which compute the mates' positions that the map shows
+        # after the small blocks, which compute the teammates' positions that the map shows
         blocks: list[tuple[str, Sequence[Array] | Array]] = [(name, make(self)) for name, make in self._makers]
         if "frontiers" in names:
             slots, lists = self._config.action.frontier_slots, candidates or [NOTHING] * len(beliefs)
@@ -116,7 +116,7 @@ class ObservationBuilder:
         out[:2] = picture
         if not picture.any():  # an empty map: this robot in its middle
             corner_m = belief.pose_map_robot[:2] - (cells // 2 + 0.5) * cell_m
-        for channel, pose in [(2, belief.pose_map_robot), *((3, pose) for pose in belief.mates.values())]:
+        for channel, pose in [(2, belief.pose_map_robot), *((3, pose) for pose in belief.teammates.values())]:
             column, row = (min(max(math.floor(v), 0), cells - 1) for v in (pose[:2] - corner_m) / cell_m)
             out[channel, row, column] = 255
         return out

@@ -37,15 +37,15 @@ class SmallBlocks:
 
     def __init__(self, config: EnvConfig, signs: RecentSigns):
         robots, shape = config.robots, config.observation
-        mates = max(robots - 1, 1)
+        teammates = max(robots - 1, 1)
         self.paths_odom = np.full((robots, 3, int(shape.path_m / PATH_SPACING_M) + 3), math.nan)
         """(robots, 3, k) rings of the latest places of each robot, and of how far each was from the one before; NaN for
         places further back along the path than `observation.path_m`."""
         self.path_counts = np.zeros(robots, np.int64)
-        self.mate_places = np.full((robots, 3, mates), math.nan)
-        """Pose, in the robot's frame, of each mate of the group, then NaN; as of the last `build`."""
+        self.teammate_places = np.full((robots, 3, teammates), math.nan)
+        """Pose, in the robot's frame, of each teammate of the group, then NaN; as of the last `build`."""
         self._shapes = (
-            (config.lidar.beam_count,), (len(POSE_LIMITS),), (shape.wifi_slots,), (shape.sign_slots, 5), (mates, 5),
+            (config.lidar.beam_count,), (len(POSE_LIMITS),), (shape.wifi_slots,), (shape.sign_slots, 5), (teammates, 5),
         )  # fmt: skip
         rule = (
             1.0 / config.lidar.range_max_m, float(shape.sign_memory_s), float(config.dynamics.time_step_s),
@@ -54,7 +54,7 @@ class SmallBlocks:
         path_tails = np.zeros((robots, 2))
         """(robots, 2) how many places are left behind, and how long the path is that is shown."""
         slots = slots_for(robots, shape.wifi_slots)
-        self._kept = self.path_counts, path_tails, self.paths_odom, *slots, signs.readings, self.mate_places, *rule
+        self._kept = self.path_counts, path_tails, self.paths_odom, *slots, signs.readings, self.teammate_places, *rule
         self._run: Callable[..., None] | None = None
         """`_fill_small` with what is kept."""
         self._robots = robots
@@ -93,7 +93,8 @@ class SmallBlocks:
         assert frames is not None
         now = (
             not self._is_taken_in, is_shown, first, frames.time_s, frames.step, *frames.scans, frames.ranges_m,
-            beliefs.poses, beliefs.since_closure_m, beliefs.contact_steps, beliefs.mates, beliefs.mate_poses, *blocks,
+            beliefs.poses, beliefs.since_closure_m, beliefs.contact_steps, beliefs.teammates, beliefs.teammate_poses,
+            *blocks,
         )  # fmt: skip
         if self._run is None:
             self._run = bound(_fill_small, Lent(self._kept), *now)
@@ -152,8 +153,8 @@ def _fill_signs(readings, now_s, memory_s, pose, rows):
 
 
 @borrowing_kernel
-def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, places, rows):
-    """The block `team`: how long ago the last contact with each mate was, and where those of the same map are.
+def _fill_team(robot, now, time_step_s, contact_steps, teammates, pose, teammate_poses, places, rows):
+    """The block `team`: how long ago the last contact with each teammate was, and where those of the same map are.
 
     Also these places in the robot's frame: (3, m), where they end NaN.
     """
@@ -166,13 +167,13 @@ def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, 
         if step != NOBODY:
             age_s = max(now - step, 0) * time_step_s
             rows[k, 4] = 1.0 if step < 0 else age_s / (age_s + HALF_AGE_S)
-        mate = mates[k]
-        if mate < 0:
+        teammate = teammates[k]
+        if teammate < 0:
             continue
-        dx, dy, turn = mate_poses[k, 0] - pose[0], mate_poses[k, 1] - pose[1], mate_poses[k, 2] - pose[2]
+        dx, dy, turn = teammate_poses[k, 0] - pose[0], teammate_poses[k, 1] - pose[1], teammate_poses[k, 2] - pose[2]
         ahead, left, turn = c * dx + s * dy, c * dy - s * dx, (turn + math.pi) % (2.0 * math.pi) - math.pi
         places[0, count], places[1, count], places[2, count] = ahead, left, turn
-        away, row = math.sqrt(ahead * ahead + left * left), rows[mate if mate < robot else mate - 1]
+        away, row = math.sqrt(ahead * ahead + left * left), rows[teammate if teammate < robot else teammate - 1]
         row[0], row[1] = 1.0, math.atan2(left, ahead) / math.pi
         row[2], row[3] = away / (away + HALF_WAY_M), turn / math.pi
         count += 1
@@ -183,15 +184,15 @@ def _fill_team(robot, now, time_step_s, contact_steps, mates, pose, mate_poses, 
 @borrowing_kernel
 def _fill_small(
     kept, is_new, is_shown, first, now_s, step, scan_robots, macs, rssi_dbm, heard_counts, ranges, poses, since_m,
-    contact_steps, mates, mate_poses, lidar, pose, wifi, signs, team,
+    contact_steps, teammates, teammate_poses, lidar, pose, wifi, signs, team,
 ):  # fmt: skip
     """Take in a step that `is_new`; if it `is_shown` fill the rows of all robots, from the first on, in each block, and
-    the places of mates.
+    the places of teammates.
 
-    poses (robots, 3, 3): in the map, its spread, in odom; contact_steps, mates, mate_poses as in `TeamBeliefs`.
+    poses (robots, 3, 3): in the map, its spread, in odom; contact_steps, teammates, teammate_poses as in `TeamBeliefs`.
     """
     (
-        path_counts, path_tails, paths, wifi_slots, levels, room, readings, mate_places, per_metre, memory_s,
+        path_counts, path_tails, paths, wifi_slots, levels, room, readings, teammate_places, per_metre, memory_s,
         time_step_s, path_m,
     ) = parts_of(kept)  # fmt: skip
     if is_new:
@@ -208,5 +209,6 @@ def _fill_small(
         _fill_pose(poses[i, 0], poses[i, 1], since_m[i], pose[row])
         _fill_signs(readings[i], now_s, memory_s, poses[i, 2], signs[row])
         _fill_team(
-            i, step, time_step_s, contact_steps[i], mates[i], poses[i, 0], mate_poses[i], mate_places[i], team[row]
-        )
+            i, step, time_step_s, contact_steps[i], teammates[i], poses[i, 0], teammate_poses[i], teammate_places[i],
+            team[row],
+        )  # fmt: skip

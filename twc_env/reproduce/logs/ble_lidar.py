@@ -89,10 +89,10 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 def _results(options: argparse.Namespace, runner: Runner) -> list[dict]:
     folder = data_folder() / "wifi" / "ble_lidar"
-    return runner.each(options.runs, lambda run: judge_drive(folder, run, options.frames))
+    return runner.each(options.runs, lambda run: evaluate_drive(folder, run, options.frames))
 
 
-def judge_drive(folder: Path, run: str, count: int) -> dict:
+def evaluate_drive(folder: Path, run: str, count: int) -> dict:
     """The rows of one drive, and the poses (frames, 3) of each method on the plan."""
     drive = read_ble_drive(folder, run, BEAMS, RANGE_MAX_M)
     frames, tracked_m = drive.frames[:count], drive.tracked_m[:count]

@@ -147,17 +147,17 @@ def _in_map(engine: CooperativeSlam, robot: int, poses_odom: Array) -> Array:
 def row(method: str, poses: Array, group: Array, relations: Relations, robots: int) -> dict:
     """Errors of poses (scans, 3), each in the frame of its group (scans,), at relations within a group."""
     translation_m, rotation_deg = relations.errors(poses)
-    judged = group[relations.first] == group[relations.second]
-    exact = judged & (relations.away_s < SAME_SCAN_S)
+    is_compared = group[relations.first] == group[relations.second]
+    exact = is_compared & (relations.away_s < SAME_SCAN_S)
     starts = [piece[0] for piece in np.array_split(np.arange(len(poses)), robots)]
     return {
         "method": method,
         "robots": robots,
-        "relations": int(judged.sum()),
-        "translation_error_m": float(translation_m[judged].mean()),
-        "rotation_error_deg": float(rotation_deg[judged].mean()),
-        "translation_median_m": float(np.median(translation_m[judged])),
-        "rotation_median_deg": float(np.median(rotation_deg[judged])),
+        "relations": int(is_compared.sum()),
+        "translation_error_m": float(translation_m[is_compared].mean()),
+        "rotation_error_deg": float(rotation_deg[is_compared].mean()),
+        "translation_median_m": float(np.median(translation_m[is_compared])),
+        "rotation_median_deg": float(np.median(rotation_deg[is_compared])),
         "relations_exact": int(exact.sum()),
         "translation_exact_m": float(translation_m[exact].mean()),
         "rotation_exact_deg": float(rotation_deg[exact].mean()),

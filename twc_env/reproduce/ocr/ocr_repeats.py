@@ -16,7 +16,7 @@ _DRAWN_PAIRS = 6
 def fit_correlation(table: dict, triples: list, seed: int) -> dict:
     """Correlated shares of errors, for lines and for letters, chosen so that sampled pairs agree like measured ones.
 
-    `triples` are (truth, height, angle, reading, reading nearby, reading from elsewhere). Lines are judged by the
+    `triples` are (truth, height, angle, reading, reading nearby, reading from elsewhere). Lines are evaluated by the
     correlation of exact readings, letters by how often two wrong readings are equal.
     """
     near, far = ([(t[0], t[3], t[k]) for t in triples] for k in (4, 5))

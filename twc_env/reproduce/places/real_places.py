@@ -39,7 +39,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per floor and method: {floor, trained_on, method, average_precision, recall_at_full_precision, sd}."""
     folder = data_folder() / "indoor20"
     floors = {name: read_floor(folder / part) for name, part in FLOORS.items()}
-    draws = runner.each(options.seeds, lambda seed: judge_draw(floors, seed), lambda seed: f"draw {seed}")
+    draws = runner.each(options.seeds, lambda seed: evaluate_draw(floors, seed), lambda seed: f"draw {seed}")
     table = []
     for floor, trained_on in (("F6", "B1"), ("B1", "F6")):
         for method in METHODS:
@@ -61,15 +61,15 @@ def remarks(table: list[dict]) -> list[str]:
         fused = rows_of.pop("fused")
         best = max(rows_of.values(), key=lambda row: row["average_precision"])
         margin, spread = fused["average_precision"] - best["average_precision"], max(fused["sd"], best["sd"])
-        verdict = "more" if margin > spread else "not more"
+        comparison = "more" if margin > spread else "not more"
         lines.append(
             f"{floor}: fused is {margin:+.3f} in average precision against {best['method']}, the best other; "
-            f"{verdict} than the larger spread of the two, {spread:.3f}"
+            f"{comparison} than the larger spread of the two, {spread:.3f}"
         )
     return lines
 
 
-def judge_draw(floors: dict[str, Floor], seed: int) -> dict[str, dict[str, dict[str, float]]]:
+def evaluate_draw(floors: dict[str, Floor], seed: int) -> dict[str, dict[str, dict[str, float]]]:
     """Evaluate each floor with parameters learned on the other: floor -> method -> figures."""
     cues = {name: Cues(draw_places(floor, seed)) for name, floor in floors.items()}
     learned = {name: learn(c) for name, c in cues.items()}

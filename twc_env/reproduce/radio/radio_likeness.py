@@ -27,7 +27,7 @@ from twc_env.reproduce.radio.radio_study import (
     extent,
     similarity_figures,
     spread_over,
-    thinned,
+    subsampled,
     with_settings,
 )
 
@@ -187,7 +187,7 @@ class _RobotFloor(Study):
         return spread_over(len(true.addresses), lambda k: similarity_figures(true, true.rssi_dbm[:, k], is_pair))
 
     def _survey(self, folder: Path, quick: bool) -> RadioSurvey:
-        return thinned(read_uw_floor(folder / "wifi" / "uw_floor" / "uw-floor.txt"), quick)
+        return subsampled(read_uw_floor(folder / "wifi" / "uw_floor" / "uw-floor.txt"), quick)
 
 
 ROBOT_FLOOR = _RobotFloor("wifi/uw_floor", "calibrated", "radio-indoor", _ROBOT_RECEIVER, _ROBOT_REASONS)

@@ -18,7 +18,7 @@ from twc_env.metrics.radio import detection_rates, fit_path_loss
 from twc_env.reproduce import radio_places as places
 from twc_env.reproduce.radio.radio_hearing import device_hearing, hearing, missed_share
 from twc_env.reproduce.radio.radio_rooms import surveyed_rooms
-from twc_env.reproduce.radio.radio_study import Figures, Spread, Study, extent, spread_over, thinned, with_settings
+from twc_env.reproduce.radio.radio_study import Figures, Spread, Study, extent, spread_over, subsampled, with_settings
 
 _DISTANCES_M = np.array([0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
 _NEAR_BY_M = 10.0
@@ -68,7 +68,7 @@ class _Office(Study):
 
     def _survey(self, folder: Path, quick: bool) -> RadioSurvey:
         true = read_sod(folder / "wifi" / "sod", self._building)
-        return thinned(true.of_transmitters(_is_heard_near_by(true)), quick)
+        return subsampled(true.of_transmitters(_is_heard_near_by(true)), quick)
 
 
 _OFFICE_REASONS = {

@@ -12,17 +12,17 @@ _SURE = 0.95
 
 def notes(table: Sequence[dict], studies: Sequence[Study], evidence: Mapping[str, Figures]) -> Iterator[str]:
     """Sentences about the rows; `evidence` are figures of each set for the reasons of its study."""
-    judged = [row for row in table if row["real"]]
+    real = [row for row in table if row["real"]]
     for role in ("calibrated", "reported"):
-        mine = [row for row in judged if row["role"] == role]
+        mine = [row for row in real if row["role"] == role]
         if mine:
             yield from _shares(role, mine)
-    levels = [abs(row["simulated"] - row["real"]) for row in judged if "[dBm]" in row["quantity"] and row["simulated"]]
+    levels = [abs(row["simulated"] - row["real"]) for row in real if "[dBm]" in row["quantity"] and row["simulated"]]
     if levels:
         yield f"levels in dBm count as near by the same rule; in decibels they differ by {max(levels):.1f} at most"
     for study in studies:
         reasons = {key: reason.format(**evidence[study.name]) for key, reason in study.reasons.items()}
-        for row in judged:
+        for row in real:
             if row["dataset"] == study.name and not _is_near(row):
                 ratio = "no figure" if row["simulated"] is None else f"x {row['simulated'] / row['real']:.2f}"
                 reason = _reason(reasons, row["quantity"])

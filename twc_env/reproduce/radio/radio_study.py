@@ -103,7 +103,7 @@ def with_settings(config: RadioConfig, changes: dict) -> RadioConfig:
     return from_dict({**values, **nested}, RadioConfig, "radio")
 
 
-def thinned(survey: RadioSurvey, quick: bool) -> RadioSurvey:
+def subsampled(survey: RadioSurvey, quick: bool) -> RadioSurvey:
     """The survey, with every tenth scan only if `quick`."""
     if not quick:
         return survey

@@ -17,7 +17,7 @@ from twc_env.datasets.surveys.fingerprints import RadioSurvey
 from twc_env.datasets.surveys.uji_library import read_uji_library
 from twc_env.metrics.radio import fit_path_loss, mean_rssi_by_walls, spread_at_points
 from twc_env.reproduce import radio_places as places
-from twc_env.reproduce.radio.radio_study import Figures, Spread, Study, extent, spread_over, thinned
+from twc_env.reproduce.radio.radio_study import Figures, Spread, Study, extent, spread_over, subsampled
 from twc_env.world.building.floorplan import Floorplan
 
 _WALLS_MAX = 2
@@ -131,7 +131,7 @@ class _Flat(Study):
 
     def _surveys(self, folder: Path, quick: bool) -> list[RadioSurvey]:
         read = [read_ble_run(folder / "wifi" / "ble_lidar", run) for run in self._drives]
-        return [thinned(survey.at_scans(np.isin(survey.walk, _OWN_WALKS)), quick) for survey in read]
+        return [subsampled(survey.at_scans(np.isin(survey.walk, _OWN_WALKS)), quick) for survey in read]
 
 
 _FLAT_REASONS = {

@@ -51,6 +51,6 @@ def _measured(cases: Cases, case: str, seed: int) -> dict:
     place, ap_share = cases[case]
     walk = record(place, "wifi", seed)
     if ap_share < 1.0:
-        walk = dataclasses.replace(walk, fingerprints=radio_walks.thinned(walk.fingerprints, ap_share, seed))
+        walk = dataclasses.replace(walk, fingerprints=radio_walks.subsampled(walk.fingerprints, ap_share, seed))
     heard = float(np.mean([len(f.macs) for f in walk.fingerprints]))
     return {"heard": heard, **{name: run(place, walk, seed).errors() for name, run in METHODS.items()}}

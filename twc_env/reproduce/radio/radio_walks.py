@@ -128,7 +128,7 @@ def scan_radio(plan: Floorplan, radio: RadioConfig, poses: Array, seed: int) -> 
     return tuple(prints)
 
 
-def thinned(fingerprints: Sequence[Fingerprint], share: float, seed: int) -> tuple[Fingerprint, ...]:
+def subsampled(fingerprints: Sequence[Fingerprint], share: float, seed: int) -> tuple[Fingerprint, ...]:
     """The fingerprints with only this share of the transmitters."""
     known = np.unique(np.concatenate([f.macs for f in fingerprints]))
     kept = known[random_stream(seed, "transmitters kept").random(len(known)) < share]

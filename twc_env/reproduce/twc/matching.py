@@ -133,7 +133,7 @@ def _tasks(
         return np.zeros(3) if found is None else refine(found.pose)
 
     def verify(recogniser: str, start: Array) -> Array:
-        verifier.forget()
+        verifier.clear()
         return verifier.verify(LoopCandidate((0, 0), (1, 0), start, recogniser), *paths).pose_target_source
 
     def pair_points(start: Array) -> Array:

@@ -1,10 +1,10 @@
 """Table I of TWC-SLAM: precision and recall of place recognition on twins of its two scenes.
 
-Robots walk scripted routes through all rooms; each pass by a sign is a sighting. All methods are evaluated on the same
-pairs of sightings of different robots. A pair is correct if it is the same physical sign and the sensors are at most 3
+Robots walk scripted routes through all rooms; each pass by a sign counts once. All methods are evaluated on the same
+pairs of passes of different robots. A pair is correct if it is the same physical sign and the sensors are at most 3
 m apart (papers.md T11; pairs of the same sign from further apart count neither way). `recall_absolute` is over all
 correct pairs; `recall_conditional` over those that pass the text threshold alone, which explains how the published
-recall of the combination can exceed that of text. `precision_best_match` counts one match per sighting and other robot;
+recall of the combination can exceed that of text. `precision_best_match` counts one match per pass and other robot;
 `precision_places` is WiFi alone at places along the way, as sampled in the paper. `_verified` columns are after scan
 matching of the pairs that pass a loose setting of the method: text, twc and fused provide the pose implied by the
 shared sign, WiFi and laser none.
@@ -30,7 +30,7 @@ from twc_env.config import EnvConfig, override
 from twc_env.reproduce.routes import Walk
 from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.reproduce.twc.published import PRINT, over_known
-from twc_env.reproduce.twc.sighting_scores import COMBINED, METHODS, RECALL_LEVELS, TEXT, WIFI, judge, judge_some
+from twc_env.reproduce.twc.sign_pass_scores import COMBINED, METHODS, RECALL_LEVELS, TEXT, WIFI, score_all, score_some
 from twc_env.reproduce.twc.twc_scenes import AS_DRAWN, DEPARTMENTS, add_scenes, scene_config, walk_scene
 from twc_env.slam.places.rssi_similarity import BY_DISTANCE, COSINES
 
@@ -55,27 +55,27 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per scene, method and thresholds, as means over the seeds."""
     return [
         _summary(scene, figures)
-        for scene, walks in _judged(options, runner).items()
-        for figures in zip(*(judged["figures"] for judged in walks), strict=True)
+        for scene, walks in _evaluated(options, runner).items()
+        for figures in zip(*(evaluated["figures"] for evaluated in walks), strict=True)
     ]
 
 
-def _judged(options: argparse.Namespace, runner: Runner) -> dict[str, list[dict]]:
+def _evaluated(options: argparse.Namespace, runner: Runner) -> dict[str, list[dict]]:
     return runner.grid(
-        options.scenes, options.seeds, lambda scene, seed: judge_scene(scene, seed, options.alternatives)
+        options.scenes, options.seeds, lambda scene, seed: evaluate_scene(scene, seed, options.alternatives)
     )
 
 
-def judge_scene(scene: str, seed: int, has_alternatives: bool = False) -> dict:
+def evaluate_scene(scene: str, seed: int, has_alternatives: bool = False) -> dict:
     """Figures per method and thresholds for one walk of all robots, and each method's precision-recall curves."""
     config = scene_config(scene)
     walks = walk_scene(config, scene, AS_DRAWN, seed)
-    judged = judge(config, walks)
+    evaluated = score_all(config, walks)
     like_print = walk_scene(config, scene, DEPARTMENTS, seed)
-    judged["figures"] += judge_some(config, like_print, DEPARTMENTS, ("text", "wifi", "twc", "fused"))
+    evaluated["figures"] += score_some(config, like_print, DEPARTMENTS, ("text", "wifi", "twc", "fused"))
     if has_alternatives:
-        judged["figures"] += _alternatives(scene, config, walks, seed)
-    return judged
+        evaluated["figures"] += _alternatives(scene, config, walks, seed)
+    return evaluated
 
 
 def _alternatives(scene: str, config: EnvConfig, walks: list[Walk], seed: int) -> list[dict]:
@@ -86,12 +86,12 @@ def _alternatives(scene: str, config: EnvConfig, walks: list[Walk], seed: int) -
     for mode in RSSI_MODES:
         if mode != config.slam.place_recognition.rssi_mode:
             changed = override(config, {"slam.place_recognition.rssi_mode": mode})
-            figures += judge_some(changed, walks, mode)
+            figures += score_some(changed, walks, mode)
     both = override(literal, {"slam.place_recognition.rssi_mode": "paper"})
     return [
         *figures,
-        *judge_some(literal, literal_walks, EQ7_AS_PRINTED),
-        *judge_some(both, literal_walks, AS_PRINTED),
+        *score_some(literal, literal_walks, EQ7_AS_PRINTED),
+        *score_some(both, literal_walks, AS_PRINTED),
     ]
 
 
@@ -218,12 +218,12 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
     curves = {
         scene: {
             method: {
-                when: np.mean([judged["curves"][method][when] for judged in walks], axis=0).tolist()
+                when: np.mean([evaluated["curves"][method][when] for evaluated in walks], axis=0).tolist()
                 for when in ("before", "after")
             }
             for method in METHODS
         }
-        for scene, walks in _judged(options, runner).items()
+        for scene, walks in _evaluated(options, runner).items()
     }
     path = folder / "twc-table1-curves.json"
     path.write_text(json.dumps({"recall": RECALL_LEVELS.tolist(), "precision": curves}, indent=2) + "\n")

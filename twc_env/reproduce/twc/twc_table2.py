@@ -90,13 +90,13 @@ def map_scene(scene: str, signs: str, seed: int) -> list[dict]:
     walks = walk_scene(scene_config(scene), scene, signs, seed)
     figures = []
     for method, backend, matched, built in maps_of(scene, walks):
-        figures.append({"method": method, "backend": backend, **_judge(scene, walks, matched, built)})
+        figures.append({"method": method, "backend": backend, **_score(scene, walks, matched, built)})
         if (method, backend) == ("text", LITERAL):
             for share, some in with_few_false(matched, seed):
                 few = build(walks, some, "plain")
-                figures.append({"method": method, "backend": f"{LITERAL} {share:g}", **_judge(scene, walks, some, few)})
+                figures.append({"method": method, "backend": f"{LITERAL} {share:g}", **_score(scene, walks, some, few)})
     live = map_live(scene, walks)
-    return [*figures, {"method": "fused", "backend": LIVE, **_judge(scene, walks, [], live)}]
+    return [*figures, {"method": "fused", "backend": LIVE, **_score(scene, walks, [], live)}]
 
 
 def maps_of(scene: str, walks: Sequence[Walk]) -> list[tuple[str, str, list[Matched], OfflineMap]]:
@@ -143,7 +143,7 @@ def map_live(scene: str, walks: Sequence[Walk]) -> OfflineMap:
     return OfflineMap(poses, tuple(groups), np.zeros(0, bool))
 
 
-def _judge(scene: str, walks: Sequence[Walk], matched: Sequence[Matched], built: OfflineMap) -> dict:
+def _score(scene: str, walks: Sequence[Walk], matched: Sequence[Matched], built: OfflineMap) -> dict:
     true = [np.array(walk.poses) for walk in walks]
     squares = []
     for group in built.groups:
@@ -215,11 +215,11 @@ def _why(table: Sequence[dict]) -> list[str]:
                 f"are correct; EPE {row['epe_m']:.2f} m, ATE {row['ate_m']:.2f} m"
             )
     for scene in dict.fromkeys(row["scene"] for row in table):
-        thinned = [r for r in table if r["scene"] == scene and r["backend"].startswith(f"{LITERAL} ")]
-        told = ", ".join(f"{r['epe_m']:.2f} m with {100 * r['closure_precision']:.0f} %" for r in thinned)
+        of_fewer = [r for r in table if r["scene"] == scene and r["backend"].startswith(f"{LITERAL} ")]
+        told = ", ".join(f"{r['epe_m']:.2f} m with {100 * r['closure_precision']:.0f} %" for r in of_fewer)
         literal = {r["method"]: r["epe_m"] for r in table if (r["scene"], r["backend"]) == (scene, LITERAL)}
         printed = sorted(PRINT[scene], key=PRINT[scene].__getitem__)
-        orders = [sorted(printed, key=(literal | {"text": row["epe_m"]}).__getitem__) for row in thinned]
+        orders = [sorted(printed, key=(literal | {"text": row["epe_m"]}).__getitem__) for row in of_fewer]
         shares = [f"{100 * share:g}" for share, order in zip(SHARES_RIGHT, orders, strict=True) if order == printed]
         met = f"with {', '.join(shares)} %" if shares else "with none of these"
         precision = PRINT_TABLE1[scene]["text"][-1][0]

@@ -84,7 +84,7 @@ def by_rules(walk: WalkReadings, cells: Cells, walls: Array) -> Mapped:
     settings = published.RuleSettings(equation_4="literal")
     classes, _ = published.map_by_rules(at, walls, focus, routers, cells.free.shape, settings)
     probability = np.where(classes == UNKNOWN, np.nan, (classes == WALL).astype(float))
-    return _judged(
+    return _scores(
         float(np.mean(walls == walk.walls[rows, focus])), classes, probability, truth_map(cells.free, cells.wall)
     )
 
@@ -98,7 +98,7 @@ def by_ours(walk: WalkReadings, cells: Cells, seed: int) -> Mapped:
     accuracy = float(np.mean(structure.walls[rows, focus] == walk.walls[rows, focus]))
     classes = on_grid(structure.grid.classes(), structure.grid.origin_m, cells, UNKNOWN)
     probability = on_grid(structure.grid.probability, structure.grid.origin_m, cells, np.nan)
-    return _judged(accuracy, classes, probability, truth_map(cells.free, cells.wall), structure)
+    return _scores(accuracy, classes, probability, truth_map(cells.free, cells.wall), structure)
 
 
 def at_coverage(made: Mapped, rays: Array, coverage: float) -> Mapped:
@@ -107,8 +107,8 @@ def at_coverage(made: Mapped, rays: Array, coverage: float) -> Mapped:
     IoU ignores unknown cells, which differ between methods; this allows a comparison at equal coverage. Equally certain
     cells are ordered by the number of rays (rows, columns) through them.
     """
-    doubt = 0.5 * (FREE_BELOW + WALL_ABOVE)
-    sureness = np.abs(np.nan_to_num(made.probability, nan=doubt) - doubt)
+    undecided = 0.5 * (FREE_BELOW + WALL_ABOVE)
+    sureness = np.abs(np.nan_to_num(made.probability, nan=undecided) - undecided)
     surest = np.lexsort((-rays.ravel(), -sureness.ravel()))
     surest = surest[made.classes.ravel()[surest] != UNKNOWN]
     is_scored = made.truth.ravel()[surest] != UNKNOWN
@@ -116,7 +116,7 @@ def at_coverage(made: Mapped, rays: Array, coverage: float) -> Mapped:
     classes = np.full(made.classes.shape, UNKNOWN, np.uint8)
     classes.flat[kept] = made.classes.flat[kept]
     probability = np.where(classes == UNKNOWN, np.nan, made.probability)
-    return _judged(made.k_accuracy, classes, probability, made.truth, made.structure)
+    return _scores(made.k_accuracy, classes, probability, made.truth, made.structure)
 
 
 def on_grid(values: Array, origin_m: Array, cells: Cells, outside) -> Array:
@@ -129,7 +129,7 @@ def on_grid(values: Array, origin_m: Array, cells: Cells, outside) -> Array:
     return placed
 
 
-def _judged(
+def _scores(
     accuracy: float, classes: Array, probability: Array, truth: Array, structure: Structure | None = None
 ) -> Mapped:
     told = np.isfinite(probability) & (truth != UNKNOWN)

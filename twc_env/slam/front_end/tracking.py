@@ -1,4 +1,4 @@
-"""Track all robots: odometry and gyro, removal of mates from the scan, scan matching, test for a new keyframe.
+"""Track all robots: odometry and gyro, removal of teammates from the scan, scan matching, test for a new keyframe.
 
 One compiled call processes all robots; their estimates are independent.
 """
@@ -31,17 +31,17 @@ from twc_env.slam.scans.teammate_detection import DISCS_MAX, mark_teammates
 
 @borrowing_kernel
 def _see(
-    robots, ranges, states, directions, opening, mate_radius, marked, discs, disc_counts, cells, lines, origins, rule,
+    robots, ranges, states, directions, opening, mask_radius, marked, discs, disc_counts, cells, lines, origins, rule,
     has_lidar, room, matched, information, is_matched, is_clear, explained,
 ):  # fmt: skip
-    """Mark lost beams and mates in the scans and match the rest to the fields, near the robots' states."""
+    """Mark lost beams and teammates in the scans and match the rest to the fields, near the robots' states."""
     (is_jump, jumps), (is_lost, bridged), for_match = room
     for a in range(robots.shape[0]):
         k = robots[a]
         scan, has_lost = ranges[a], False
         if opening > 1:
             scan, has_lost = bridged, bridge(ranges[a], rule[0], opening, is_lost, bridged)
-        disc_counts[k] = mark_teammates(scan, rule[0], mate_radius, directions, is_jump, jumps, marked[k], discs[k])
+        disc_counts[k] = mark_teammates(scan, rule[0], mask_radius, directions, is_jump, jumps, marked[k], discs[k])
         if has_lost:
             mark_lost(is_lost, marked[k])
         if has_lidar:
@@ -95,7 +95,7 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
     """A complete step with the compiled filters, including WiFi scans; returns whether any robot needs a new
     keyframe."""
     (
-        states, covariances, noise, believes_scans, directions, opening, mate_radius, marked, discs, disc_counts, cells,
+        states, covariances, noise, believes_scans, directions, opening, mask_radius, marked, discs, disc_counts, cells,
         lines, origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses, times, travels, steps,
         is_new, by_odometry, dts, matched, is_matched, is_clear, explained, before, kept_scans,
     ) = parts_of(apparatus)  # fmt: skip
@@ -108,7 +108,7 @@ def _track(apparatus, robots, ranges, odometry, turn_rates, now_s, poses, whose,
         if dts[a] > 0.0:
             predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise)
     _see(
-        robots, ranges, states, directions, opening, mate_radius, marked, discs, disc_counts, cells, lines, origins,
+        robots, ranges, states, directions, opening, mask_radius, marked, discs, disc_counts, cells, lines, origins,
         match_rule, has_lidar, room, matched, information, is_matched, is_clear, explained,
     )  # fmt: skip
     for a in range(robots.shape[0]):
@@ -143,10 +143,11 @@ class Tracker(BindsAnew):
         self.poses_odom = np.zeros((count, 3))
         """(n, 3) estimates after the latest frames; a new array after every update."""
         self.marked_m = np.zeros((count, beams))
-        """(n, beams) scans; beams on mates and beams that may be lost are negative: free up to there, but no wall."""
+        """(n, beams) scans; beams on teammates and beams that may be lost are negative: free up to there, but no
+        wall."""
         self.discs, self.disc_counts = np.zeros((count, DISCS_MAX, 4)), np.zeros(count, np.int64)
-        """A row (x [m], y [m], first beam, beams) for each mate in the last scan, centre in the robot frame; and their
-        number (n,)."""
+        """A row (x [m], y [m], first beam, beams) for each teammate in the last scan, centre in the robot frame; and
+        their number (n,)."""
         self.information = np.zeros((count, 3, 3))
         """(n, 3, 3) information of the latest matches; zeros if not matched."""
         self.keyframe_poses = np.full((count, 3), np.nan)
@@ -160,12 +161,12 @@ class Tracker(BindsAnew):
         self._has_been_alone = [False] * count
         """Whether each robot ever moved by odometry alone."""
         masks = rule.mask_teammates and config.robots > 1
-        mate_radius_m = robot_radius_m if masks else 0.0
+        mask_radius_m = robot_radius_m if masks else 0.0
         opening = opening_beams(beams, config.lidar.dropout_probability)
-        self._marking = (beam_directions(beams), opening, mate_radius_m, self.marked_m, self.discs, self.disc_counts)
-        for_mates = np.empty(beams, bool), np.empty(beams + 1, np.int64)
+        self._marking = (beam_directions(beams), opening, mask_radius_m, self.marked_m, self.discs, self.disc_counts)
+        for_teammates = np.empty(beams, bool), np.empty(beams + 1, np.int64)
         for_lost = np.zeros(beams, bool), np.empty(beams)
-        room = for_mates, for_lost, matching_room(beams)
+        room = for_teammates, for_lost, matching_room(beams)
         self._has_lidar = config.slam.cues.lidar
         self._matching = (fields.cells, fields.lines, fields.origins_m, fields.rule, self._has_lidar, room)
         self._run: Callable[..., bool] | None = None

@@ -75,13 +75,13 @@ class ClosureSearch:
             self._has_recent_closure(keyframe),
             self._has_recent_closure(keyframe, counts_loose=True),
         )
-        mates = self._maps.groups[self._maps.group_of[keyframe.robot]].robots
-        candidates = self._recogniser.propose(keyframe, mates if has_closure else ())
+        teammates = self._maps.groups[self._maps.group_of[keyframe.robot]].robots
+        candidates = self._recogniser.propose(keyframe, teammates if has_closure else ())
         new, candidates = (candidates, []) if self._drops_repetitions else ([], candidates)
         if self._signless is not None:
-            candidates += self._signless.propose(keyframe, mates if has_any_closure else ())
+            candidates += self._signless.propose(keyframe, teammates if has_any_closure else ())
         if self._meetings is not None:
-            candidates += self._meetings.propose(keyframe, mates)
+            candidates += self._meetings.propose(keyframe, teammates)
         near = None if has_any_closure else self._near_keyframe(keyframe)
         if near is not None:
             candidates.append(near)
@@ -126,20 +126,20 @@ class ClosureSearch:
             for last_m in (self._any_closure_m,) if closure.is_loose else (self._any_closure_m, self._closure_m):
                 last_m[key[0]] = max(last_m[key[0]], travel_m)
 
-    def forget_closures_of(self, robots: tuple[int, ...]) -> None:
+    def drop_closures_of(self, robots: tuple[int, ...]) -> None:
         """The closures of these robots no longer hold: search for others at once."""
         for robot in robots:
             self._closure_m[robot] = self._any_closure_m[robot] = -np.inf
 
-    def forget(self, _: Array) -> None:
-        """Drop forgotten keyframes from the recognisers, the filters and the queues."""
+    def sparsify(self, _: Array) -> None:
+        """Drop removed keyframes from the recognisers, the filters and the queues."""
         held = {keyframe.key for path in self._graph.keyframes for keyframe in path}
         for recogniser in (self._recogniser, self._signless, self._meetings):
             if recogniser is not None:
-                recogniser.forget(lambda keyframe: keyframe.key in held)
+                recogniser.sparsify(lambda keyframe: keyframe.key in held)
         latest_m = [path[-1].travel_m if path else 0.0 for path in self._graph.keyframes]
         for tried in self._filters.values():
-            tried.forget([travel_m - REPEAT_REACH_M for travel_m in latest_m])
+            tried.drop_before([travel_m - REPEAT_REACH_M for travel_m in latest_m])
         for queue in self._waiting.values():
             waiting = [c for c in queue if c.target in held and c.source in held]
             self.waiting_count += len(waiting) - len(queue)

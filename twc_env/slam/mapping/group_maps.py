@@ -157,7 +157,7 @@ class GroupMaps:
         for new_group in new_groups:
             self.redraw(self.group_of[new_group.robots[0]])
 
-    def forget(self, kept: Array) -> None:
+    def sparsify(self, kept: Array) -> None:
         """Keep the data of these nodes only; kept (k,): their former indices."""
         self._drawn, self._has_scan = only(self._drawn, kept), only(self._has_scan, kept)
         self._clear_caches()

@@ -1,8 +1,8 @@
 """Removal of redundant keyframes from a large map, so that its size is bounded by the building, not by time.
 
 As in the pruning of laser scans for lifelong mapping (Kretzschmar and Stachniss 2012), but by position: a keyframe is
-forgotten if the same robot has a kept one nearby in free line of sight, and if kept ones have read its signs often
-enough. Robots are thinned separately, so that a merge can still be undone.
+removed if the same robot has a kept one nearby in free line of sight, and if kept ones have read its signs often
+enough. Paths of robots are sparsified separately, so that a merge can still be undone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from twc_env.records.geometry import compose
 from twc_env.slam.mapping.team_graph import TeamGraph
 
 LATEST, CLOSURES_KEPT = 30, 12
-"""Never forgotten: this many latest keyframes of each robot, and the ends of this many first accepted closures between
+"""Never removed: this many latest keyframes of each robot, and the ends of this many first accepted closures between
 two robots that are not loose."""
 SAME_PLACE_M = 1.0
 """A keyframe this near makes another one redundant."""
@@ -82,7 +82,7 @@ def carriers_of(poses, scans, robots, may_go, sign_ends, sign_places):
 class KeyframeUser(Protocol):
     """A data structure that refers to keyframes by node index or key."""
 
-    def forget(self, kept: Array) -> None:
+    def sparsify(self, kept: Array) -> None:
         """Remove keyframes that the graph no longer holds; kept (k,): the former indices of its nodes."""
 
 
@@ -92,7 +92,7 @@ class KeyframeSparsification:
     def __init__(self, graph: TeamGraph, users: Sequence[KeyframeUser]):
         self._graph, self._users = graph, users
 
-    def forget(self, robots: tuple[int, ...], end: int) -> Array:
+    def sparsify(self, robots: tuple[int, ...], end: int) -> Array:
         """Remove the redundant nodes before index `end` in the map of these robots.
 
         Returns the kept nodes (k,) of all robots by their former indices.
@@ -106,9 +106,9 @@ class KeyframeSparsification:
         removed = np.flatnonzero(carriers >= 0)
         if not len(removed):
             return np.arange(self._graph.node_count)
-        kept = self._graph.forget(nodes[removed], nodes[carriers[removed]])
+        kept = self._graph.sparsify(nodes[removed], nodes[carriers[removed]])
         for user in self._users:
-            user.forget(kept)
+            user.sparsify(kept)
         return kept
 
     def _may_go(self, nodes: Array, end: int) -> Array:

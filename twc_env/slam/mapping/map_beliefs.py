@@ -26,13 +26,13 @@ class MapBeliefs(TeamBeliefs):
     __slots__ = ("_maps", "_ranges_m", "_steps")
 
     def __init__(
-        self, poses: Array, since_closure_m: Array, maps: HeldMaps, mates: Array, mate_poses: Array,
+        self, poses: Array, since_closure_m: Array, maps: HeldMaps, teammates: Array, teammate_poses: Array,
         contact_steps: Array, steps: Sequence[int], ranges_m: Sequence[Array] | Array,
     ):  # fmt: skip
         # Replaces the parent's constructor: this object is built in every step.
         self._records, self._maps, self._steps, self._ranges_m = None, maps, steps, ranges_m
         self.poses, self.since_closure_m, self.grids, self.signs = poses, since_closure_m, maps[0], maps[1]
-        self.mates, self.mate_poses, self.contact_steps = mates, mate_poses, contact_steps
+        self.teammates, self.teammate_poses, self.contact_steps = teammates, teammate_poses, contact_steps
 
     def _make(self) -> list[Belief]:
         beliefs, since_m, poses = [], self.since_closure_m.tolist(), read_only(self.poses)

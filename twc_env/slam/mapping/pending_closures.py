@@ -36,7 +36,7 @@ class WaitingClosures:
         held = self._between.get(pair)
         if not held:
             return ()
-        judged = [number for number, closure in held.items() if closure.status != "pending"]
-        for number in judged:
+        settled = [number for number, closure in held.items() if closure.status != "pending"]
+        for number in settled:
             del held[number]
         return held.values()

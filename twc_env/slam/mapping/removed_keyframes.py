@@ -1,4 +1,4 @@
-"""Poses of forgotten keyframes, so that a robot's complete trajectory stays available."""
+"""Poses of removed keyframes, so that a robot's complete trajectory stays available."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _ENTRY = np.dtype([("robot", "i4"), ("index", "i4"), ("step", "i4"), ("carrier",
 
 
 class RemovedKeyframes:
-    """Forgotten keyframes, each rigidly attached to a node that is kept, its carrier."""
+    """Removed keyframes, each rigidly attached to a node that is kept, its carrier."""
 
     def __init__(self) -> None:
         self._entries = np.zeros(0, _ENTRY)
@@ -21,7 +21,7 @@ class RemovedKeyframes:
         return len(self._entries)
 
     def add(self, keyframes: tuple[Array, Array, Array], nodes: Array, carrier_of: Array, poses: Array) -> None:
-        """Add forgotten keyframes: their robots, indices, steps and nodes (k,).
+        """Add removed keyframes: their robots, indices, steps and nodes (k,).
 
         carrier_of (nodes,): the kept node that carries each node, itself if it is kept; poses (nodes, 3).
         """

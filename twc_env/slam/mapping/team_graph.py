@@ -17,7 +17,7 @@ from twc_env.slam.mapping.pending_closures import WaitingClosures
 from twc_env.slam.mapping.removed_keyframes import RemovedKeyframes
 from twc_env.slam.places.sign_readings import SignReadings
 from twc_env.slam.pose_graph.graph_arrays import ODOMETRY, GraphArrays, subgraph_of
-from twc_env.slam.pose_graph.graph_sparsification import Edges, thinned
+from twc_env.slam.pose_graph.graph_sparsification import Edges, sparsified
 from twc_env.slam.pose_graph.keyframe_paths import path_position
 from twc_env.slam.pose_graph.odometry_only import OdometryOnlyMotions
 from twc_env.slam.pose_graph.solver import Graph
@@ -55,7 +55,7 @@ class TeamGraph(GraphArrays):
         self.waiting = WaitingClosures()
         self._nodes: list[MutableSequence[int]] = [array("q") for _ in range(robot_count)]
         """Node index of each of these keyframes."""
-        self._forgotten = RemovedKeyframes()
+        self._removed = RemovedKeyframes()
         self._odometry_only = OdometryOnlyMotions(robot_count)
         self._readings = SignReadings(robot_count)
         self._edge_of_closure: dict[int, int] = {}
@@ -68,16 +68,16 @@ class TeamGraph(GraphArrays):
     def poses_of(self, robot: int) -> Array:
         """(keyframes, 3) poses of one robot, including removed keyframes."""
         poses = self.poses[self.path_of(robot)]
-        if not len(self._forgotten):
+        if not len(self._removed):
             return poses
-        return self._forgotten.poses_among(robot, self._indices_of(robot), poses, self.poses)
+        return self._removed.poses_among(robot, self._indices_of(robot), poses, self.poses)
 
     def steps_of(self, robot: int) -> Array:
         """(keyframes,) step at which each was taken."""
         steps = self.step_of_node[self.path_of(robot)]
-        if not len(self._forgotten):
+        if not len(self._removed):
             return steps
-        return self._forgotten.steps_among(robot, self._indices_of(robot), steps)
+        return self._removed.steps_among(robot, self._indices_of(robot), steps)
 
     def _indices_of(self, robot: int) -> Array:
         """(k,) keyframe indices of a robot's held keyframes."""
@@ -86,7 +86,7 @@ class TeamGraph(GraphArrays):
     @property
     def arrived_count(self) -> int:
         """Number of keyframes ever added."""
-        return self.node_count + len(self._forgotten)
+        return self.node_count + len(self._removed)
 
     def latest_pose_of(self, robot: int) -> Array:
         """(3,) pose of the robot's newest keyframe."""
@@ -211,7 +211,7 @@ class TeamGraph(GraphArrays):
                 out.append(closure)
         return out
 
-    def forget(self, nodes: Array, carriers: Array) -> Array:
+    def sparsify(self, nodes: Array, carriers: Array) -> Array:
         """Remove keyframes (k,), each of which is from now on attached to another one (k,) that is held.
 
         Their closures are removed too, unless transferred to remaining nodes, and so are those that failed
@@ -222,9 +222,11 @@ class TeamGraph(GraphArrays):
         for robot in range(len(self.keyframes)):
             indices[self.path_of(robot)] = self._indices_of(robot)
         gone = self.robot_of_node[nodes], indices[nodes], self.step_of_node[nodes]
-        self._forgotten.add(gone, nodes, carrier_of, self.poses)
+        self._removed.add(gone, nodes, carrier_of, self.poses)
         is_gone = carrier_of != np.arange(self.node_count)
-        edges = thinned(Edges(self.ends, self.measured, self.information, self.closure_of_edge, self.is_used), is_gone)
+        edges = sparsified(
+            Edges(self.ends, self.measured, self.information, self.closure_of_edge, self.is_used), is_gone
+        )
         self._update_moved_closures(edges, indices)
         edges = edges.numbered(self._keep_closures(edges))
         for robot, path in enumerate(self.keyframes):
@@ -233,8 +235,8 @@ class TeamGraph(GraphArrays):
         poses, kept = self.poses, np.flatnonzero(~is_gone)
         number_of = self._keep(kept, edges.parts)
         self._nodes[:] = [array("q", self.path_of(robot).tolist()) for robot in range(len(self.keyframes))]
-        self._forgotten.renumber(number_of)
-        self._readings.forget(carrier_of, number_of, poses)
+        self._removed.renumber(number_of)
+        self._readings.sparsify(carrier_of, number_of, poses)
         self._odometry_only.clear()
         self.changes += 1
         return kept

@@ -83,7 +83,7 @@ def match_globally(
     if len(target_points) == 0 or len(source_points) == 0:
         return None
     fields, origin_m = score_fields(target_points)
-    chosen = thinned(source_points, points_max)
+    chosen = subsampled(source_points, points_max)
     headings = lattice_headings(chosen)
     if lays_walls_along:
         headings = headings_along_walls(headings, target_points, source_points)
@@ -97,7 +97,7 @@ def match_globally(
     return GlobalMatch(pose, score / (FULL * len(chosen)), int(evaluated))
 
 
-def thinned(points: Array, count_max: int = POINTS_MAX) -> Array:
+def subsampled(points: Array, count_max: int = POINTS_MAX) -> Array:
     """At most this many points, evenly spread over their order."""
     if len(points) <= count_max:
         return points

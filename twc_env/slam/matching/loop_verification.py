@@ -54,7 +54,7 @@ class LoopVerifier:
         self._walls = TargetWalls(size_m, lidar, variance_m2)
         self._drawn: tuple[int, int] | None = None
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         """Drop the cached walls of the last target."""
         self._drawn = None
 

@@ -67,10 +67,10 @@ def match_points(target: Array, source: Array, guess: Array) -> PointMatch:
         if gate_m == GATE_LAST_M and np.abs(between(before, pose)).max() < STOP:
             break
         gate_m = max(GATE_LAST_M, GATE_SHRINK * gate_m)
-    return _judged(tree, source, pose)
+    return _evaluated(tree, source, pose)
 
 
-def _judged(tree: cKDTree, source: Array, pose: Array) -> PointMatch:
+def _evaluated(tree: cKDTree, source: Array, pose: Array) -> PointMatch:
     """Evaluate the match at its final pose, over the pairs within the last gate."""
     away_m, _ = tree.query(transform_points(pose, source), distance_upper_bound=GATE_LAST_M)
     paired = np.isfinite(away_m)

@@ -19,7 +19,7 @@ from twc_env.slam.matching.closure_covariance import fill_closure_covariance
 from twc_env.slam.matching.line_matching import fill_information, refine_pose, share_near
 from twc_env.slam.matching.scan_matching import STOP_M, STOP_RAD, LineField
 from twc_env.slam.scans.teammate_detection import without_narrow
-from twc_env.slam.scans.wall_drawing import draw_scan, drawing_room, forget_walls
+from twc_env.slam.scans.wall_drawing import clear_walls, draw_scan, drawing_room
 
 FIELD_CELL_M = 0.2
 NEAR_WALL_M = 0.15
@@ -46,7 +46,7 @@ def _draw(walls, is_first, base, pose, ranges):
     """
     (cells, lines, origin, inverse_m, drawn, _), (directions, range_max, room, here, _), _ = parts_of(walls)
     if is_first:
-        forget_walls(cells, drawn)
+        clear_walls(cells, drawn)
     _relative(base, pose, here)
     return draw_scan(cells, lines, origin, inverse_m, here, directions, ranges, range_max, room, drawn)
 

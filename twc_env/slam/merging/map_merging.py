@@ -4,7 +4,7 @@ An inter-group closure measures the transform between two maps. One closure is n
 sign texts repeat. A merge needs several closures that agree on one transform, no walls of one map in the free space of
 the other, radio fingerprints as similar as the robots' own paths predict for one place, and signs that mostly read the
 same where the maps overlap (`signs_in_place`). Without any fingerprint, one sign must have a name read nowhere else.
-Where the robots saw each other often enough as a closure by a sign implies (`robot_sightings`), it alone is enough.
+Where the robots saw each other often enough as a closure by a sign implies (`mutual_observations`), it alone is enough.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class MergeProposal:
     agreeing: tuple[LoopClosure, ...] = ()
     """The inlier closures themselves, where the caller provides them."""
     is_proven: bool = False
-    """Whether mutual sightings of the robots prove it (`robot_sightings`), so that one closure is enough."""
+    """Whether mutual observations of the robots prove it (`mutual_observations`), so that one closure is enough."""
 
 
 def largest_agreement(
@@ -93,8 +93,9 @@ def agree_with(pose_a_b: Array, in_a: Array, sources: Array, config: MergingConf
     """(k,) bool: closures consistent with a hypothesis; in_a, sources (k, 3): poses of their keyframes of b, in the map
     of a by the closure itself, and in b.
 
-    Unlike `_heaviest_agreement` without DRIFT_PER_M: a hypothesis that sightings prove needs no further support, and a
-    closure that agrees only within the drift between two places is to be tried as a hypothesis of its own.
+    Unlike `_heaviest_agreement` without DRIFT_PER_M: a hypothesis that mutual observations prove needs no further
+    support, and a closure that agrees only within the drift between two places is to be tried as a hypothesis of its
+    own.
     """
     apart = compose(pose_a_b, sources) - in_a
     turned = np.abs(wrap_angle(apart[:, 2]))

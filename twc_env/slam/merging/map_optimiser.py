@@ -28,22 +28,22 @@ class MapOptimiser:
     """Optimises the subgraph of each group and redraws its map where poses changed."""
 
     def __init__(
-        self, config: PoseGraphConfig, graph: TeamGraph, maps: GroupMaps, judge: MergeTests,
-        radio: RadioConstraints | None, forgetting: KeyframeSparsification | None,
+        self, config: PoseGraphConfig, graph: TeamGraph, maps: GroupMaps, tests: MergeTests,
+        radio: RadioConstraints | None, sparsification: KeyframeSparsification | None,
     ):  # fmt: skip
-        """radio: radio constraints on whole paths; forgetting: thinning of large maps. None where not used.
+        """radio: radio constraints on whole paths; sparsification: of large maps. None where not used.
 
         Raises ConfigError if the config names a custom back end that does not exist.
         """
         if is_in_file(config.robust):
             OwnBackEnd(config)
-        self._config, self._graph, self._maps, self._judge = config, graph, maps, judge
-        self._radio, self._forgetting = radio, forgetting
+        self._config, self._graph, self._maps, self._tests = config, graph, maps, tests
+        self._radio, self._sparsification = radio, sparsification
         self._may_hold_poses = radio is None and config.robust == "ours"
         self.fixed_keyframes = FixedKeyframes()
         """Which keyframes of large maps are held fixed, and from what size on a map is large."""
-        self._unthinned: dict[tuple[int, ...], int] = {}
-        """Robots of large maps that are to be thinned -> the first node that must be kept."""
+        self._unsparsified: dict[tuple[int, ...], int] = {}
+        """Robots of large maps that are to be sparsified -> the first node that must be kept."""
         self._refused_before: dict[tuple[int, ...], int] = {}
         """Robots of a group -> number of rejected closures when all were last re-evaluated."""
         self._dirty: set[int] = set()
@@ -84,7 +84,7 @@ class MapOptimiser:
     def reset_fixed(self) -> None:
         """Robots started or stopped sharing a map: no keyframe is held fixed."""
         self.fixed_keyframes.reset()
-        self._unthinned.clear()
+        self._unsparsified.clear()
 
     def optimise(self, group: int, is_thorough: bool = False) -> None:
         """Optimise a group's map; of a large map only the part that may move, unless `is_thorough`."""
@@ -96,23 +96,23 @@ class MapOptimiser:
             return
         self._optimise_whole(group, is_thorough, is_last=is_thorough)
         self.fixed_keyframes.record_optimised(robots, count, is_whole=True)
-        end = self.fixed_keyframes.thinning_end(robots, count, arrived)
-        if self._forgetting is not None and not is_thorough and end > 0:
-            self._unthinned[robots] = end
+        end = self.fixed_keyframes.sparsification_end(robots, count, arrived)
+        if self._sparsification is not None and not is_thorough and end > 0:
+            self._unsparsified[robots] = end
 
     @property
     def may_remove(self) -> bool:
-        """Whether a large map was optimised as a whole and not thinned since."""
-        return len(self._unthinned) > 0
+        """Whether a large map was optimised as a whole and not sparsified since."""
+        return len(self._unsparsified) > 0
 
-    def forget(self) -> None:
-        """Thin one such map. Done in a separate step, because optimising and thinning both take long."""
-        if self._forgetting is None or not self._unthinned:
+    def sparsify(self) -> None:
+        """Sparsify one such map. Done in a separate step, because optimising and sparsifying both take long."""
+        if self._sparsification is None or not self._unsparsified:
             return
-        robots, end = self._unthinned.popitem()
-        kept = self._forgetting.forget(robots, end)
-        self._unthinned = {others: int(np.searchsorted(kept, first)) for others, first in self._unthinned.items()}
-        self.fixed_keyframes.record_thinned(robots, kept)
+        robots, end = self._unsparsified.popitem()
+        kept = self._sparsification.sparsify(robots, end)
+        self._unsparsified = {others: int(np.searchsorted(kept, first)) for others, first in self._unsparsified.items()}
+        self.fixed_keyframes.record_sparsified(robots, kept)
 
     def _optimise_latest(self, group: int, first: int) -> bool:
         """Optimise the nodes from `first` on, others held fixed; False if closures should be re-evaluated in the whole
@@ -142,7 +142,7 @@ class MapOptimiser:
         is_thorough |= self._is_refused_often(robots, refused)
         result = robust_backend.revise(
             self._graph.poses[nodes], graph, is_used, self._config, fixed, is_thorough and refused > 0,
-            lambda *answers: self._judge.may_replace(
+            lambda *answers: self._tests.may_replace(
                 robots, nodes, *[(self._graph.closures_of(edges[a.accepted]), a.poses) for a in answers]
             ),
         )  # fmt: skip

@@ -51,8 +51,8 @@ class Merge:
 class MergeReview:
     """Records the merges of one mapper and reports which are wrong, and why."""
 
-    def __init__(self, config: MergingConfig, graph: TeamGraph, maps: GroupMaps, judge: MergeTests):
-        self._rule, self._graph, self._maps, self._judge = config, graph, maps, judge
+    def __init__(self, config: MergingConfig, graph: TeamGraph, maps: GroupMaps, tests: MergeTests):
+        self._rule, self._graph, self._maps, self._tests = config, graph, maps, tests
         self.merges: list[Merge] = []
         self._next_step, self._refusals_seen = 0, 0
         """Step at which the first merge is due, and `TeamGraph.refusals` when `wrong` last found nothing."""
@@ -148,7 +148,7 @@ class MergeReview:
         if merge is self._latest(a + b) and self._is_strained(a + b):
             return "odometry would have to err by more than it does"
         rejected = self._graph.closures_between(a, b, "rejected")
-        rival = self._judge.proposal(rejected, a, len(supporters)) if is_news else None
+        rival = self._tests.proposal(rejected, a, len(supporters)) if is_news else None
         if rival is not None and self._is_better(rival, a, b, supporters):
             return f"{rival.support.sum()} closures agree on another place, {len(supporters)} on this one"
         return self._map_objection(a, b) if is_due else ""
@@ -165,18 +165,18 @@ class MergeReview:
     def _is_better(
         self, rival: MergeProposal, a: Sequence[int], b: Sequence[int], supporters: Sequence[LoopClosure]
     ) -> bool:
-        """Whether walls, radio and sightings allow the rival transform, and signs, or radio and walls, prefer it to the
-        present one."""
+        """Whether walls, radio and mutual observations allow the rival transform, and signs, or radio and walls, prefer
+        it to the present one."""
         grids, there = self._grids(a, b), rival.pose_a_b
-        heard = self._judge.radio_agrees(a, b, there) if self._rule.wifi_check else None
-        if heard is False or self._judge.walls_disagree(*grids, there):
+        heard = self._tests.radio_agrees(a, b, there) if self._rule.wifi_check else None
+        if heard is False or self._tests.walls_disagree(*grids, there):
             return False
-        if self._judge.sightings_contradict(a, b, there):
+        if self._tests.mutual_observations_contradict(a, b, there):
             return False
-        if rival.weight > self._judge.weight(supporters, a):
+        if rival.weight > self._tests.weight(supporters, a):
             return True
         return heard is True and (
-            self._judge.walls_disagree(*grids, IDENTITY) or not self._judge.radio_agrees(a, b, IDENTITY)
+            self._tests.walls_disagree(*grids, IDENTITY) or not self._tests.radio_agrees(a, b, IDENTITY)
         )
 
     def _map_objection(self, a: Sequence[int], b: Sequence[int]) -> str:
@@ -184,9 +184,9 @@ class MergeReview:
         share = wall_contradiction(*self._grids(a, b), IDENTITY)
         if share > self._rule.contradiction_max * WALLS_SLACK:
             return f"{share:.0%} of the walls of one lie in the free space of the other"
-        if self._rule.wifi_check and self._judge.radio_agrees(a, b, IDENTITY) is False:
+        if self._rule.wifi_check and self._tests.radio_agrees(a, b, IDENTITY) is False:
             return "places that it brings together sound different"
-        if self._judge.sightings_contradict(a, b, IDENTITY):
+        if self._tests.mutual_observations_contradict(a, b, IDENTITY):
             return "robots saw through the places where it puts others"
         return ""
 

@@ -27,7 +27,7 @@ DISAGREEING_WEIGHT = 2
 """With radio-only closures, more than `closures_min` must agree, plus this many for each that disagrees: along rows of
 shelves, scans also match one shelf further."""
 HYPOTHESES_MAX = 16
-"""Of the hypotheses of single closures, the latest so many are tested by sightings."""
+"""Of the hypotheses of single closures, the latest so many are tested by mutual observations."""
 SCANS_ALONE_MIN = 8
 """Where neither signs nor fingerprints are compared, places this many, `spread_min_m` apart, must agree: rooms and
 whole wings of a building look alike."""
@@ -45,12 +45,13 @@ class MergeTests:
         config: MergingConfig,
         graph: TeamGraph,
         spares_deaf: bool = False,
-        doubts_radio: bool = False,
-        sightings: MutualObservations | None = None,
+        is_strict: bool = False,
+        mutual_observations: MutualObservations | None = None,
     ):
-        """doubts_radio: radio-only closures are in use (`meets_by_wifi`), and a merge needs more of them."""
-        self._rule, self._graph, self._spares_deaf, self._doubts_sounds = config, graph, spares_deaf, doubts_radio
-        self._sightings = sightings
+        """is_strict: radio-only closures are in use (`meets_by_wifi`), and a merge needs more of them."""
+        self._rule, self._graph = config, graph
+        self._spares_deaf, self._is_strict = spares_deaf, is_strict
+        self._mutual_observations = mutual_observations
         self._heard = HeardPlaces()
         """Fingerprints of the nodes, added on demand."""
         self._read = SignsRead()
@@ -58,12 +59,12 @@ class MergeTests:
     def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int], others: int = 0) -> MergeProposal | None:
         """The merge hypothesis from closures between `a` and other robots: pose of the others' map in the map of `a`.
 
-        Loose closures are ignored: their two places may be metres apart. With `doubts_radio`, only closures by signs
+        Loose closures are ignored: their two places may be metres apart. With `is_strict`, only closures by signs
         are used unless enough of all closures agree; closures that disagree and the `others` accepted ones elsewhere
         raise that number.
         """
         closures = [c for c in closures if not c.is_loose]
-        by_signs = [c for c in closures if not _is_radio_only(c)] if self._doubts_sounds else closures
+        by_signs = [c for c in closures if not _is_radio_only(c)] if self._is_strict else closures
         count, count_min = len(closures), self._rule.closures_min
         if len(by_signs) < count and count - DISAGREEING_WEIGHT * others > count_min:
             found = self._agreement(closures, a)
@@ -78,16 +79,16 @@ class MergeTests:
         found = map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)
         return found and replace(found, agreeing=tuple(itertools.compress(closures, found.support)))
 
-    def sighted_proposal(
+    def observed_proposal(
         self, closures: Sequence[LoopClosure], a: Sequence[int], b: Sequence[int]
     ) -> MergeProposal | None:
-        """A merge hypothesis of few closures by signs, even of one, that mutual sightings of the robots prove.
+        """A merge hypothesis of few closures by signs, even of one, that mutual observations of the robots prove.
 
-        See `robot_sightings`. Of several proven hypotheses, the one by which the robots saw each other most often.
+        See `mutual_observations`. Of several proven hypotheses, the one by which the robots saw each other most often.
         Loose closures are ignored, and those by radio or scans alone: there are many more wrong ones among them.
         """
         closures = [c for c in closures if c.candidate.sign_m is not None and not c.is_loose]
-        if self._sightings is None or not self._sightings.are_known or not closures:
+        if self._mutual_observations is None or not self._mutual_observations.are_known or not closures:
             return None
         in_a, in_b, measured, signs, alike = self._as_a_to_b(closures, a)
         placed = compose(in_a, measured)
@@ -98,7 +99,7 @@ class MergeTests:
             pose_a_b = poses_a_b[np.flatnonzero(is_left)[-1]]
             support = map_merging.agree_with(pose_a_b, placed, in_b, self._rule)  # itself included
             is_left &= ~support
-            found = self._sightings.count(a, b, pose_a_b)
+            found = self._mutual_observations.count(a, b, pose_a_b)
             if found.prove and found.seen > seen_most:
                 best, seen_most = (pose_a_b, support), found.seen
         if best is None:
@@ -134,7 +135,7 @@ class MergeTests:
         if not closures:
             return 0, 0, 0
         *_, signs, alike = self._as_a_to_b(closures, a)
-        if self._doubts_sounds:
+        if self._is_strict:
             alike &= np.array([not _is_radio_only(c) for c in closures])
         return map_merging.weight_of(signs, alike, self._rule)
 
@@ -164,7 +165,7 @@ class MergeTests:
         """Whether radio confirms the merge; without radio comparison, sign names or enough distinct places must.
 
         Radio is not compared if switched off, or (`spares_deaf`) if one side never received anything. Then robots must
-        have seen each other as the merge implies (`robot_sightings`), or `names_agree` is required if texts were
+        have seen each other as the merge implies (`mutual_observations`), or `names_agree` is required if texts were
         compared, and SCANS_ALONE_MIN places if only scans were.
         """
         is_heard = self._rule.wifi_check and not (
@@ -172,7 +173,7 @@ class MergeTests:
         )
         if is_heard:
             return self.radio_agrees(a, b, proposal.pose_a_b) is True
-        if self._sightings is not None and self._sightings.count(a, b, proposal.pose_a_b).confirm:
+        if self._mutual_observations is not None and self._mutual_observations.count(a, b, proposal.pose_a_b).confirm:
             return True
         compared = [closure.candidate for closure in proposal.agreeing]
         if self._rule.spread_min_m > 0.0 and all(candidate.sign_m is None for candidate in compared):
@@ -201,8 +202,8 @@ class MergeTests:
             np.arange(len(nodes)) >= count_a,
         )
 
-    def forget(self, _: Array) -> None:
-        """Drop caches after keyframes were removed (`TeamGraph.forget`)."""
+    def sparsify(self, _: Array) -> None:
+        """Drop caches after keyframes were removed (`TeamGraph.sparsify`)."""
         self._heard = HeardPlaces()
         self._read.clear()
 
@@ -259,9 +260,9 @@ class MergeTests:
             if n
         ]
 
-    def sightings_contradict(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
-        """Whether robots saw through the places where the merge puts others at that time (`robot_sightings`)."""
-        return self._sightings is not None and self._sightings.count(a, b, pose_a_b).contradict
+    def mutual_observations_contradict(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
+        """Whether robots saw through the places where the merge puts others at that time (`mutual_observations`)."""
+        return self._mutual_observations is not None and self._mutual_observations.count(a, b, pose_a_b).contradict
 
     def walls_disagree(self, grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> bool:
         """Whether more than `contradiction_max` of one map's walls lie in free space of the other."""

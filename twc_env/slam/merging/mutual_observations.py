@@ -2,7 +2,7 @@
 
 All keyframes have the engine's step at which they were taken (`Keyframe.team_step`). A merge hypothesis therefore
 predicts, for each keyframe of one robot, where the robots of the other group stood at that step relative to its scan.
-If one stood within range, the scan must contain a robot-sized object there (`mate_detection` stores such beams as
+If one stood within range, the scan must contain a robot-sized object there (`teammate_detection` stores such beams as
 negative ranges). If instead the beams pass through the predicted place, the hypothesis is wrong; if robots are seen in
 many places as predicted, rooms that look alike cannot explain it, and the hypothesis of a single closure is enough for
 a merge. Needs robots that explore at the same time, and no identification of a robot.
@@ -42,7 +42,7 @@ PLACES_MIN, PLACE_APART_M = 5, 0.5
 stands still may be a pillar. Checked on training buildings 350 to 379, by hard settings and without WiFi."""
 
 
-class Sightings(NamedTuple):
+class ObservationCounts(NamedTuple):
     """Keyframes at whose step a robot of the other group should have been visible."""
 
     seen: int
@@ -140,7 +140,7 @@ def _count(scans, places, stood, radius):
 
 
 class MutualObservations:
-    """Counts the sightings that a merge hypothesis predicts, with the scans that this mapper has."""
+    """Counts the mutual observations that a merge hypothesis predicts, with the scans that this mapper has."""
 
     def __init__(self, config: EnvConfig, graph: TeamGraph, maps: GroupMaps):
         self._graph, self._maps, self._radius_m = graph, maps, config.dynamics.robot_radius_m
@@ -149,7 +149,7 @@ class MutualObservations:
         self.are_known = slam.merging.mutual_observations_check and slam.keyframe.mask_teammates and slam.cues.lidar
         """Whether robots are looked for in scans at all."""
 
-    def count(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> Sightings:
+    def count(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> ObservationCounts:
         """Between the robots of two groups, `pose_a_b` (3,) being the pose of b's frame in a's."""
         counted = np.zeros(3, np.int64)
         if self.are_known:
@@ -157,7 +157,7 @@ class MutualObservations:
                 for j in b:
                     for watcher, other in ((i, j), (j, i)):
                         counted += self._between(watcher, other, pose_a_b, watcher is j)
-        return Sightings(*counted.tolist())
+        return ObservationCounts(*counted.tolist())
 
     def _between(self, watcher: int, other: int, pose_a_b: Array, is_watcher_b: bool) -> tuple[int, int, int]:
         graph = self._graph

@@ -81,7 +81,7 @@ class DeviceOffsets:
         self.offset_db[a, b], self.offset_db[b, a] = offset_db, -offset_db
         return before == 0.0 and offset_db != 0.0
 
-    def forget(self, texts: Collection[str]) -> None:
+    def keep(self, texts: Collection[str]) -> None:
         """Drop the fingerprints of all texts but these."""
         kept = set(texts)
         self._heard = [{text: heard for text, heard in known.items() if text in kept} for known in self._heard]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.records.messages import Keyframe, LoopCandidate
 from twc_env.slam.places.place_evidence import PlaceMemory
-from twc_env.slam.places.sign_place import Sighting
+from twc_env.slam.places.sign_place import SignView
 
 
 class FusedRecogniser:
@@ -37,9 +37,9 @@ class FusedRecogniser:
                         best[candidate.target] = candidate
         return list(best.values())
 
-    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+    def sparsify(self, is_held: Callable[[Keyframe], bool]) -> None:
         """See `Recogniser`."""
-        self.memory.forget(is_held)
+        self.memory.sparsify(is_held)
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """Largest log-odds over pairs of signs of two keyframes that were proposed before; -inf without signs."""
@@ -50,7 +50,7 @@ class FusedRecogniser:
         is_own = earlier.robot == keyframe.robot
         return not is_own or keyframe.travel_m - earlier.travel_m >= self._config.revisit_travel_m
 
-    def _weigh(self, target: Sighting, source: Sighting) -> LoopCandidate | None:
+    def _weigh(self, target: SignView, source: SignView) -> LoopCandidate | None:
         total = self.memory.weigh(target, source).total
         guess = None if total < self._config.log_odds_min else self.memory.guess(target, source)
         if guess is None:

@@ -43,15 +43,15 @@ class MeetingRecogniser:
         self._refused: dict[tuple[int, int], tuple[int, float]] = {}
         """Pair of robots -> rejections in a row, and the sum of path lengths until which the pair is skipped [m]."""
 
-    def propose(self, keyframe: Keyframe, mates: Collection[int]) -> list[LoopCandidate]:
-        """Candidates between this keyframe and stored places of robots other than `mates`; stores the keyframe."""
+    def propose(self, keyframe: Keyframe, teammates: Collection[int]) -> list[LoopCandidate]:
+        """Candidates between this keyframe and stored places of robots other than `teammates`; stores the keyframe."""
         robot = keyframe.robot
         if keyframe.travel_m - self._last_m[robot] < STEP_M:
             return []
         self._last_m[robot] = keyframe.travel_m
         candidates: list[LoopCandidate] = []
         if keyframe.travel_m >= self._compared_from_m[robot]:
-            skipped = [other for other in self._robots if other in mates or self._rests(robot, other)]
+            skipped = [other for other in self._robots if other in teammates or self._rests(robot, other)]
             if len(skipped) < len(self._robots):
                 candidates = self._most_alike(keyframe, skipped)
                 self._compared_from_m[robot] = keyframe.travel_m + (0.0 if candidates else SILENT_STEP_M)
@@ -95,7 +95,7 @@ class MeetingRecogniser:
         count = min(self._refused.get((a, b), (0, 0.0))[0] + 1, RESTS_MAX)
         self._refused[a, b] = count, self._last_m[a] + self._last_m[b] + REST_M * 2 ** (count - 1)
 
-    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+    def sparsify(self, is_held: Callable[[Keyframe], bool]) -> None:
         """See `Recogniser`."""
         is_kept = np.array([is_held(keyframe) for keyframe in self._places], bool)
         if self._row_count:

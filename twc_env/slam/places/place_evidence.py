@@ -20,7 +20,7 @@ from twc_env.records.geometry import compose, inverse
 from twc_env.records.messages import Keyframe, SignObservation
 from twc_env.slam.places.radio_statistics import RadioStatistics, radio_difference_db
 from twc_env.slam.places.scan_descriptor import scan_agreement
-from twc_env.slam.places.sign_place import Sighting, SignPlace
+from twc_env.slam.places.sign_place import SignPlace, SignView
 from twc_env.slam.places.text_likelihood import log_text_likelihood, log_unknown_text
 from twc_env.slam.places.text_similarity import normalise
 
@@ -40,7 +40,7 @@ NEIGHBOUR_REACH_M = 8.0
 MEETING_M, MEETING_PER_M = 0.5, 0.06
 """Under a hypothesis, neighbouring signs nearer than this count as the same sign."""
 SEQUENCE_M, SEQUENCE_BESIDE_M = (2.0, 4.0, 6.0, 8.0), 2.0
-"""Keyframes at these path distances before and after a sighting are compared with the nearest ones of the other
+"""Keyframes at these path distances before and after a view are compared with the nearest ones of the other
 path."""
 SEQUENCE_END_M = 10.0
 """Maximum path distance of a keyframe that replaces a missing one at such a distance."""
@@ -92,7 +92,7 @@ class PlaceMemory:
         self._learn_radio(keyframe)
         return [self._add_reading(keyframe, sign) for sign in keyframe.signs]
 
-    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+    def sparsify(self, is_held: Callable[[Keyframe], bool]) -> None:
         """Remove keyframes that are no longer held, and signs without remaining views."""
         for places in self.signs.values():
             for place in places:
@@ -107,9 +107,9 @@ class PlaceMemory:
         for places in self.signs.values():
             places[:] = [place for place in places if place.views]
 
-    def place_of(self, sighting: Sighting) -> SignPlace | None:
+    def place_of(self, view: SignView) -> SignPlace | None:
         """The stored sign that this reading was assigned to."""
-        keyframe, sign = sighting
+        keyframe, sign = view
         known = self._place_of.get(keyframe.key, ())
         return min(known, key=lambda entry: math.dist(entry[0], sign.position_m), default=(None, None))[1]
 
@@ -159,7 +159,7 @@ class PlaceMemory:
 
     # --- weighing ---
 
-    def weigh(self, seen: Sighting, again: Sighting) -> Evidence:
+    def weigh(self, seen: SignView, again: SignView) -> Evidence:
         """The evidence that these two readings, both added before, are of one sign."""
         a, b, target, source = self.place_of(seen), self.place_of(again), seen[0], again[0]
         if a is None or b is None:
@@ -178,7 +178,7 @@ class PlaceMemory:
         total = text + radio + geometry + neighbours + sequence
         return Evidence(text, radio, geometry, neighbours, sequence, total)
 
-    def guess(self, seen: Sighting, again: Sighting) -> Array | None:
+    def guess(self, seen: SignView, again: SignView) -> Array | None:
         """(3,) pose of the second keyframe in the first one's frame if both readings are of one sign.
 
         Uses the consensus facing of each sign; None if a sign has no known wall behind it.
@@ -198,7 +198,7 @@ class PlaceMemory:
         floor = log_unknown_text(place.consensus)
         return [p for p, likely in zip(places, likelihood, strict=True) if likely > floor]
 
-    def best_view(self, views: Sequence[Sighting], keyframe: Keyframe) -> Sighting:
+    def best_view(self, views: Sequence[SignView], keyframe: Keyframe) -> SignView:
         """The view whose fingerprint is most similar to a keyframe's."""
         return max(views, key=lambda view: self._radio(view[0], keyframe))
 

@@ -36,7 +36,7 @@ class Recogniser(Protocol):
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """Similarity of two keyframes; larger is more similar. Its scale depends on the recogniser."""
 
-    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+    def sparsify(self, is_held: Callable[[Keyframe], bool]) -> None:
         """Remove all data of keyframes that are no longer held."""
 
 
@@ -75,7 +75,7 @@ class ProposalFilter:
         insort(tried, (a, b))
         return True
 
-    def forget(self, until_m: Sequence[float]) -> None:
+    def drop_before(self, until_m: Sequence[float]) -> None:
         """Remove candidates before these path lengths [m] of both robots, which no new one can come near."""
         for (a, b), tried in self._tried.items():
             tried[:] = [(x, y) for x, y in tried if x >= until_m[a] or y >= until_m[b]]

@@ -24,7 +24,7 @@ THROUGH_M = 0.4
 
 
 def describe(ranges_m: Array, range_max_m: float) -> Array:
-    """Ranges (beams,) -> (RINGS, sectors) with normalised sectors; beams marked as mates or without return are
+    """Ranges (beams,) -> (RINGS, sectors) with normalised sectors; beams marked as teammates or without return are
     skipped.
 
     There are SECTORS, or one for each beam of a scan with fewer: a beam-wise rotation would not shift gaps evenly.
@@ -71,10 +71,10 @@ def scan_agreement(
     Each share is of the points within the other scan's view, both directions together; (0, 0) without any.
     """
     pose = np.asarray(pose_target_source, float)
-    a = _judge(source_m, pose, target_m, range_max_m)
-    b = _judge(target_m, _inverse(pose), source_m, range_max_m)
-    judged = a[2] + b[2]
-    return ((a[0] + b[0]) / judged, (a[1] + b[1]) / judged) if judged else (0.0, 0.0)
+    a = _compare(source_m, pose, target_m, range_max_m)
+    b = _compare(target_m, _inverse(pose), source_m, range_max_m)
+    compared = a[2] + b[2]
+    return ((a[0] + b[0]) / compared, (a[1] + b[1]) / compared) if compared else (0.0, 0.0)
 
 
 @kernel
@@ -108,12 +108,12 @@ def _bin(ranges, range_max, descriptor):
 
 
 @kernel
-def _judge(points, pose, ranges, range_max):
+def _compare(points, pose, ranges, range_max):
     """Points of one scan, at pose in the frame of another: on its walls, seen through, and evaluated in total."""
     beams = ranges.shape[0]
     step = 2.0 * math.pi / points.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    met = crossed = judged = 0
+    met = crossed = compared = 0
     for i in range(points.shape[0]):
         far = points[i]
         if not 0.0 < far < range_max:
@@ -127,9 +127,9 @@ def _judge(points, pose, ranges, range_max):
         near, most = min(a, b), max(a, b)
         if r > most + AGREE_M or r >= range_max:  # occluded in the other scan
             continue
-        judged += 1
+        compared += 1
         if r < near - THROUGH_M:
             crossed += 1
         elif min(abs(r - near), abs(r - most)) <= AGREE_M or near < r < most:
             met += 1
-    return met, crossed, judged
+    return met, crossed, compared

@@ -17,7 +17,7 @@ SAME_SIGN_SIMILARITY = 0.6
 """Minimum similarity of a reading to one of the earlier readings of the same sign."""
 READINGS_MAX, VIEWS_MAX = 15, 6
 """Maximum number of texts and keyframes kept per sign."""
-Sighting = tuple[Keyframe, SignObservation]
+SignView = tuple[Keyframe, SignObservation]
 """A keyframe and one of its sign readings."""
 
 
@@ -32,7 +32,7 @@ class SignPlace:
     facing_odom: float = math.nan
     """Medoid of the facings of all readings; NaN if none is known."""
     texts: list[str] = field(default_factory=list)
-    views: list[Sighting] = field(default_factory=list)
+    views: list[SignView] = field(default_factory=list)
     """Keyframes that read it, spread over its passes, with their readings."""
     consensus: str = ""
     support: int = 1

@@ -102,7 +102,7 @@ def _places_of_signs(same_m, poses, readings, local, robots, text_count, texts, 
 
 @kernel
 def _not_repeated(readings, places, is_gone):
-    """(n,) bool: which readings at places (n, 2) are kept, see `SignReadings.forget`; is_gone (n,): of removed
+    """(n,) bool: which readings at places (n, 2) are kept, see `SignReadings.sparsify`; is_gone (n,): of removed
     nodes."""
     stays = np.empty(readings.shape[0], np.bool_)
     for k in range(readings.shape[0]):
@@ -158,8 +158,8 @@ class SignReadings(BindsAnew):
             self._count, is_news = self._add(*new)
             if is_news:
                 self.news[robot] += 1
-                for mate in group:
-                    self._known.pop(mate, None)
+                for teammate in group:
+                    self._known.pop(teammate, None)
             else:
                 self._passed.add(robot)
 
@@ -174,7 +174,7 @@ class SignReadings(BindsAnew):
         """End of a step: known signs are recomputed at most once per step."""
         self._passed.clear()
 
-    def forget(self, carrier_of: Array, number_of: Array, poses: Array) -> None:
+    def sparsify(self, carrier_of: Array, number_of: Array, poses: Array) -> None:
         """Remove readings of removed nodes, except the first of those that no remaining one repeats.
 
         A text read only once, at a removed node, is treated as a misreading, since correct texts were read there more

@@ -158,7 +158,7 @@ class SignTable(BindsAnew):
             self._places[: self._count].tolist(), self._travels_m[: self._count].tolist(), strict=True
         ):
             self._note_first(robot, text, travel_m)
-        self._devices.forget(texts)
+        self._devices.keep(texts)
 
     def _note_first(self, robot: int, text: int, travel_m: float) -> None:
         first_m = self._first_m.setdefault(text, {})

@@ -51,7 +51,7 @@ class PathPlaces:
         self._keys: list[Array] = []
         self._last_m: dict[int, float] = {}
 
-    def forget(self, is_held: Callable[[Keyframe], bool]) -> Array:
+    def sparsify(self, is_held: Callable[[Keyframe], bool]) -> Array:
         """See `Recogniser`; returns which places are kept (places,) bool."""
         is_kept = np.array([is_held(keyframe) for keyframe in self.keyframes], bool)
         kept = np.flatnonzero(is_kept).tolist()
@@ -137,9 +137,9 @@ class WifiRecogniser:
         self._table.append(keyframe, "", 0)
         return candidates
 
-    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+    def sparsify(self, is_held: Callable[[Keyframe], bool]) -> None:
         """See `Recogniser`."""
-        self._table.keep(self._places.forget(is_held), np.zeros(1, np.int64), ())
+        self._table.keep(self._places.sparsify(is_held), np.zeros(1, np.int64), ())
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """The smaller of the two similarities."""
@@ -184,9 +184,9 @@ class SignlessRecogniser:
         self._kept.clear()
         return candidates
 
-    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+    def sparsify(self, is_held: Callable[[Keyframe], bool]) -> None:
         """See `Recogniser`."""
-        self._wifi.forget(is_held)
+        self._wifi.sparsify(is_held)
         self._kept = [keyframe for keyframe in self._kept if is_held(keyframe)]
 
 
@@ -215,9 +215,9 @@ class ScanRecogniser:
         self._places.add(keyframe, descriptor)
         return candidates
 
-    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+    def sparsify(self, is_held: Callable[[Keyframe], bool]) -> None:
         """See `Recogniser`."""
-        self._places.forget(is_held)
+        self._places.sparsify(is_held)
 
     def score(self, target: Keyframe, source: Keyframe) -> float:
         """Similarity of the two scans at the best rotation."""

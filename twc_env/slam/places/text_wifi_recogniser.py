@@ -133,7 +133,7 @@ class TextWifiRecogniser:
         self._places.append((keyframe, sign))
         return self._table.append(keyframe, text, self._texts.number_of(text))
 
-    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+    def sparsify(self, is_held: Callable[[Keyframe], bool]) -> None:
         """See `Recogniser`."""
         is_kept = np.array([is_held(keyframe) for keyframe, _ in self._places], bool)
         self._places = [place for place, stays in zip(self._places, is_kept.tolist(), strict=True) if stays]

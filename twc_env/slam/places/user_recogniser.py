@@ -18,9 +18,12 @@ class OwnRecogniser:
 
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
         """Raises ConfigError if the class does not exist or lacks a method of `Recogniser`."""
-        remedy = "a place recogniser has what twc_env.slam.places.place_recognition.Recogniser names"
+        remedy = (
+            "a place recogniser has what twc_env.slam.places.place_recognition.Recogniser names "
+            "(sparsify was forget until version 0.1.0)"
+        )
         self._file = config.recogniser
-        self._own = class_in(self._file, ("name", "propose", "forget"), remedy)(config, range_max_m)
+        self._own = class_in(self._file, ("name", "propose", "sparsify"), remedy)(config, range_max_m)
         self.name: str = self._own.name
         self._known: dict[tuple[int, int], Keyframe] = {}
         """Keyframes passed to it that are still held, by robot and index."""
@@ -39,10 +42,10 @@ class OwnRecogniser:
         """See `Recogniser`."""
         return float(self._own.score(target, source))
 
-    def forget(self, is_held: Callable[[Keyframe], bool]) -> None:
+    def sparsify(self, is_held: Callable[[Keyframe], bool]) -> None:
         """See `Recogniser`."""
         self._known = {key: keyframe for key, keyframe in self._known.items() if is_held(keyframe)}
-        self._own.forget(is_held)
+        self._own.sparsify(is_held)
 
     def _checked(self, candidate: LoopCandidate, keyframe: Keyframe) -> LoopCandidate:
         guess, source = np.array(candidate.guess, float), keyframe.key

@@ -2,7 +2,7 @@
 
 In a known building, new data hardly moves the map. Older keyframes of a large map are held fixed until it has grown by
 a factor since it was last optimised as a whole; the amortised cost per keyframe is constant. After such an
-optimisation, keyframes without new information are removed (`forgetting`), so that the map stops growing.
+optimisation, keyframes without new information are removed (`keyframe_sparsification`), so that the map stops growing.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ GROWN = 1.25
 class FixedKeyframes:
     """Per group, the first keyframe (in order of arrival) that may move."""
 
-    def __init__(self, large_from: int = LARGE_FROM, movable: int = MOVABLE, forgets: bool = True) -> None:
-        """forgets: whether keyframes without new information are removed."""
-        self._large_from, self._movable, self._forgets = large_from, movable, forgets
+    def __init__(self, large_from: int = LARGE_FROM, movable: int = MOVABLE, sparsifies: bool = True) -> None:
+        """sparsifies: whether keyframes without new information are removed."""
+        self._large_from, self._movable, self._sparsifies = large_from, movable, sparsifies
         self._whole: dict[tuple[int, ...], int] = {}
         self._latest: dict[tuple[int, ...], int] = {}
         """Robots of a group -> keyframe count at its last whole optimisation, at its last optimisation ..."""
-        self._thinned: dict[tuple[int, ...], int] = {}
-        """... and after its last thinning."""
+        self._sparsified: dict[tuple[int, ...], int] = {}
+        """... and after its last sparsification."""
 
     def is_large(self, count: int) -> bool:
         """Whether a map to which this many keyframes were ever added is large."""
@@ -43,13 +43,13 @@ class FixedKeyframes:
             return 0
         return max(self._latest[robots] - self._movable, 0)
 
-    def thinning_end(self, robots: tuple[int, ...], count: int, arrived: int) -> int:
+    def sparsification_end(self, robots: tuple[int, ...], count: int, arrived: int) -> int:
         """End of the range of keyframes that may be removed after the map was optimised as a whole.
 
         0 if the map has not grown enough since keyframes were last removed.
         """
-        has_grown = count >= GROWN * self._thinned.get(robots, 0)
-        return count - self._movable if self._forgets and self.is_large(arrived) and has_grown else 0
+        has_grown = count >= GROWN * self._sparsified.get(robots, 0)
+        return count - self._movable if self._sparsifies and self.is_large(arrived) and has_grown else 0
 
     def record_optimised(self, robots: tuple[int, ...], count: int, is_whole: bool) -> None:
         """Record that the map of these robots was optimised at this keyframe count."""
@@ -57,17 +57,17 @@ class FixedKeyframes:
         if is_whole:
             self._whole[robots] = count
 
-    def record_thinned(self, robots: tuple[int, ...], kept: Array) -> None:
+    def record_sparsified(self, robots: tuple[int, ...], kept: Array) -> None:
         """Record that keyframes of these robots were removed; kept (k,) lists the remaining ones by their old
         numbers."""
-        self._whole, self._latest, self._thinned = (
+        self._whole, self._latest, self._sparsified = (
             {others: int(np.searchsorted(kept, count)) for others, count in counts.items()}
-            for counts in (self._whole, self._latest, self._thinned)
+            for counts in (self._whole, self._latest, self._sparsified)
         )
-        self._thinned[robots] = len(kept)
+        self._sparsified[robots] = len(kept)
 
     def reset(self) -> None:
         """Robots started or stopped sharing a map: no keyframe is fixed."""
         self._whole.clear()
         self._latest.clear()
-        self._thinned.clear()
+        self._sparsified.clear()

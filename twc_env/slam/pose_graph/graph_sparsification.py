@@ -209,7 +209,7 @@ def _select(order, own, pairs, ends, measured, covariances, counts):
     return stays
 
 
-def thinned(edges: Edges, is_gone: Array) -> Edges:
+def sparsified(edges: Edges, is_gone: Array) -> Edges:
     """The edges after removal of nodes, is_gone (nodes,) bool. Each robot's first and last node must be kept."""
     is_touched = is_gone[edges.ends].any(axis=1)
     is_odometry = edges.closure == ODOMETRY

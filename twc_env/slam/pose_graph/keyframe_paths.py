@@ -1,4 +1,4 @@
-"""Position of a keyframe on a robot's path, from which others may have been forgotten."""
+"""Position of a keyframe on a robot's path, from which others may have been removed."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Modes (`PoseGraphConfig.robust`): `plain` accepts all (TWC-SLAM), `dcs` and `cauchy` weight by residual, `gnc` anneals
 truncated least squares (Yang 2020), `pcm` keeps the largest pairwise consistent set (Mangelson 2018), `ours` grows the
-inlier set from the most certain closures (`closure_growth`); FILE.py:CLASS is a custom back end (docs/library.md).
+inlier set from the most certain closures (`consistent_set`); FILE.py:CLASS is a custom back end (docs/library.md).
 """
 
 from __future__ import annotations

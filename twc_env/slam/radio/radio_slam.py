@@ -47,7 +47,7 @@ ORDER_MIN, EVIDENCE_GAIN_MIN = 0.1, 0.5
 """Below this rank correlation of similarity and distance, readings carry no information. A path with this evidence gain
 over odometry is accepted (its weight in the final fit is 20 to 1); with less gain only if its rank correlation is
 higher than odometry's, since most pairs of places are far apart and dissimilar in any order."""
-JUDGES_MAX = 50_000
+RANKED_PAIRS_MAX = 50_000
 """Maximum number of pairs of places for the rank correlation."""
 POSITION_STD_MIN_M, HEADING_STD_MIN_RAD = 0.02, 0.005
 
@@ -221,7 +221,7 @@ class _Solver:
         """Mean rank correlation of proximity and similarity over pairs of places far apart along the path."""
         i, j = np.triu_indices(len(poses), 1)
         apart = np.flatnonzero(self._travel_m[j] - self._travel_m[i] > self._config.apart_m)
-        chosen = apart[:: max(1, len(apart) // JUDGES_MAX)]
+        chosen = apart[:: max(1, len(apart) // RANKED_PAIRS_MAX)]
         i, j = i[chosen], j[chosen]
         near = -np.linalg.norm(poses[i, :2] - poses[j, :2], axis=1)
         return float(np.mean([_rank_correlation(near, cue.similarity[i, j]) for cue in self._cues]))

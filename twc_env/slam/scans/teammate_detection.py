@@ -1,4 +1,4 @@
-"""Find beams that hit a team mate, so that they are neither matched nor mapped as walls.
+"""Find beams that hit a teammate, so that they are neither matched nor mapped as walls.
 
 Robots are discs of known radius. A run of neighbouring beams that is nearer than the readings on both sides and whose
 end points lie on such a disc is classified as a robot. At long range, where too few beams hit to test the shape, any
@@ -95,7 +95,8 @@ def unmark(scan, discs, pose, seen, following, travel, time):
     """Restore the beams (beams,) on discs (k, 4) that stayed in place long enough, seen from different places.
 
     discs: as written by `mark_teammates`; seen (MEMORY, 4): x, y in the odom frame, travel [m] and time [s] of the
-    first sighting, infinite where unused. `following` is the row to overwrite next (ring buffer); returns the next one.
+    first observation, infinite where unused. `following` is the row to overwrite next (ring buffer); returns the next
+    one.
     """
     beams = scan.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])

@@ -240,7 +240,7 @@ def draw_scans(cells, lines, origin, inverse_m, poses, directions, scans, range_
 
 
 @borrowing_kernel
-def forget_walls(cells, drawn):
+def clear_walls(cells, drawn):
     """Reset the drawn cells to no wall."""
     for row in range(drawn[1], drawn[3]):
         for column in range(drawn[0], drawn[2]):

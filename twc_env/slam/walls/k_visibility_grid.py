@@ -71,10 +71,10 @@ def cell_probabilities(
         _stamp(likely, ends, probability)
         seen |= beside | (likely > 0.0)
     else:
-        doubtful = np.zeros((rows, columns))
+        uncertain = np.zeros((rows, columns))
         _stamp(likely, ends[is_crossed], probability[is_crossed])
-        _stamp(doubtful, ends[~is_crossed], probability[~is_crossed])
-        seen &= swept | (doubtful <= likely)
+        _stamp(uncertain, ends[~is_crossed], probability[~is_crossed])
+        seen &= swept | (uncertain <= likely)
     value = np.clip(np.where(swept, 0.02, likely), 0.02, 0.98)
     return WallGrid(np.where(seen, value, np.nan), low, resolution_m, rays)
 

@@ -93,8 +93,9 @@ class Floorplan:
     """(3,) pose of the frame in which the plan was drawn; zero unless moved."""
     wall_materials: tuple[str, ...] = ()
     """(walls,) material names, "" if unknown; empty if all are unknown."""
-    thinned_from: Origin | None = None
-    """Of the whole building, if this plan is what `thinning.thinned` left of it. Neither in the digest nor in files."""
+    subsampled_from: Origin | None = None
+    """Of the whole building, if this plan is what `subsampling.subsampled` left of it. Neither in the digest nor in
+    files."""
     _cache: dict = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -134,11 +135,11 @@ class Floorplan:
     def origin(self) -> Origin:
         """Of the whole building where signs or access points were left out, otherwise of the plan itself.
 
-        A thinned plan that was given other access points is a building of its own.
+        A subsampled plan that was given other access points is a building of its own.
         """
         own = tuple(tuple(a.macs) for a in self.access_points)
-        if self.thinned_from is not None and set(own) <= set(self.thinned_from.macs):
-            return self.thinned_from
+        if self.subsampled_from is not None and set(own) <= set(self.subsampled_from.macs):
+            return self.subsampled_from
         return Origin(self.digest, own)
 
     @cached_property
@@ -205,7 +206,7 @@ def _transformed(plan: Floorplan, pose: Array, pose_building_home: Array) -> Flo
         interior_m=move(plan.interior_m),
         pose_building_home=pose_building_home,
         wall_materials=plan.wall_materials,
-        thinned_from=plan.thinned_from,
+        subsampled_from=plan.subsampled_from,
     )
 
 

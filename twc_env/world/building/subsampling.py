@@ -14,7 +14,7 @@ DUPLICATES = 4
 """Approximate number of signs per repeated text."""
 
 
-def thinned(plan: Floorplan, config: BuildingConfig) -> Floorplan:
+def subsampled(plan: Floorplan, config: BuildingConfig) -> Floorplan:
     """The plan with the shares of signs and access points in `config`; the plan itself for the default config.
 
     The choice depends on the plan only, so it is the same in all episodes. What is left keeps its properties, such as
@@ -28,7 +28,7 @@ def thinned(plan: Floorplan, config: BuildingConfig) -> Floorplan:
         home,
         signs=_signs(home, config, seed),
         access_points=_access_points(home, config, seed),
-        thinned_from=home.origin,
+        subsampled_from=home.origin,
     )
     return changed.moved(plan.pose_building_home) if plan.pose_building_home.any() else changed
 

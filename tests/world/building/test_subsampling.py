@@ -7,7 +7,7 @@ import pytest
 
 import twc_env
 from twc_env.config import BuildingConfig, EnvConfig, RadioConfig, override
-from twc_env.world.building.thinning import thinned
+from twc_env.world.building.subsampling import subsampled
 from twc_env.world.sensors.radio import RadioModel
 
 PLAN = twc_env.load_map("twin-02")
@@ -30,12 +30,12 @@ def closely_numbered():
 
 
 def test_the_default_config_changes_nothing():
-    assert thinned(PLAN, BuildingConfig()) is PLAN
+    assert subsampled(PLAN, BuildingConfig()) is PLAN
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_shares_of_signs_and_access_points_remain(share):
-    plan = thinned(PLAN, BuildingConfig(sign_share=share, access_point_share=share))
+    plan = subsampled(PLAN, BuildingConfig(sign_share=share, access_point_share=share))
     assert len(plan.signs) == round(share * len(PLAN.signs))
     assert len(plan.access_points) == round(share * len(PLAN.access_points))
     assert {s.text for s in plan.signs} <= {s.text for s in PLAN.signs}
@@ -43,7 +43,7 @@ def test_shares_of_signs_and_access_points_remain(share):
 
 
 def test_duplication_gives_many_signs_one_text_and_moves_none():
-    plan = thinned(PLAN, BuildingConfig(sign_duplication=1.0))
+    plan = subsampled(PLAN, BuildingConfig(sign_duplication=1.0))
     counts = Counter(s.text for s in plan.signs)
     assert min(counts.values()) >= 3
     assert len(counts) < 0.4 * len({s.text for s in PLAN.signs})
@@ -51,17 +51,17 @@ def test_duplication_gives_many_signs_one_text_and_moves_none():
         assert np.array_equal(sign.position_m, old.position_m)
 
 
-def test_thinning_depends_on_the_plan_only():
+def test_subsampling_depends_on_the_plan_only():
     config = BuildingConfig(sign_share=0.6, sign_duplication=0.5, access_point_share=0.5)
-    first, again = thinned(PLAN, config), thinned(PLAN, config)
-    moved = thinned(PLAN.moved(np.array([30.0, -4.0, 1.0])), config)
+    first, again = subsampled(PLAN, config), subsampled(PLAN, config)
+    moved = subsampled(PLAN.moved(np.array([30.0, -4.0, 1.0])), config)
     assert first.digest == again.digest == moved.digest
     assert [s.text for s in first.signs] == [s.text for s in moved.signs]
 
 
 @pytest.mark.parametrize("dial", ["sign_share", "sign_duplication"])
 def test_dials_of_signs_change_nothing_of_the_radio(dial):
-    plan = thinned(PLAN, BuildingConfig(**{dial: 0.5}))
+    plan = subsampled(PLAN, BuildingConfig(**{dial: 0.5}))
     assert plan.digest != PLAN.digest and plan.origin == PLAN.origin
     whole, left = RadioModel(RADIO, PLAN), RadioModel(RADIO, plan)
     assert np.array_equal(left.macs, whole.macs) and np.array_equal(left.sweep_place, whole.sweep_place)
@@ -75,7 +75,7 @@ def test_dials_of_signs_change_nothing_of_the_radio(dial):
 def test_access_points_that_stay_and_cells_keep_their_properties(share, pose, wifi):
     radio, plan = replace(RADIO, wifi=wifi), closely_numbered()
     whole = RadioModel(radio, plan)
-    kept = thinned(plan.moved(np.array(pose)), BuildingConfig(access_point_share=share))
+    kept = subsampled(plan.moved(np.array(pose)), BuildingConfig(access_point_share=share))
     left = RadioModel(radio, kept.home)
     at = np.searchsorted(whole.macs, left.macs)
     assert np.array_equal(whole.macs[at], left.macs), "other addresses"
@@ -87,21 +87,21 @@ def test_access_points_that_stay_and_cells_keep_their_properties(share, pose, wi
 
 
 def test_what_is_left_knows_its_origin_wherever_it_goes():
-    plan = thinned(PLAN, BuildingConfig(access_point_share=0.5))
+    plan = subsampled(PLAN, BuildingConfig(access_point_share=0.5))
     moved = plan.moved(np.array([3.0, 4.0, 1.0]))
     for each in (
         plan,
         moved,
         moved.home,
         pickle.loads(pickle.dumps(moved)),
-        thinned(plan, BuildingConfig(sign_share=0)),
+        subsampled(plan, BuildingConfig(sign_share=0)),
     ):
         assert each.origin == PLAN.origin
     assert PLAN.origin.digest == PLAN.digest
 
 
-def test_a_thinned_building_with_other_access_points_is_one_of_its_own():
-    plan = thinned(PLAN, BuildingConfig(access_point_share=0.5))
+def test_a_subsampled_building_with_other_access_points_is_one_of_its_own():
+    plan = subsampled(PLAN, BuildingConfig(access_point_share=0.5))
     other = replace(plan, access_points=(replace(plan.access_points[0], macs=(1, 2)), *plan.access_points[1:]))
     assert other.origin.digest == other.digest
     assert RadioModel(RadioConfig(), other).macs[:2].tolist() == [1, 2]
@@ -119,7 +119,7 @@ def test_robots_hear_the_same_where_signs_are_missing():
     assert scans[0] == scans[1] and len(scans[0]) > 4
 
 
-def test_the_environment_uses_the_thinned_building():
+def test_the_environment_uses_the_subsampled_building():
     env = twc_env.parallel_env(map="twin-02", config={"building.sign_share": 0.5, "building.access_point_share": 0.0})
     observations, _ = env.reset(seed=0)
     assert len(env.floorplan.signs) == round(0.5 * len(PLAN.signs))

@@ -1,4 +1,4 @@
-"""Evaluation of the methods of TWC-SLAM's Table I on all pairs of sightings of some walks.
+"""Evaluation of the methods of TWC-SLAM's Table I on all pairs of passes of some walks.
 
 Pairs and ground truth are the same for all methods: see `twc_table1`.
 """
@@ -24,7 +24,7 @@ from twc_env.reproduce.places.place_pairs import (
     precision_recall_curve,
 )
 from twc_env.reproduce.places.place_pairs import recall_at_full_precision as full_recall
-from twc_env.reproduce.routes import Sighting, Walk
+from twc_env.reproduce.routes import SignPass, Walk
 from twc_env.slam.matching.loop_verification import LoopVerifier
 from twc_env.slam.places.fused_recogniser import FusedRecogniser
 from twc_env.slam.places.place_cues import similarities
@@ -45,11 +45,11 @@ RECALL_LEVELS = np.linspace(0.025, 1.0, 40)
 """Curves hold the best precision of any threshold with at least this recall."""
 
 
-def judge(config: EnvConfig, walks: list[Walk]) -> dict:
-    """Evaluate all methods on all pairs of sightings of these walks: figures per threshold, curves per method."""
-    sightings = [(robot, sighting) for robot, w in enumerate(walks) for sighting in w.sightings]
-    pairs = _sighting_pairs(sightings)
-    views = [sighting.keyframe for _, sighting in sightings]
+def score_all(config: EnvConfig, walks: list[Walk]) -> dict:
+    """Evaluate all methods on all pairs of passes of these walks: figures per threshold, curves per method."""
+    sign_passes = [(robot, sign_pass) for robot, w in enumerate(walks) for sign_pass in w.sign_passes]
+    pairs = _pass_pairs(sign_passes)
+    views = [sign_pass.keyframe for _, sign_pass in sign_passes]
     cues, scores = _threshold_scores(config, pairs, views)
     scans = ScanRecogniser(config.slam.place_recognition, config.lidar.range_max_m)
     scores["lidar"] = np.array(
@@ -112,10 +112,10 @@ def _curve(score: Array, is_same: Array) -> list[float]:
     return [float(precision[recall >= level - 1e-9].max(initial=0.0)) for level in RECALL_LEVELS]
 
 
-def judge_some(config: EnvConfig, walks: list[Walk], name: str, methods: Sequence[str] = ("wifi", "twc")) -> list[dict]:
+def score_some(config: EnvConfig, walks: list[Walk], name: str, methods: Sequence[str] = ("wifi", "twc")) -> list[dict]:
     """Figures of some methods before scan matching; `name` is appended to the name of each."""
-    sightings = [(robot, sighting) for robot, w in enumerate(walks) for sighting in w.sightings]
-    pairs, views = _sighting_pairs(sightings), [sighting.keyframe for _, sighting in sightings]
+    sign_passes = [(robot, sign_pass) for robot, w in enumerate(walks) for sign_pass in w.sign_passes]
+    pairs, views = _pass_pairs(sign_passes), [sign_pass.keyframe for _, sign_pass in sign_passes]
     cues, scores = _threshold_scores(config, pairs, views)
     if "fused" in methods:
         scores["fused"] = _fused_scores(fused_with_memory(config, walks), pairs, views)
@@ -168,10 +168,10 @@ def _accept(method, alpha, beta, gamma, scores, cues, config: EnvConfig) -> Arra
     return accepted
 
 
-def _sighting_pairs(sightings: list[tuple[int, Sighting]]) -> Pairs:
-    """Pairs of sightings of different robots, except those of the same sign from more than SAME_PLACE_M apart."""
+def _pass_pairs(sign_passes: list[tuple[int, SignPass]]) -> Pairs:
+    """Pairs of passes of different robots, except those of the same sign from more than SAME_PLACE_M apart."""
     entries = []
-    for (i, (a, first)), (j, (b, second)) in itertools.combinations(enumerate(sightings), 2):
+    for (i, (a, first)), (j, (b, second)) in itertools.combinations(enumerate(sign_passes), 2):
         if a == b:
             continue
         is_sign = first.sign == second.sign
