@@ -29,8 +29,8 @@ GAIN_MIN_M2 = 0.4
 """Less unseen floor than this is not worth a way."""
 SPACING_M = 1.0
 """Spacing of the candidate places."""
-BASE_M, HERE_M = 2.0, 1.0
-"""Added to the way, so that a near place with little to see is not preferred; nearer ones are where the robot is."""
+DECAY_PER_M, HERE_M = 0.2, 1.0
+"""A place is worth exp(-decay way) of what is gained there, as in `information-gain`; nearer ones are where it is."""
 READ_M = 3.0
 """A robot has read the signs that it came this near to."""
 SIGNS_NEEDED, CONTACT_M = 3, 5.0
@@ -91,7 +91,7 @@ class Informed(Explorer):
         worth = self._worth_m2(agent, beliefs)
         if not worth.any():  # all floor was in view, but some of it is missing in the map
             worth = self._missing_m2(agent)
-        worth = np.where(lengths_m[1:] < HERE_M, 0.0, worth / (lengths_m[1:] + BASE_M))
+        worth = np.where(lengths_m[1:] < HERE_M, 0.0, worth * np.exp(-DECAY_PER_M * lengths_m[1:]))
         for place in self.banned(self.robots[agent], beliefs[agent], {}):
             worth[np.hypot(*(self._places_m - place).T) < 2 * self.explorer.failed_radius_m] = 0.0
         best = int(np.argmax(worth))

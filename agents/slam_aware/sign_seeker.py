@@ -3,9 +3,10 @@
 Robots that share no map verify where they are to each other as in Fox, Ko, Konolige, Limketkai, Schulz and Stewart
 ("Distributed multirobot exploration and mapping", Proc. IEEE 94(7), 2006): a hypothesis about the relative pose is
 tested by going where it predicts something. Here a hypothesis is what pending loop closures say
-(`Belief.hypotheses`), and what it predicts are the signs that the other group has read. While there is none, the robot
-prefers frontiers where the access points are heard as the other group heard them: its floor is near there. All else is
-MinPos.
+(`Belief.hypotheses`), and what it predicts are the signs that only the other group has read. All else is MinPos.
+
+Choosing frontiers by WiFi was tried and left out: preferring those where access points are heard as the other group
+heard them brought the last merge forward, but cost more floor than that was worth.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from twc_env.planning import Disc, Plan, Terrain
 from twc_env.records.messages import Belief
 
 from ..shared.frontier_team import Frontiers
-from ..shared.radio_memory import RadioMemory, apart_db
 from ..teams.minpos import MinPos
 
 SAME_SIGN_M = 2.0
@@ -29,16 +29,10 @@ SEEN_M = 2.5
 """A predicted sign that a robot came this near to, and did not read, is given up."""
 WAY_MAX_M = 25.0
 """Hypotheses about signs further away than this wait."""
-METRES_PER_DB = 4.0
-"""Way to the floor of the other group per dB by which fingerprints differ."""
-DETOUR_MAX_M = 8.0
-"""Only frontiers that are this much further away than the nearest are chosen by radio: the robot explores on."""
-STAY_M = 5.0
-"""What the frontier to which the robot drives is worth, so that it does not turn back and forth."""
 
 
 class SignSeeker(MinPos):
-    """With `is_aware=False`, the same without hypotheses and fingerprints: MinPos."""
+    """With `is_aware=False`, the same without hypotheses: MinPos."""
 
     def __init__(self, config: EnvConfig, is_aware: bool = True):
         self._is_aware = is_aware
@@ -47,14 +41,7 @@ class SignSeeker(MinPos):
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Discard all state."""
         super().reset(seed, agents)
-        self._memory = RadioMemory(agents)
         self._in_vain: dict[str, list[tuple[tuple[int, int], Array]]] = {agent: [] for agent in agents}
-
-    def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
-        """One command per robot; replans where necessary."""
-        if self._is_aware and any(len(b.teammates) + 1 < len(self.robots) for b in beliefs.values()):
-            self._memory.note(beliefs)
-        return super().act(beliefs)
 
     def best_plan(
         self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
@@ -67,25 +54,13 @@ class SignSeeker(MinPos):
         return super().best_plan(agent, beliefs, terrain, discs)
 
     def choose(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> int | None:
-        """The frontier on the way to a predicted sign, or to where the other group's access points are heard."""
+        """The frontier on the way to a predicted sign, else that of MinPos."""
         if not self._is_aware:
             return super().choose(agent, beliefs, frontiers)
         for place in self._predicted_m(agent, beliefs):
             ways_m = frontiers.lengths_m + np.hypot(*(frontiers.places_m - place).T)
             if ways_m.min() <= WAY_MAX_M:
                 return int(np.argmin(ways_m))
-        others = [a for a, b in beliefs.items() if b.robot not in (beliefs[agent].robot, *beliefs[agent].teammates)]
-        theirs_dbm = self._memory.rssi_of_others_dbm(agent, others)
-        if len(theirs_dbm):
-            apart = apart_db(self._memory.rssi_dbm(agent), theirs_dbm)
-            heard_m = self._memory.places_m(agent, beliefs)
-            near = np.hypot(*np.moveaxis(frontiers.places_m[:, None] - heard_m, -1, 0)).argmin(axis=1)
-            ways_m = frontiers.lengths_m + METRES_PER_DB * apart[near]
-            current = self.current(agent, frontiers)
-            if current is not None:
-                ways_m[current] -= STAY_M
-            ways_m[frontiers.lengths_m > frontiers.lengths_m.min() + DETOUR_MAX_M] = np.inf
-            return int(np.argmin(ways_m))
         return super().choose(agent, beliefs, frontiers)
 
     def _predicted_m(self, agent: str, beliefs: dict[str, Belief]) -> list[Array]:

@@ -11,8 +11,10 @@ of teammates will show is not counted again.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
 from twc_env.planning import Disc, Plan, Terrain, ViewGain
@@ -35,6 +37,11 @@ class InformationGain(FrontierTeam):
         super().__init__(config)
         self._range_m = config.lidar.range_max_m
 
+    def reset(self, seed: int, agents: Sequence[str]) -> None:
+        """Discard all state."""
+        super().reset(seed, agents)
+        self._taken: dict[str, tuple[tuple[int, int], list[Array]]] = {}
+
     def best_plan(
         self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
     ) -> tuple[Plan | None, str]:
@@ -43,10 +50,12 @@ class InformationGain(FrontierTeam):
         frontiers = self.frontiers(agent, beliefs, terrain, discs)
         if not len(frontiers.labels):
             return self.patrol(agent, beliefs, terrain, discs)
+        seen_m = self._views_taken_m(agent, belief)
         views = ViewGain(terrain, self._range_m)
         for goal_m in self.heard_goals_m(agent, beliefs).values():
             views.claim(goal_m)
-        if robot.goal_kind in ("place", "frontier") and views.area_m2(robot.goal_m[None])[0] >= GAIN_MIN_M2:
+        is_new = all(math.dist(place, robot.goal_m) >= self.explorer.failed_radius_m for place in seen_m)
+        if is_new and robot.goal_kind in ("place", "frontier") and views.area_m2(robot.goal_m[None])[0] >= GAIN_MIN_M2:
             plan = self.plan_to_place(terrain, agent, robot.goal_m, discs, 0.2)
             if plan is not None:
                 return plan, robot.goal_kind
@@ -61,7 +70,7 @@ class InformationGain(FrontierTeam):
         count = len(rows) + len(cells)
         lengths_m, places_m = self.ways.nearest_of_labels(terrain, labels, count)
         candidates = np.flatnonzero(np.isfinite(lengths_m))
-        for place in self.banned(robot, belief, {}):
+        for place in [*self.banned(robot, belief, {}), *seen_m]:
             candidates = candidates[np.hypot(*(places_m[candidates] - place).T) >= self.explorer.failed_radius_m]
         gains_m2 = views.area_m2(places_m[candidates])
         worth = gains_m2 * np.exp(-DECAY_PER_M * lengths_m[candidates])
@@ -74,3 +83,13 @@ class InformationGain(FrontierTeam):
             terrain, robot.pose[:2], labels, np.where(np.arange(count + 1) == best, 0.0, math.inf), discs
         )
         return plan, ("place" if best <= len(rows) else "frontier") if plan is not None else ""
+
+    def _views_taken_m(self, agent: str, belief: Belief) -> list[Array]:
+        """Where the robot has gone for a view, in its present map: what it did not show there, it will not show."""
+        robot, map_id = self.robots[agent], (belief.map_version, len(belief.teammates))
+        if self._taken.get(agent, (map_id, []))[0] != map_id or agent not in self._taken:
+            self._taken[agent] = map_id, []
+        taken = self._taken[agent][1]
+        if math.dist(robot.goal_m, robot.pose[:2]) <= self.explorer.failed_radius_m:
+            taken.append(robot.goal_m.copy())
+        return taken

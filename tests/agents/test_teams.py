@@ -7,7 +7,6 @@ from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 
-import numpy as np
 import pytest
 from twc_env.agents import roster
 from twc_env.agents.explore import commanded, commanded_stuck_share
@@ -135,14 +134,3 @@ def test_the_documentation_lists_every_team_with_its_source():
 def test_every_team_is_in_its_module():
     for team in TEAMS.values():
         assert hasattr(import_module(f"twc_env.agents.{team.module}"), team.class_name)
-
-
-def test_radio_places_differ_more_the_further_apart_they_are():
-    from twc_env.agents.shared.radio_memory import UNHEARD_DBM, apart_db
-
-    here = np.array([[-40.0, -70.0, UNHEARD_DBM], [-70.0, -40.0, UNHEARD_DBM]])
-    there = np.array([[-45.0, -70.0, UNHEARD_DBM]])
-    near, far = apart_db(here, there)
-    assert near == pytest.approx(2.5)
-    assert far == pytest.approx(27.5)
-    assert np.isinf(apart_db(here, there[:0])).all()

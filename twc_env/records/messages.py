@@ -318,5 +318,3 @@ class Belief:
 
     hypotheses: tuple[MergeHypothesis, ...] = ()
     """The best supported one for each group with which this robot's map is not merged, if there is any."""
-    wifi: WifiScan | None = None
-    """The WiFi scan that the robot completed in this step, if any."""

@@ -117,8 +117,6 @@ class CooperativeSlam(CopiedWhole):
             [0] * robot_count, [np.zeros(0)] * robot_count
         )  # fmt: skip
         """Step and scan of the latest frame of each robot."""
-        self._frames: Sequence[SensorFrame] = ()
-        """The frames given last."""
         self._clocks = RobotClocks(config, robot_count)
         self._poses = np.zeros((robot_count, 3, 3))
         """As `TeamBeliefs.poses`."""
@@ -208,7 +206,6 @@ class CooperativeSlam(CopiedWhole):
             for frame, circle in zip(frames, circles, strict=True):
                 steps[frame.robot], ranges_m[frame.robot] = frame.step, circle
             self._latest_scans = steps, ranges_m
-        self._frames = frames
         keyframes = self._front_ends.update(frames, self._listening.last_step + 1)
         self.poses_odom = self._front_ends.poses_odom
         if self._radio is not None:
@@ -322,14 +319,8 @@ class CooperativeSlam(CopiedWhole):
         if not 0 <= robot < len(self.robots):
             raise TwcError(f"robots are 0 to {len(self.robots) - 1}; got {robot!r}")
         belief, mapper = self.beliefs()[robot], self.mapper_of(robot)
-        if isinstance(self._frames, TeamFrames):
-            wifi = self._frames.wifi[robot]
-        else:
-            wifi = next((frame.wifi for frame in self._frames if frame.robot == robot), None)
         hypotheses = mapper.hypotheses_of(mapper.group_index(robot)) if len(mapper.groups) > 1 else ()
-        if wifi is None and not hypotheses:
-            return belief
-        return dataclasses.replace(belief, wifi=wifi, hypotheses=hypotheses)
+        return dataclasses.replace(belief, hypotheses=hypotheses) if hypotheses else belief
 
     def beliefs(self) -> TeamBeliefs:
         """Current beliefs of all robots."""

@@ -55,17 +55,3 @@ def test_two_robots_hold_opposite_hypotheses_of_each_other(told):
     for mine, theirs in pairs:
         both = compose(mine.pose_map_other, theirs.pose_map_other)
         assert np.allclose(both, 0.0, atol=1e-6)
-
-
-def test_a_belief_holds_the_scan_of_this_step_and_none_without_the_cue():
-    for is_on in (True, False):
-        env = twc_env.parallel_env(map="twin-01", robots=2, max_cycles=6, config={"slam.cues.wifi": is_on})
-        env.reset(seed=0)
-        while env.agents:
-            for agent, frame in zip(env.agents, env.frames, strict=True):
-                heard = env.belief(agent).wifi
-                if is_on and frame.wifi is not None:
-                    assert np.array_equal(heard.macs, frame.wifi.macs)
-                else:
-                    assert heard is None or len(heard.macs) == 0
-            env.step({agent: np.zeros(2, np.float32) for agent in env.agents})
