@@ -112,8 +112,14 @@ def test_a_log_with_failed_robots_replays_exactly(tmp_path, topology, failed, be
     settings = [part for setting in failure for part in ("--set", setting)]
     record = ["record", "--steps", "90", "--robots", "2", *settings, "--out", str(tmp_path)]
     episodes: list = []
-    with mock.patch("twc_env.exploration.environment.ExplorationEnv.result", autospec=True) as evaluated:
-        evaluated.side_effect = lambda env: (episodes.append(env.episode), env.episode.result())[1]
+    real = twc_env.ExplorationEnv.reset
+
+    def noted(env, **how):
+        begun = real(env, **how)
+        episodes.append(env.episode)
+        return begun
+
+    with mock.patch.object(twc_env.ExplorationEnv, "reset", noted):
         assert main(record) == 0
     replay = ["replay", str(tmp_path), "--truth", str(tmp_path / "truth.npz")]
     assert main([*replay, "--json", str(tmp_path / "found.json")]) == 0

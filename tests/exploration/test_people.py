@@ -29,8 +29,9 @@ def test_the_same_seed_gives_the_same_episode_bit_by_bit(explore, log, same):
     )
 
 
-def test_an_episode_continues_exactly_from_a_snapshot(explore, same):
-    env = explore(30, config=PEOPLE).env
+@pytest.mark.parametrize("scanner", ["ideal", "lms-200"])
+def test_an_episode_continues_exactly_from_a_snapshot(explore, same, scanner):
+    env = explore(30, config=PEOPLE | {"lidar.preset": scanner}).env
     moment, action = env.snapshot(), dict.fromkeys(env.agents, np.array([0.6, 0.2], np.float32))
     first = [env.step(action)[0] for _ in range(30)]
     env.restore(moment)
@@ -46,8 +47,10 @@ def test_observations_do_not_depend_on_where_the_building_stands(explore, log):
             assert all(np.array_equal(a[agent][key], b[agent][key]) for key in a[agent])
 
 
-def test_people_change_what_is_sensed_but_not_the_true_map(explore, log):
-    clean = explore(STEPS, config=PEOPLE | {"people.count": 0})
+@pytest.mark.parametrize("scanner", ["ideal", "lms-200", "rplidar-a1"])
+def test_people_change_what_is_sensed_but_not_the_true_map(explore, scanner):
+    config = PEOPLE | {"lidar.preset": scanner, "lidar.dropout_probability": 0.0}
+    log, clean = (explore(STEPS, config=config | {"people.count": count}) for count in (10, 0))
     assert log.env.floorplan.digest == clean.env.floorplan.digest
     seen, bare = ([o[agent]["lidar"] for o in it.observations for agent in o] for it in (log, clean))
     assert any((np.array(a) < np.array(b) - 0.05).sum() > 2 for a, b in zip(seen, bare, strict=True))

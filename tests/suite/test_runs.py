@@ -41,14 +41,14 @@ def test_two_processes_and_an_interrupted_benchmark_give_the_same_leaderboard(ti
     assert "the same command continues" in capsys.readouterr().err
     assert not (broken / "leaderboard.json").exists()
     assert main(command(broken, *agents)) == 0
-    assert "5 of 12 episodes are finished already" in capsys.readouterr().err
-    assert len(calls) == 6 + 7, "what was finished is not played again"
+    assert "5 of 16 episodes are finished already" in capsys.readouterr().err
+    assert len(calls) == 6 + 11, "what was finished is not played again"
     assert board(whole) == board(parallel) == board(broken)
     for ending in FILES:
         assert (whole / f"leaderboard.{ending}").stat().st_size > 0
     rows = json.loads((whole / "rows.json").read_text())
     assert {(row["task"], row["team"]) for row in rows} == {
-        (task, team) for task in ("all", *tiny) for team in ("nearest-frontier", "voronoi", "random")
+        (task, team) for task in ("all", *tiny) for team in ("nearest-frontier", "voronoi", "random", "informed")
     }
     wanted = {"task", "team", "score", "low", "high", "wrong_merges", "merged_s", "ate_m", "coverage_mean"}
     assert all(wanted | {"score_is"} == set(row) for row in rows)

@@ -13,8 +13,11 @@ from twc_env.world.building.splits import FAMILY_SPLITS, family_of, split_names
 RANDOM, INFORMED = "random", "informed"
 """The teams that have the scores 0 and 1."""
 REFERENCES = (RANDOM, INFORMED)
-SPECIAL = ("radio-frontier", "radio-walk")
-"""Scripted teams that are only played if they are named: no task has the radio map they follow."""
+SPECIAL = (
+    "radio-frontier", "radio-walk", "rendezvous-blind", "sign-seeker-blind", "closure-seeker-blind", "relay-blind",
+)  # fmt: skip
+"""Scripted teams that are only played if they are named: no task has the radio map that the first two follow, and the
+others drive like `minpos`."""
 
 
 @dataclass(frozen=True, slots=True)

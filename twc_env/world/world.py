@@ -67,9 +67,7 @@ class World:
         self._home = plan.home
         self._is_moved = bool(plan.pose_building_home.any())
         self._radio = _radio_model(config.radio, self._home)
-        self._time_step_s = config.dynamics.time_step_s
         self._wifi_period = _period_steps(config.radio.scan_period_s, config)
-        self._camera_period = _period_steps(config.signs.period_s, config)
         self._scanning_robots = _turns(self._wifi_period, config.robots)
         self._run: Callable[..., int] | None = None
         """`_move_and_sense` with its constant arguments, valid while the crossing table's arrays are
@@ -91,7 +89,11 @@ class World:
         """(n,) bool: whether each robot touches a wall or a robot."""
         self._odometry = Odometry(config.odometry, config.dynamics.time_step_s, robots, seed)
         self._lidar = Lidar(config.lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
-        self._scanners = Scanners(config, self._home, seed) if needs_scanners(config.lidar) else None
+        self.crowd = None
+        if config.people.count:
+            self.crowd = Crowd(config.people, self._home, starts_home, radius, config.dynamics.time_step_s, seed)
+        legs = None if self.crowd is None else self.crowd.discs
+        self._scanners = Scanners(config, self._home, seed, legs) if needs_scanners(config.lidar) else None
         """Simulates scanners with limits and errors; None: `_lidar` does all."""
         offsets_db = [0.0] * (robots - 1) + [config.failure.device_offset_db]
         self._receivers = [
@@ -107,12 +109,9 @@ class World:
         self._is_laser_compiled = self._lidar.is_plain and self._scanners is None
         laser = (robots, config.lidar.beam_count) if self._is_laser_compiled else (0, 0)
         self._shapes = [_step_shapes(robots, laser, len(own), len(self._radio.macs)) for own in self._listeners]
-        self._cameras = SignCameras(config, self._home, seed, self._camera_period)
+        self._cameras = SignCameras(config, self._home, seed, _period_steps(config.signs.period_s, config))
         self._bound_crossings = None
-        self.crowd = None
-        if config.people.count:
-            self.crowd = Crowd(config.people, self._home, starts_home, radius, self._time_step_s, seed)
-        self._kidnapping = Kidnapping(config.failure, self._home, robots, self._time_step_s, seed)
+        self._kidnapping = Kidnapping(config.failure, self._home, robots, config.dynamics.time_step_s, seed)
         self._sensed_poses = dynamics.poses.copy()
         """(n, 3) true poses of the last measurement."""
         self._step, self._noise_block = 0, -1
@@ -217,7 +216,7 @@ class World:
             ranges = self._lidar.scan(poses)
         if step == 0:
             odometry[:], turn_rates[:] = 0.0, 0.0
-        time_s = step * self._time_step_s
+        time_s = step * self.config.dynamics.time_step_s
         wifi: WifiScans | list[WifiScan | None] = heard if self._scans_compiled else self._scan_each(time_s)
         if self.crowd is not None:
             self._show_people(self.crowd, step, poses, ranges, bool(sighted))
@@ -240,7 +239,8 @@ class World:
         lidar = self.config.lidar
         crowd.meet(poses)
         self.contacts = self.contacts | crowd.is_touched
-        crowd.show(poses, self._lidar.arguments[0], lidar.range_max_m, lidar.range_noise_std_m, ranges)
+        if self._scanners is None:  # it has cast its beams at the legs itself
+            crowd.show(poses, self._lidar.arguments[0], lidar.range_max_m, lidar.range_noise_std_m, ranges)
         if has_signs:
             self._cameras.hide(step, poses, crowd.upright, HIDING_RADIUS_M)
 

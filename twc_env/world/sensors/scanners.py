@@ -41,8 +41,8 @@ _NOT_OCCLUDED_M = 1e3
 class Scanners:
     """The scanners of all robots in one building for one episode."""
 
-    def __init__(self, config: EnvConfig, plan: Floorplan, seed: int):
-        """plan: in the home frame."""
+    def __init__(self, config: EnvConfig, plan: Floorplan, seed: int, discs: Array | None = None):
+        """plan: in the home frame; discs (k, 3): x, y and radius [m] of what else moves, updated in place."""
         lidar, robots = config.lidar, config.robots
         self._config = lidar
         scanner = lidar.scanner
@@ -52,8 +52,9 @@ class Scanners:
         self.period_steps = max(1, round(1.0 / (lidar.rate_hz * step_s))) if lidar.rate_hz else 1
         """Time steps from one scan to the next."""
         taus = self.scanner.sweep_s / step_s * (1.0 - np.arange(lidar.beam_count) / max(lidar.beam_count - 1, 1))
-        self._paths = np.zeros((math.ceil(taus.max()) + 2, robots, 3))
-        """True poses of all robots in the last steps, the latest first."""
+        self._discs = np.zeros((0, 3)) if discs is None else discs
+        self._paths = np.zeros((math.ceil(taus.max()) + 2, robots + len(self._discs), 3))
+        """True poses of all robots, and places of the discs, in the last steps, the latest first."""
         self._is_begun = False
         solid, self._panes, self._mirrors = _split(plan, lidar)
         self._walls, walls = solid.buckets(), len(solid.walls_m)
@@ -67,7 +68,7 @@ class Scanners:
             np.empty((4, lidar.beam_count)), np.empty(lidar.beam_count, np.int64),
         )  # fmt: skip
         self._geometry = taus, mount, self.scanner.first_rad, self.scanner.step_rad, lidar.range_max_m, margin_m
-        self._radii = np.full(robots, config.dynamics.robot_radius_m)
+        self._radii = np.concatenate([np.full(robots, config.dynamics.robot_radius_m), self._discs[:, 2]])
         self._draws = {name: StepNoise(*draw) for name, draw in _draws(lidar, robots, seed)}
         dark = np.random.default_rng([int(plan.digest, 16), zlib.crc32(b"dark")])
         self._dark = lidar.dark_share, dark.random(2), int(dark.integers(2**62))
@@ -82,16 +83,19 @@ class Scanners:
         poses: true ones (robots, 3), in each step once. No return is the maximum range.
         """
         paths = self._paths
-        paths[1:] = paths[:-1] if self._is_begun else poses
-        paths[0], self._is_begun = poses, True
+        now = self._paths[0].copy()
+        now[: len(poses)], now[len(poses) :, :2] = poses, self._discs[:, :2]
+        self._radii[len(poses) :] = self._discs[:, 2]
+        paths[1:] = paths[:-1] if self._is_begun else now
+        paths[0], self._is_begun = now, True
         if step % self.period_steps:
             return self._ranges, np.zeros(len(poses), np.bool_)
         draws = {name: draw.next() for name, draw in self._draws.items()}
         ranges, none = np.empty_like(self._ranges), self._none
-        now = paths, *[draws.get(name, none) for name in _NAMES], ranges
+        arguments = paths, *[draws.get(name, none) for name in _NAMES], ranges
         if self._run is None:
-            self._run = bound(_scan, self._packed(), *now)
-        self._run(*now)
+            self._run = bound(_scan, self._packed(), *arguments)
+        self._run(*arguments)
         self._ranges = ranges
         return ranges, None if self.period_steps == 1 else np.ones(len(poses), np.bool_)
 
