@@ -31,14 +31,11 @@ class RobotClocks:
         """(robots,) number of frames of each robot, counted by the caller."""
         self._skipped_s = np.zeros(count)
         """(robots,) time before its first frame and in removed gaps."""
+        self.differ = False
+        """Whether the clock of some robot began later than the first frames, or has had gaps removed."""
         self._paces_s = np.full(count, config.dynamics.time_step_s)
         """(robots,) interval between its last two frames."""
         self._deviation_max_rad = DEVIATION_TIMES * config.slam.odometry_filter.odometry_turn_std_rad
-
-    @property
-    def differ(self) -> bool:
-        """Whether the clock of some robot began later than the first frames, or has had gaps removed."""
-        return bool(self._skipped_s.any())
 
     def corrected(self, frame: SensorFrame, is_first: bool) -> SensorFrame:
         """The same frame with time relative to the robot's first. After a removed gap, the turn is that of odometry,
@@ -56,5 +53,6 @@ class RobotClocks:
             self._paces_s[robot] = elapsed_s
         if self._skipped_s[robot] == 0.0:
             return frame
+        self.differ = True
         now_s = float(frame.time_s - self._skipped_s[robot])
         return dataclasses.replace(frame, time_s=now_s, turn_rate_rad_s=float(rate_rad_s))
