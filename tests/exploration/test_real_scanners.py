@@ -141,4 +141,4 @@ def test_rolling_scans_undone_by_odometry_cost_little():
         explored(env, 400)
         errors[undoes] = env.result().figures["team_ate_m"]
     assert errors[True] < 0.08
-    assert errors[False] > 2 * errors[True]
+    assert errors[False] > 3 * errors[True]

@@ -49,10 +49,8 @@ def _compiled(function: Callable[..., Any], _nrt: bool = True) -> Any:
 
 @cache
 def _knows_own_options() -> bool:
-    """Whether this numba knows two options of njit that it does not document; without them everything works as well.
-
-    With reference counting in borrowing kernels a step of the environment takes a sixth longer.
-    """
+    """Whether this numba knows two options of njit that it does not document; without them everything works, but
+    slower: borrowing kernels count references."""
     try:
         njit(no_cfunc_wrapper=True, _nrt=False)(lambda: None)
     except (KeyError, TypeError, ValueError):
