@@ -159,13 +159,13 @@ def is_blocked(walls, origin, bucket, rows, columns, first, members, px, py, qx,
 
 
 @borrowing_kernel
-def gap(walls, origin, bucket, rows, columns, first, members, x, y, reach):
-    """Distance of (x, y) to the nearest wall, at most `reach`."""
+def wall_beside(walls, origin, bucket, rows, columns, first, members, x, y, reach):
+    """Vector from the nearest wall to (x, y), and its length, at most `reach`."""
     c0 = max(int(np.floor((x - reach - origin[0]) / bucket)), 0)
     c1 = min(int(np.floor((x + reach - origin[0]) / bucket)), columns - 1)
     r0 = max(int(np.floor((y - reach - origin[1]) / bucket)), 0)
     r1 = min(int(np.floor((y + reach - origin[1]) / bucket)), rows - 1)
-    nearest2 = reach * reach
+    best, from_x, from_y = reach * reach, 0.0, 0.0
     for r in range(r0, r1 + 1):
         for c in range(c0, c1 + 1):
             for m in range(first[r * columns + c], first[r * columns + c + 1]):
@@ -174,8 +174,15 @@ def gap(walls, origin, bucket, rows, columns, first, members, x, y, reach):
                 ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
                 t = min(max((ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
                 dx, dy = ax - t * ex, ay - t * ey
-                nearest2 = min(nearest2, dx * dx + dy * dy)
-    return np.sqrt(nearest2)
+                if dx * dx + dy * dy < best:
+                    best, from_x, from_y = dx * dx + dy * dy, dx, dy
+    return from_x, from_y, np.sqrt(best)
+
+
+@borrowing_kernel
+def gap(walls, origin, bucket, rows, columns, first, members, x, y, reach):
+    """Distance of (x, y) to the nearest wall, at most `reach`."""
+    return wall_beside(walls, origin, bucket, rows, columns, first, members, x, y, reach)[2]
 
 
 @borrowing_kernel

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from twc_env.kernels.compiled import borrowing_kernel, parts_of
-from twc_env.world.building.wall_index import is_blocked
+from twc_env.world.building.wall_index import is_blocked, wall_beside
 from twc_env.world.people.social_force import RELAXATION_S, SPEED_EXCESS, interaction, wall_repulsion
 
 WALKING, STANDING, SITTING = range(3)
@@ -37,27 +37,6 @@ _PUSHING_COS = 0.5
 """A robot pushes a person if it drives in a direction within 60 degrees of theirs."""
 SLOW_M_S = 0.05
 """A slower robot stands."""
-
-
-@borrowing_kernel
-def wall_beside(walls, origin, bucket, rows, columns, first, members, x, y, reach):
-    """Vector from the nearest wall to (x, y), and its length, at most `reach`."""
-    c0 = max(int(np.floor((x - reach - origin[0]) / bucket)), 0)
-    c1 = min(int(np.floor((x + reach - origin[0]) / bucket)), columns - 1)
-    r0 = max(int(np.floor((y - reach - origin[1]) / bucket)), 0)
-    r1 = min(int(np.floor((y + reach - origin[1]) / bucket)), rows - 1)
-    best, from_x, from_y = reach * reach, 0.0, 0.0
-    for r in range(r0, r1 + 1):
-        for c in range(c0, c1 + 1):
-            for m in range(first[r * columns + c], first[r * columns + c + 1]):
-                w = members[m]
-                ax, ay = x - walls[w, 0], y - walls[w, 1]
-                ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
-                t = min(max((ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
-                dx, dy = ax - t * ex, ay - t * ey
-                if dx * dx + dy * dy < best:
-                    best, from_x, from_y = dx * dx + dy * dy, dx, dy
-    return from_x, from_y, math.sqrt(best)
 
 
 @borrowing_kernel
