@@ -131,7 +131,11 @@ class _Table:
         first = next((line for line in lines if line.strip()), "")
         separator = max(_SEPARATORS, key=first.count)
         try:
-            rows = [row for row in csv.reader(io.StringIO("\n".join(lines)), delimiter=separator) if any(map(str.strip, row))]
+            rows = [
+                row
+                for row in csv.reader(io.StringIO("\n".join(lines)), delimiter=separator)
+                if any(map(str.strip, row))
+            ]
         except csv.Error as error:
             raise DataError(f"{path} is no table of text: {error}; separate columns by commas") from error
         if not rows:
@@ -165,7 +169,9 @@ class _Table:
         columns: dict[str, int] = {}
         for name in (*needed, "robot"):
             for alias in _NAMES[name]:
-                at = next((k for k, cell in enumerate(header) if _plain(cell)[0] == alias and k not in columns.values()), None)
+                at = next(
+                    (k for k, cell in enumerate(header) if _plain(cell)[0] == alias and k not in columns.values()), None
+                )
                 if at is not None:
                     columns[name] = at
                     if unit := _plain(header[at])[1]:
@@ -195,9 +201,7 @@ class _Table:
             values.append(number)
         return np.array(values)
 
-    def in_unit(
-        self, name: str, quantity: str, span: Span, guess: Callable[[Array], str | None]
-    ) -> tuple[Array, str]:
+    def in_unit(self, name: str, quantity: str, span: Span, guess: Callable[[Array], str | None]) -> tuple[Array, str]:
         """A column in SI units, and its unit: as the user or the header says, else as guessed."""
         values = self.numbers(name)
         told = span.units.get(quantity) or self._units.get(name)

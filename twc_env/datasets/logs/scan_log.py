@@ -2,8 +2,8 @@
 
 A log is JSON {"map": {"<unix seconds>": {"range": [metres], "x": m, "y": m, "theta": rad}}} or a text of CARMEN, of
 which the lines `FLASER n r1 .. rn x y theta ...` or, in newer ones, `ROBOTLASER1` are read, with the pose of the laser,
-or else `RAWLASER1` with the poses of `ODOM` lines; relations are text lines `t1 t2 dx dy dz roll pitch yaw`: the pose at t2 in the frame of the pose at t1. All may be
-gzipped. `sensor_frames` converts a log to frames for the engine.
+or else `RAWLASER1` with the poses of `ODOM` lines; relations are text lines `t1 t2 dx dy dz roll pitch yaw`: the pose
+at t2 in the frame of the pose at t1. All may be gzipped. `sensor_frames` converts a log to frames for the engine.
 """
 
 from __future__ import annotations
@@ -177,8 +177,8 @@ def read_carmen_log(path: str | Path) -> ScanLog:
             raise DataError(f"{path}, line {k} is not a scan: {reason}; fix or delete it") from error
     if not scans:
         raise DataError(
-            f"{path} is not a CARMEN log: expected lines {', '.join(_READERS)}, or RAWLASER1 with ODOM; what else you can "
-            "read, twc_env.datasets.logs.frame_log.write_frame_log makes a log of (docs/frames.md)"
+            f"{path} is not a CARMEN log: expected lines {', '.join(_READERS)}, or RAWLASER1 with ODOM; what else you "
+            "can read, twc_env.datasets.logs.frame_log.write_frame_log makes a log of (docs/frames.md)"
         )
     scans = _by_time(scans, path)
     if kind == "RAWLASER1":
@@ -303,7 +303,9 @@ def _with_odometry(
     except ValueError as error:
         raise DataError(f"{path}: a line ODOM or PARAM is no number: {_short(error)}; fix or delete it") from error
     if not len(rows) or not np.isfinite(rows).all():
-        raise DataError(f"{path} has RAWLASER1 lines but no ODOM lines that are finite: odometry is needed; record both")
+        raise DataError(
+            f"{path} has RAWLASER1 lines but no ODOM lines that are finite: odometry is needed; record both"
+        )
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     inside = [scan for scan in scans if rows[0, 0] <= scan.time_s <= rows[-1, 0]]
     if not inside:

@@ -13,9 +13,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.datasets.logs.scan_log import SAME_DIRECTION_RAD, ScanLog, in_metres
 from twc_env.datasets.ros.bag_file import (
-    IMU,
     ODOMETRY,
-    SCAN,
     TRANSFORMS,
     Bag,
     Topic,
@@ -37,7 +35,8 @@ SINGLE = 1e-7
 """Relative error of numbers in single precision."""
 SWEEP_MAX_S = 1.0
 BEAMS_MAX, TURN_MAX_RAD = 100_000, 2.0 * math.pi + 1e-3
-"""Scans with a longer sweep are taken as measured at once; those with more beams, or over more than a turn, are damaged."""
+"""Scans with a longer sweep are taken as measured at once; those with more beams, or
+over more than a turn, are damaged."""
 
 
 @dataclass(slots=True)
@@ -268,9 +267,7 @@ class _Track:
         return np.stack([np.interp(times_s, own_s, column) for column in self.poses.T], axis=1)
 
 
-def _read_odometry(
-    bag: Bag, robot: RobotTopics, tf: _Transforms, label: str, wishes: Wishes
-) -> tuple[_Track, str]:
+def _read_odometry(bag: Bag, robot: RobotTopics, tf: _Transforms, label: str, wishes: Wishes) -> tuple[_Track, str]:
     """Poses by an Odometry topic or by tf, and the name of the robot frame ("": unknown)."""
     rows: list[tuple[float, ...]] = []
     base = ""
@@ -320,8 +317,8 @@ def _mount(tf: _Transforms, base: str, frame: str, notes: list[str]) -> Mount:
 def _read_gyro(
     bag: Bag, robot: RobotTopics, tf: _Transforms, base: str, scans_s: Array, notes: list[str]
 ) -> tuple[Array, Array] | None:
-    """Times (k,) and headings (k,) [rad] by the gyro, each of whose samples holds since the one before; None if there is
-    none whose samples span the scans."""
+    """Times (k,) and headings (k,) [rad] by the gyro, each of whose samples holds since the one before; None if there
+    is none whose samples span the scans."""
     if robot.imu is None:
         return None
     samples: list[tuple[float, float]] = []

@@ -40,7 +40,9 @@ class RobotTopics:
         return "/".join(self.namespace)
 
 
-def choose_topics(topics: Sequence[Topic], wishes: Wishes, tf_frames: Collection[str], path: object) -> list[RobotTopics]:
+def choose_topics(
+    topics: Sequence[Topic], wishes: Wishes, tf_frames: Collection[str], path: object
+) -> list[RobotTopics]:
     """One entry for each robot of the bag, by name. tf_frames: names of frames that move, for bags without Odometry.
 
     Raises DataError if there is no scan, or a chosen topic is not there.
@@ -78,9 +80,7 @@ def choose_topics(topics: Sequence[Topic], wishes: Wishes, tf_frames: Collection
     return found
 
 
-def _candidates(
-    topics: Iterable[Topic], kind: str, wanted: Sequence[str], option: str, path: object
-) -> list[Topic]:
+def _candidates(topics: Iterable[Topic], kind: str, wanted: Sequence[str], option: str, path: object) -> list[Topic]:
     """Topics of a type that hold messages; of chosen ones those only."""
     typed = [topic for topic in topics if topic.kind == kind and topic.count > 0]
     if not wanted:
