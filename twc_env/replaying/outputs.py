@@ -55,10 +55,10 @@ def write_bag(path: Path, replay: Replay) -> None:
     order = groups_by_size(team)
     frames = {group: "map" if k == 0 else f"map_{k + 1}" for k, group in enumerate(order)}
     estimates = []
-    for path in replay.paths():
-        name = path.name or (f"robot_{path.robot}" if replay.robots > 1 else "")
-        map_frame = frames[team.group_index(path.robot)]
-        estimates.append(RobotEstimate(name, map_frame, path.times_s, path.estimated, path.logged))
+    for own in replay.paths():
+        name = own.name or (f"robot_{own.robot}" if replay.robots > 1 else "")
+        map_frame = frames[team.group_index(own.robot)]
+        estimates.append(RobotEstimate(name, map_frame, own.times_s, own.estimated, own.logged))
     grids: dict[str, GridMap] = {
         frames[group]: team.grid_of(group) for group in order if team.grid_of(group).log_odds.size
     }
