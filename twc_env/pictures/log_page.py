@@ -56,8 +56,8 @@ class LogPage:
         moved_m = moved_m[moved_m > 0.0]
         usual_m = float(np.median(moved_m)) if len(moved_m) else 0.0
         signs = [sign for group in range(len(engine.team.groups)) for sign in engine.team.signs_of(group)]
-        corners = [corner for moment in self._moments for layer in moment["layers"] for corner in _corners(layer)]
-        corners += poses[..., :2].reshape(-1, 2).tolist()
+        corners = [corner for layer in self._moments[-1]["layers"] for corner in _corners(layer)]
+        corners += poses[-1, :, :2].tolist()
         data = {
             "robots": self._robots,
             "robot_radius_m": self._radius_m,
@@ -65,7 +65,7 @@ class LogPage:
             "times_s": rounded(times_s),
             "subtitle": subtitle,
             "colours": ["#" + bytes(colour).hex() for colour in COLOURS],
-            "bounds_m": [*np.min(corners, axis=0).tolist(), *np.max(corners, axis=0).tolist()],
+            "bounds_m": _bounds(corners),
             "layers": LAYERS,
             "walls_m": [],
             "signs_m": rounded(np.array([self._signs_at(engine, k) for k in range(len(signs))]).reshape(-1, 2)),
@@ -92,14 +92,9 @@ class LogPage:
         team, right = engine.team, 0.0
         places: dict[int, Array] = {}
         for group in sorted(range(len(team.groups)), key=lambda g: (-len(team.groups[g].robots), g)):
-            grid = team.grid_of(group)
-            left, width = (
-                (float(grid.origin_m[0]), grid.log_odds.shape[1] * grid.resolution_m)
-                if grid.log_odds.size
-                else (0.0, 0.0)
-            )
-            places[group] = np.array([right - left if places else 0.0, 0.0, 0.0])
-            right = places[group][0] + left + width + GAP_M
+            left_m, right_m = _sides(team.grid_of(group))
+            places[group] = np.array([right - left_m if places else 0.0, 0.0, 0.0])
+            right = places[group][0] + right_m + GAP_M
         return places
 
     @staticmethod
@@ -124,23 +119,22 @@ class LogPage:
             )  # fmt: skip
         status = [closure.status for closure in team.closures]
         grids = {group: team.grid_of(group) for group in places}
+        layers = [
+            _layer(self._robots_of(engine, group), grid, places[group])
+            for group, grid in grids.items()
+            if grid.log_odds.size
+        ]
+        figures = {
+            "known_m2": float(sum((g.log_odds < 0).sum() * g.resolution_m**2 for g in grids.values())),
+            "maps": float(len(layers)),
+            "keyframes": float(sum(len(team.keyframe_steps(robot)) for robot in range(self._robots))),
+            "closures_accepted": float(status.count("accepted")),
+            "closures_rejected": float(status.count("rejected")),
+        }
+        bounds_m = _bounds([corner for layer in layers for corner in _corners(layer)])
         self._moments.append(
-            {
-                "step": step,
-                "figures": {
-                    "known_m2": float(sum((g.log_odds < 0).sum() * g.resolution_m**2 for g in grids.values())),
-                    "maps": float(sum(g.log_odds.size > 0 for g in grids.values())),
-                    "keyframes": float(sum(len(team.keyframe_steps(robot)) for robot in range(self._robots))),
-                    "closures_accepted": float(status.count("accepted")),
-                    "closures_rejected": float(status.count("rejected")),
-                },
-                "closures": closures,
-                "layers": [
-                    _layer(self._robots_of(engine, group), grid, places[group])
-                    for group, grid in grids.items() if grid.log_odds.size
-                ],
-            }
-        )  # fmt: skip
+            {"step": step, "figures": figures, "closures": closures, "layers": layers, "bounds_m": bounds_m}
+        )
 
 
 def _layer(robots: tuple[int, ...], grid: GridMap, place: Array) -> dict[str, Any]:
@@ -162,8 +156,23 @@ def _layer(robots: tuple[int, ...], grid: GridMap, place: Array) -> dict[str, An
     }
 
 
+def _sides(grid: GridMap) -> tuple[float, float]:
+    """Least and greatest x of what is known of a map [m]."""
+    columns = np.flatnonzero((grid.log_odds != 0).any(axis=0)) if grid.log_odds.size else np.zeros(0, int)
+    if not len(columns):
+        return 0.0, 0.0
+    return tuple(float(grid.origin_m[0] + k * grid.resolution_m) for k in (columns[0], columns[-1] + 1))  # type: ignore
+
+
+def _bounds(corners: list[list[float]]) -> list[float]:
+    """Least x and y, greatest x and y."""
+    inside = corners or [[0.0, 0.0]]
+    return [*np.min(inside, axis=0).tolist(), *np.max(inside, axis=0).tolist()]
+
+
 def _corners(layer: dict[str, Any]) -> list[list[float]]:
-    x, y = np.array(layer["origin_m"]) + layer["pose_building_map"][:2]
+    """Opposite corners of a map on the page."""
+    x, y = (np.array(layer["origin_m"]) + layer["pose_building_map"][:2]).tolist()
     rows, columns = layer["shape"]
     cell = layer["resolution_m"]
     return [[x, y], [x + columns * cell, y + rows * cell]]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.exploration.drawing.rendering import COLOURS
@@ -21,6 +22,8 @@ FORMATS = ("png", "pdf", "svg")
 PANELS_MAX = 6
 """Maps that are drawn, the largest first."""
 SIGNS_MAX = 80
+_LETTER_SHARE = 0.007
+"""Width of a letter as a share of that of the picture."""
 _WIDTH_INCHES, _HEIGHT_MAX_INCHES, _MARGIN_M = 11.0, 14.0, 1.0
 
 
@@ -56,15 +59,7 @@ def draw_log(replay: Replay, paths: list[Path]) -> list[Path]:
             axes.plot(*path.estimated[:, :2].T, color=colour, linewidth=1.0, label=label)
             axes.plot(*path.estimated[0, :2], "o", color=colour, markersize=5, markeredgecolor="white")
             axes.plot(*path.estimated[-1, :2], "s", color=colour, markersize=5, markeredgecolor="white")
-        for sign in list(team.signs_of(group))[:SIGNS_MAX]:
-            axes.annotate(
-                sign.text,
-                tuple(sign.position_m),
-                fontsize=6,
-                color="tab:purple",
-                parse_math=False,
-                annotation_clip=True,
-            )
+        _name_signs(axes, [(sign.text, sign.position_m) for sign in team.signs_of(group)], box)
         axes.set(xlim=box[:2], ylim=box[2:], aspect="equal", xlabel="x [m]", ylabel="y [m]")
         title = f"map {number}" if len(drawn) > 1 else "map"
         axes.set_title(f"{title}: {_free_m2(team.grid_of(group)):,.0f} m² of floor seen", fontsize=10)
@@ -114,6 +109,18 @@ def _draw_map(axes, grid: GridMap) -> None:
     axes.imshow(
         shown, cmap="gray", vmin=0, vmax=1, origin="lower", extent=(left, right, low, top), interpolation="none"
     )
+
+
+def _name_signs(axes, signs: list[tuple[str, Array]], box: tuple[float, float, float, float]) -> None:
+    """Write the texts of signs; one that would cover an earlier one is left out."""
+    taken: list[tuple[float, float, float]] = []
+    letter_m = _LETTER_SHARE * (box[1] - box[0])
+    for text, (x, y) in signs:
+        width, line = letter_m * len(text), 2.0 * letter_m
+        if len(taken) < SIGNS_MAX and not any(abs(y - v) < line and u - width < x < u + w for u, v, w in taken):
+            taken.append((float(x), float(y), width))
+            axes.plot(x, y, ".", color="tab:purple", markersize=3)
+            axes.annotate(text, (float(x), float(y)), fontsize=6, color="tab:purple", parse_math=False, clip_on=True)
 
 
 def _draw_closures(axes, replay: Replay, group: int) -> None:
