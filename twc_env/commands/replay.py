@@ -4,47 +4,47 @@ from __future__ import annotations
 
 import argparse
 import sys
-import zipfile
 from collections.abc import Sequence
-from itertools import accumulate, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twc_env.errors import DataError
-from twc_env.records.json_values import check_folder, write_json
-from twc_env.running.command_line import (
-    add_allow_code,
-    add_json,
-    add_set,
-    assignments,
-    make_folder,
-    refuse_code,
-    show_count,
-)
+from twc_env.records.json_values import TERMINAL, check_folder, check_writable, write_json
+from twc_env.running.command_line import add_allow_code, add_json, add_set, aligned, assignments, end_line, refuse_code
 
 if TYPE_CHECKING:
     from twc_env.config import EnvConfig
-    from twc_env.records.messages import Contacts, SensorFrame
-    from twc_env.slam.modes import Engine
-    from twc_env.slam.team import TeamMapper
+    from twc_env.replaying.inputs import Asked, ReplayInput
+    from twc_env.replaying.run import Replay
+
+FORMATS = ("png", "pdf", "svg")
+SAMPLE = "sample"
 
 
 def add_arguments(replay: argparse.ArgumentParser) -> None:
     """Fill the command's parser."""
     replay.description = (
-        "Run the SLAM engine on the frames of a log and print the result, which is deterministic. LOG is "
-        "frames.npz of a run folder, or a laser log of one robot (CARMEN FLASER or ROBOTLASER1 lines, or the Freiburg "
-        "benchmark's JSON). Several laser logs are a team of one robot each that starts at the same time; their maps "
-        "are merged where scans fit. The engine uses nothing but the logs. --html and --rerun run nothing: they "
-        "convert the run folder's trace.npz and report.json to a web page with a time slider, or to a recording for "
-        "the Rerun viewer (`rerun RUN/replay.rrd`)."
+        "Run the SLAM engine on the frames of a log and print the result, which is deterministic. LOG is frames.npz of "
+        "a run folder; or a ROS bag (.bag of ROS 1; the folder, .db3 or .mcap of ROS 2; needs no ROS, but "
+        "`pip install 'twc_env[ros]'`) with LaserScan and Odometry or tf of one robot or of several by namespace; or a "
+        "CARMEN log of one robot (FLASER, ROBOTLASER1, or RAWLASER1 with ODOM), or the Freiburg benchmark's JSON. "
+        "Several logs are a team; their maps are merged where scans fit. `sample` is a log of the package. The engine "
+        "uses nothing but the logs.\n\n"
+        "With --out, the folder gets map.pgm + .yaml (ROS map_server; map_2 ... of robots whose maps are not merged), "
+        "pose_graph.g2o, trajectories/*.tum (for evo), table.csv, map.png and the page replay.html. Of a run "
+        "folder, --html and --rerun without --out run nothing: they convert its trace.npz and report.json to a web "
+        "page with a time slider, or to a recording for the Rerun viewer (`rerun RUN/replay.rrd`)."
     )
     replay.epilog = (
-        "examples:\n  twc-env replay runs/log/frames.npz --truth runs/log/truth.npz\n"
+        "examples:\n  twc-env replay sample --out runs/sample\n"
+        "  twc-env replay mine.bag --list\n"
+        "  twc-env replay mine.bag --wifi wifi.csv --out runs/mine --bag runs/mine/poses.bag\n"
+        "  twc-env replay rosbag2_folder --scan-topic /front/scan --odom-topic none --out runs/mine\n"
+        "  twc-env replay runs/log/frames.npz --truth runs/log/truth.npz\n"
         "  twc-env replay runs/demo --set slam.place_recognition.recogniser=text --out runs/text\n"
-        "  twc-env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel\n"
+        "  twc-env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel --format png,pdf\n"
         "  twc-env replay monday.log tuesday.log --out runs/both\n"
         "  twc-env replay runs/demo --html"
     )
@@ -53,7 +53,48 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="LOG",
-        help="a run folder, a frame log (frames.npz), or laser logs, one of each robot (.log, .json; .gz too)",
+        help="a run folder, a frame log (frames.npz), ROS bags, laser logs (.log, .json; .gz too), or `sample`",
+    )
+    replay.add_argument(
+        "--list",
+        action="store_true",
+        help="list the topics of bags, their types, counts, rates and frames, and what they would be used for; run "
+        "nothing",
+    )
+    for option, what in (
+        ("--scan-topic", "LaserScan"),
+        ("--odom-topic", "Odometry; `none`: tf"),
+        ("--imu-topic", "Imu; `none`: no gyro"),
+    ):
+        replay.add_argument(
+            option,
+            action="append",
+            default=[],
+            metavar="TOPIC",
+            help=f"use this topic of a bag ({what}) instead of the one found; repeatable, for several robots",
+        )
+    replay.add_argument(
+        "--wifi",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE.csv",
+        help="WiFi readings beside the log: columns timestamp, bssid, rssi and, for several robots, robot; repeatable",
+    )
+    replay.add_argument(
+        "--signs",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE.csv",
+        help="sign readings: columns timestamp, text, bearing, range as seen from the robot, and robot; repeatable",
+    )
+    replay.add_argument(
+        "--units",
+        action="append",
+        default=[],
+        metavar="QUANTITY=UNIT",
+        help="units of these tables where they are not recognised: time=s|ms|us|ns, angle=rad|deg, length=m|cm|mm",
     )
     replay.add_argument(
         "--html",
@@ -85,25 +126,46 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="FOLDER",
-        help="write map.pgm + .yaml (map_server), pose_graph.g2o, trajectories/*.tum",
+        help="write maps, pose graph, trajectories, table, picture and page, see above",
+    )
+    replay.add_argument(
+        "--format",
+        default="png",
+        metavar="LIST",
+        help="formats of the picture of the map: png, pdf, svg, or several, as png,pdf; none for no picture",
+    )
+    replay.add_argument(
+        "--bag",
+        type=Path,
+        metavar="FILE",
+        help="write estimated poses (Odometry, Path, tf from map to odom) and maps (OccupancyGrid) as a new ROS bag: "
+        "NAME.bag of ROS 1, NAME.mcap or NAME.db3 of ROS 2, any other name a folder of ROS 2",
     )
     add_json(replay)
     replay.set_defaults(run=_replay)
 
 
 def _replay(options: argparse.Namespace) -> None:
-    is_export = options.html is not None or options.rerun is not None
+    from twc_env.datasets.ros.bag_file import is_bag
+
+    is_run = options.logs[0].is_dir() and not is_bag(options.logs[0])
+    is_export = (is_run or options.logs[0].suffix == ".npz") and not options.out
+    is_export = is_export and (options.html is not None or options.rerun is not None)
     for log in options.logs:
-        if not log.exists():
-            what = "run folder" if is_export else "run folder or log"
+        if not log.exists() and [str(each) for each in options.logs] != [SAMPLE]:
+            what = "run folder" if is_export or options.html is not None else "run folder or log"
             raise DataError(f"there is no {what} {log}: `twc-env explore --out RUN` writes one")
-        if log.is_dir() and not is_export and not (log / "frames.npz").exists():
+        is_own_run = log.is_dir() and not is_bag(log)
+        if is_own_run and not is_export and not (log / "frames.npz").exists():
             raise DataError(f"{log} is no run folder (no frames.npz): `twc-env explore --out RUN` writes one")
-        if len(options.logs) > 1 and (log.is_dir() or _is_frame_log(log)):
+        if len(options.logs) > 1 and (is_own_run or log.suffix == ".npz"):
             raise DataError(f"{log} is of a whole team: give it alone; several logs are laser logs, one of each robot")
+    if options.list:
+        _list_topics(options)
+        return
     log = options.logs[0]
     run = log if log.is_dir() else log.parent
-    if options.html is not None:
+    if is_export and options.html is not None:
         from twc_env.pictures.replay_page import write_page
 
         print(f"written: {write_page(run, run / 'replay.html' if options.html == Path() else options.html)}")
@@ -112,22 +174,115 @@ def _replay(options: argparse.Namespace) -> None:
 
         print(f"written: {write_rerun(run, run / 'replay.rrd' if options.rerun == Path() else options.rerun)}")
     if not is_export:
-        _replay_frames(options, [log / "frames.npz"] if log.is_dir() else options.logs)
+        _replay_frames(options, [log / "frames.npz"] if is_run else options.logs)
+
+
+def _asked(options: argparse.Namespace, beam_count: object) -> Asked:
+    from twc_env.datasets.logs.readings_table import unit_choices
+    from twc_env.datasets.ros.robot_topics import Wishes
+    from twc_env.replaying.inputs import Asked
+
+    wishes = Wishes(tuple(options.scan_topic), tuple(options.odom_topic), tuple(options.imu_topic))
+    beams = int(str(beam_count)) if str(beam_count).isdigit() and int(str(beam_count)) > 0 else None
+    return Asked(wishes, tuple(options.wifi), tuple(options.signs), unit_choices(options.units), beams)
+
+
+def _list_topics(options: argparse.Namespace) -> None:
+    from twc_env.datasets.ros.bag_file import is_bag
+    from twc_env.datasets.ros.bag_log import list_topics
+
+    tables = {}
+    for log in options.logs:
+        if not is_bag(log):
+            raise DataError(f"{log} is no ROS bag: --list is for .bag, .db3, .mcap and folders of ROS 2")
+        rows = [
+            {"topic": r.topic, "type": r.type, "messages": r.messages, "rate [Hz]": round(r.rate_hz, 2),
+             "frame": r.frame or None, "used for": r.used_for or None}
+            for r in list_topics(log, _asked(options, None).wishes)
+        ]  # fmt: skip
+        tables[str(log)] = rows
+        if options.json != TERMINAL:
+            print(f"{log}\n{aligned(rows)}")
+    write_json(options.json, tables)
+
+
+def _formats(text: str) -> list[str]:
+    """Formats of the picture. Raises DataError for others."""
+    named = [each.strip().lower() for each in text.split(",") if each.strip()]
+    if named == ["none"]:
+        return []
+    for each in named:
+        if each not in FORMATS:
+            raise DataError(f"--format takes {', '.join(FORMATS)} or none; got {each!r}")
+    return list(dict.fromkeys(named))
 
 
 def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     from twc_env.config import digest, override
     from twc_env.datasets.logs.frame_log import read_truth_log
-    from twc_env.slam.modes import make_engine
+    from twc_env.pictures.log_page import LogPage
+    from twc_env.replaying.inputs import read_input
+    from twc_env.replaying.outputs import write_bag
+    from twc_env.replaying.run import run
 
+    formats = _formats(options.format)
     check_folder(options.out)
+    check_writable(options.bag)
+    if options.bag is not None and options.bag.exists():
+        raise DataError(f"{options.bag} exists: bags are not overwritten; name another, or delete it")
     asked = assignments(options.set)
-    config, steps, contacts, begun_s = _read_logs(logs, asked.get("lidar.beam_count"))
+    source = read_input(logs, _asked(options, asked.get("lidar.beam_count")))
+    config = source.config
     if not options.allow_code:
         refuse_code(config, logs[0], asked)
     chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
     config = override(config, {**asked, **chosen})
-    odom_poses: list[np.ndarray] = []
+    is_told = options.json != TERMINAL
+    _say_what_is_ignored(config)
+    for note in source.notes if is_told else ():
+        print(note)
+    page_path = options.html if options.html not in (None, Path()) else None
+    if page_path is None and (options.out or options.html is not None):
+        page_path = (options.out or logs[0].parent) / "replay.html"
+    has_page = page_path is not None and config.slam.mode != "off"
+    page = None
+    if has_page:
+        robots = config.robots
+        page = LogPage(robots, len(source.steps), config.dynamics.robot_radius_m)
+    done = run(source, config, None if page is None else page.note)
+    end_line()
+    team = done.engine.team
+    figures = {
+        "log": " ".join(map(str, logs)),
+        "steps": len(source.steps),
+        "filter": config.slam.odometry_filter.backend,
+        "groups": [list(group.robots) for group in team.groups],
+        "keyframes": [len(team.keyframe_steps(robot)) for robot in range(done.robots)],
+        "closures_accepted": sum(c.status == "accepted" for c in team.closures),
+        "closures_proposed": team.closures_verified,
+        "final_poses": [[round(float(v), 6) for v in done.engine.pose_map_robot(r)] for r in range(done.robots)],
+        "config_digest": digest(config),
+    }
+    if options.truth:
+        figures["team_ate_m"] = _error_of_log(done, read_truth_log(options.truth)[2])
+    if is_told:
+        for key, value in figures.items():
+            print(f"{key:<20} {value}")
+        print("\n" + aligned(done.table()))
+    write_json(options.json, figures | {"robots": done.table()})
+    if options.out:
+        _write_folder(options.out, done, formats)
+    if page is not None and page_path is not None:
+        _write_page(page, page_path, done, figures)
+    if options.bag is not None:
+        write_bag(options.bag, done)
+    if is_told:
+        for place in (options.out, page_path if has_page and not options.out else None, options.bag):
+            if place is not None:
+                print(f"\nwritten: {place}")
+
+
+def _say_what_is_ignored(config: EnvConfig) -> None:
     if config.slam.oracle != "none":
         print(f"slam.oracle = {config.slam.oracle!r}: ignored, since logs contain no ground truth", file=sys.stderr)
     if config.slam.k_visibility.enabled and config.slam.k_visibility.are_transmitters_known:
@@ -137,115 +292,60 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
         print(
             "each robot has a mapper of its own: groups, closures, map and graph are those of robot 0", file=sys.stderr
         )
-    seen = 1 + max(frame.robot for frames in steps for frame in frames)
-    robots = contacts[0].heard.shape[1] if contacts else seen
-    engine = make_engine(config, robots)
-    first = next(frames[0].step - k for k, frames in enumerate(steps) if frames)
-    for step, frames in enumerate(steps, first):  # steps in the frames may differ between robots
-        if frames:
-            engine.track(frames)
-        engine.absorb(step, contacts[step - first] if contacts else None)
-        odom_poses.append(engine.poses_odom)
-        show_count(step - first + 1, len(steps), " steps", every=50)
-    last = max([step, *(frame.step for frame in steps[-1])])
-    if last >= config.max_cycles or not _is_frame_log(logs[0]):  # a complete episode: the backlog is processed
-        engine.finish()
-    team = engine.team
-    figures = {
-        "log": " ".join(map(str, logs)),
-        "steps": len(steps),
-        "filter": config.slam.odometry_filter.backend,
-        "groups": [list(group.robots) for group in team.groups],
-        "keyframes": [len(team.keyframe_steps(robot)) for robot in range(robots)],
-        "closures_accepted": sum(c.status == "accepted" for c in team.closures),
-        "closures_proposed": team.closures_verified,
-        "final_poses": [[round(float(v), 6) for v in engine.pose_map_robot(r)] for r in range(robots)],
-        "config_digest": digest(config),
-    }
-    if options.truth:
-        figures["team_ate_m"] = _error_of_log(engine, np.array(odom_poses), read_truth_log(options.truth)[2])
-    for key, value in figures.items():
-        print(f"{key:<20} {value}")
-    write_json(options.json, figures)
-    if options.out:
-        _write_maps(options.out, team)
-        _write_paths(options.out, engine, steps, np.array(odom_poses), begun_s)
-        print(f"\nwritten: {options.out}")
 
 
-def _read_logs(
-    logs: Sequence[Path],
-    beam_count: object = None,
-) -> tuple[EnvConfig, Sequence[Sequence[SensorFrame]], list[Contacts], Sequence[float]]:
-    """Settings, frames per step, contacts per step ([] for laser logs), and start time [s] of each robot's clock.
-
-    beam_count: directions of laser logs; None: as many as their scanners have.
-    """
-    from twc_env.config import from_dict
-    from twc_env.datasets.logs import frame_log, scan_log
-
-    if _is_frame_log(logs[0]):
-        config, steps = frame_log.read_frame_log(logs[0])
-        return config, steps, frame_log.read_contacts(logs[0]), [0.0] * config.robots
-    scans = [scan_log.read_any_log(log) for log in logs]
-    beams = beam_count if isinstance(beam_count, int) and beam_count > 0 else scan_log.beam_count_of(scans)
-    paths = [scan_log.sensor_frames(s, beams, scan_log.RANGE_MAX_M, robot=r) for r, s in enumerate(scans)]
-    steps = [tuple(frame for frame in frames if frame is not None) for frames in zip_longest(*paths)]
-    lidar = scan_log.SETTINGS["lidar"] | {"beam_count": beams}
-    config = from_dict(scan_log.SETTINGS | {"lidar": lidar, "robots": len(logs), "max_cycles": len(steps)})
-    return config, steps, [], [float(s.times_s[0]) for s in scans]
-
-
-def _is_frame_log(log: Path) -> bool:
-    """Whether a file is a frame log: a zip archive, or anything named .npz."""
-    return log.suffix == ".npz" or zipfile.is_zipfile(log)
-
-
-def _error_of_log(engine: Engine, odom_poses: np.ndarray, true_poses: np.ndarray) -> float:
+def _error_of_log(done: Replay, true_poses: np.ndarray) -> float:
     """Team ATE [m] over a whole log, each group of robots aligned once."""
     from twc_env.exploration.assessment.team_alignment import team_error_m
 
-    if odom_poses.shape != true_poses.shape:
-        raise DataError(f"the truth has shape {true_poses.shape}, the log {odom_poses.shape}: give the pair of one run")
-    return team_error_m(engine, odom_poses, true_poses)
+    if done.odom_poses.shape != true_poses.shape:
+        raise DataError(
+            f"the truth has shape {true_poses.shape}, the log {done.odom_poses.shape}: give the pair of one run"
+        )
+    return team_error_m(done.engine, done.odom_poses, true_poses)
 
 
-def _write_maps(folder: Path, team: TeamMapper) -> None:
-    from twc_env.datasets.buildings.ros_map import write_ros_maps
-    from twc_env.datasets.logs.g2o import write_g2o
+def _write_folder(folder: Path, done: Replay, formats: Sequence[str]) -> None:
+    from importlib.util import find_spec
 
-    make_folder(folder)
-    largest_first = sorted(range(len(team.groups)), key=lambda group: -len(team.groups[group].robots))
-    write_ros_maps(map(team.grid_of, largest_first), folder)
-    write_g2o(folder / "pose_graph.g2o", team.graph())
+    from twc_env.replaying.outputs import write_maps, write_paths, write_table
+
+    write_maps(folder, done.engine.team)
+    write_paths(folder, done)
+    write_table(folder / "table.csv", done.table())
+    if formats and find_spec("matplotlib") is None:
+        print("no picture of the map: it needs `pip install 'twc_env[viz]'`", file=sys.stderr)
+    elif formats:
+        from twc_env.pictures.log_picture import draw_log
+
+        draw_log(done, [folder / f"map.{each}" for each in formats])
 
 
-def _write_paths(
-    folder: Path,
-    engine: Engine,
-    steps: Sequence[Sequence[SensorFrame]],
-    odom_poses: np.ndarray,
-    begun_s: Sequence[float],
-) -> None:
-    """Write each robot's trajectory at the times of its frames: in its group's map, and by odometry from its start."""
-    from twc_env.datasets.logs.tum import write_tum
-    from twc_env.exploration.assessment.team_alignment import TeamPaths
-    from twc_env.records.geometry import compose
+def _write_page(page, path: Path, done: Replay, figures: dict) -> None:
+    from twc_env._version import __version__
 
-    rows, last = [], -1  # row of odom_poses for each step; a step missing in the log has the previous row
-    for row, frames in enumerate(steps):
-        step = frames[0].step if frames else last + 1
-        rows += [row - 1] * (step - last - 1) + [row]
-        last = step
-    estimated = TeamPaths(engine, odom_poses[np.maximum(rows, 0)]).as_seen()
-    make_folder(folder / "trajectories")
-    for robot in sorted({frame.robot for frames in steps for frame in frames}):
-        own = [frame for frames in steps for frame in frames if frame.robot == robot]
-        odometry = accumulate((frame.odometry for frame in own), compose, initial=np.zeros(3))
-        paths = {
-            "estimated": estimated[[frame.step for frame in own], robot],
-            "odometry": np.array(list(odometry))[1:],
-        }
-        for kind, poses in paths.items():
-            path = folder / "trajectories" / f"robot_{robot}_{kind}.tum"
-            write_tum(path, np.array([begun_s[robot] + frame.time_s for frame in own]), poses)
+    times_s = _times_of_steps(done.source)
+    robots = f"{done.robots} robot{'s' if done.robots > 1 else ''}"
+    subtitle = (
+        f"{robots}, {len(times_s)} steps in {times_s[-1]:.0f} s, settings {figures['config_digest']}, version "
+        f"{__version__}. White and black: estimated map (free, wall); maps that are not merged stand side by side. "
+        "Disc: estimated pose. A log holds no true poses."
+    )
+    page.write(path, done.engine, f"replay of {figures['log']}", subtitle, {**figures, "table": _keyed(done)}, times_s)
+
+
+def _keyed(done: Replay) -> dict:
+    return {str(row["robot"]): {key: value for key, value in row.items() if key != "robot"} for row in done.table()}
+
+
+def _times_of_steps(source: ReplayInput) -> np.ndarray:
+    """(steps,) time since the start [s]; that of the first frame of each."""
+    begun_s = min(source.begun_s)
+    times_s, last_s = [], 0.0
+    for frames in source.steps:
+        if frames:
+            robot, first = frames[0].robot, frames[0]
+            offset_s = source.begun_s[robot] - begun_s if source.odometry is not None else 0.0
+            last_s = max(last_s, offset_s + first.time_s)
+        times_s.append(last_s)
+    return np.array(times_s) - times_s[0]

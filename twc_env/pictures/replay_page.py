@@ -36,11 +36,16 @@ def write_page(run: Path, path: Path) -> Path:
     trace, report = read_trace(run / "trace.npz"), read_report(run / "report.json")
     with contradictions(run):
         data = page_data(trace, report)
-        content = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    title = f"{report.get('agent', 'team')} on {report['map']}, seed {report['seed']}"
+    return fill_page(path, title, data)
+
+
+def fill_page(path: Path, title: str, data: dict[str, Any]) -> Path:
+    """Write the page of these data. Raises DataError if it cannot be written."""
+    content = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     template = files("twc_env.pictures").joinpath("replay_page.html").read_text(encoding="utf-8")
-    title = escape(f"{report.get('agent', 'team')} on {report['map']}, seed {report['seed']}")
     try:
-        filled = re.sub("__(TITLE|DATA)__", lambda gap: {"TITLE": title, "DATA": content}[gap[1]], template)
+        filled = re.sub("__(TITLE|DATA)__", lambda gap: {"TITLE": escape(title), "DATA": content}[gap[1]], template)
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as beside:
             beside.write_text(filled, encoding="utf-8")
@@ -59,7 +64,7 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
     packed = trace["maps"].tobytes()
     layers = [layer for moment in moments for layer in moment["layers"]]
     for layer, first, end in zip(layers, starts[:-1], starts[1:], strict=True):
-        layer["cells"] = _base64(packed[first:end])
+        layer["cells"] = base64_of(packed[first:end])
     return {
         "robots": config.robots,
         "robot_radius_m": config.dynamics.robot_radius_m,
@@ -70,13 +75,13 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
         "Disc: true pose of a robot; ring: its estimate.",
         "colours": ["#" + bytes(colour).hex() for colour in COLOURS],
         "bounds_m": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()],
-        "walls_m": _rounded(walls),
-        "signs_m": _rounded(trace["signs_m"]),
+        "walls_m": rounded(walls),
+        "signs_m": rounded(trace["signs_m"]),
         "sign_texts": json.loads(str(trace["sign_texts"])),
-        "access_points_m": _rounded(trace["access_points_m"]),
+        "access_points_m": rounded(trace["access_points_m"]),
         "signal": _signal(trace),
-        "true_poses": _rounded(trace["true_poses"]),
-        "estimated_poses": _rounded(trace["estimated_poses"]),
+        "true_poses": rounded(trace["true_poses"]),
+        "estimated_poses": rounded(trace["estimated_poses"]),
         "moments": moments,
         "report": report,
     }
@@ -91,15 +96,17 @@ def _signal(trace: dict[str, Array]) -> dict[str, Any]:
     return {
         "shape": list(level.shape),
         "place": trace["signal_place"].tolist(),
-        "cells": _base64(zlib.compress(level.tobytes())),
+        "cells": base64_of(zlib.compress(level.tobytes())),
     }
 
 
-def _rounded(values: Array) -> list:
+def rounded(values: Array) -> list:
+    """Plain numbers, to the millimetre."""
     return np.round(values.astype(np.float64), DIGITS).tolist()
 
 
-def _base64(content: bytes) -> str:
+def base64_of(content: bytes) -> str:
+    """Bytes as text."""
     return base64.b64encode(content).decode("ascii")
 
 

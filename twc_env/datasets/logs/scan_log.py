@@ -1,9 +1,9 @@
 """Logs of one robot's laser scans with poses, and hand-verified relations between them (Freiburg SLAM benchmark).
 
 A log is JSON {"map": {"<unix seconds>": {"range": [metres], "x": m, "y": m, "theta": rad}}} or a text of CARMEN, of
-which the lines `FLASER n r1 .. rn x y theta ...` or, in newer ones, `ROBOTLASER1` are read, with the pose of the laser;
-relations are text lines `t1 t2 dx dy dz roll pitch yaw`: the pose at t2 in the frame of the pose at t1. All may be
-gzipped. `sensor_frames` converts a log to frames for the engine.
+which the lines `FLASER n r1 .. rn x y theta ...` or, in newer ones, `ROBOTLASER1` are read, with the pose of the laser,
+or else `RAWLASER1` with the poses of `ODOM` lines; relations are text lines `t1 t2 dx dy dz roll pitch yaw`: the pose
+at t2 in the frame of the pose at t1. All may be gzipped. `sensor_frames` converts a log to frames for the engine.
 """
 
 from __future__ import annotations
@@ -21,21 +21,26 @@ from numpy.typing import NDArray as Array
 
 from twc_env.datasets.logs.text_file import read_text
 from twc_env.errors import DataError
-from twc_env.records.geometry import between, wrap_angle
+from twc_env.records.geometry import between, compose, wrap_angle
 from twc_env.records.messages import UNSEEN_M, SensorFrame
+from twc_env.records.scanner import Scanner
 
 NO_RETURN_M = 30.0
 """Scanners of these logs report more than this (81.83 m, 50 m, 32.7 m) for a beam without return."""
 TIME_BETWEEN_MIN_S = 1e-3
 """Minimum time between scans: some logs round times, so that scans seem simultaneous."""
 
-_SAME_DIRECTION_RAD = 1e-3
+SAME_DIRECTION_RAD = 1e-3
+"""Directions of the beams of two scans that differ by less are the same."""
 _HALF_CIRCLES = (180, 360, 720)
 """Beams of a half circle, but for one at its end."""
 _RETURNS_MIN = 0.1
 """Share of beams with a return, below which ranges cannot be metres."""
 _LOG = logging.getLogger(__name__)
 
+_SINGLE_DIGITS = 5
+SPACING_M, SPACING_RAD = 0.1, 0.1
+"""Of logs in which the robot hardly moves from scan to scan, only scans so far from the last one are used."""
 TIME_TOLERANCE_S = 0.02
 """Largest difference between the time of a relation and that of its scan."""
 
@@ -81,6 +86,15 @@ class ScanLog:
     """(scans, beams)."""
     beam_angles_rad: Array
     """(beams,) direction of each beam in the robot frame, counter-clockwise; (scans, beams) if it changes."""
+    sweep_s: float = 0.0
+    """Time from the first beam to the last, which is measured at the time of the scan; 0: all at once."""
+    turned_rad: Array | None = None
+    """(scans,) heading by a gyro, not wrapped; None: the log has none."""
+
+    def ranges_of(self, scan: int) -> Array:
+        """(beams,) float64; single precision stands for hundredths of a millimetre."""
+        ranges_m = self.ranges_m[scan]
+        return np.round(ranges_m.astype(float), _SINGLE_DIGITS) if ranges_m.dtype == np.float32 else ranges_m
 
     def beams_of(self, scan: int) -> Array:
         """(beams,) direction of each beam of a scan."""
@@ -120,7 +134,7 @@ def read_scan_log(path: str | Path) -> ScanLog:
         raise DataError(
             f"{path} is not a scan log: {_short(error)}; expected map -> time -> range, x, y, theta"
         ) from error
-    return _in_metres(log, path)
+    return in_metres(log, path)
 
 
 def _check_equal_counts(times: Sequence[str], scans: Sequence[Sequence[float]]) -> None:
@@ -139,16 +153,20 @@ def read_carmen_log(path: str | Path) -> ScanLog:
 
     Raises DataError for anything without such scans.
     """
-    kind, scans, params = "", [], {}
-    for k, line in enumerate(read_text(path, errors="replace").splitlines(), 1):
+    kind, scans, params, odometry = "", [], {}, []
+    lines = read_text(path, errors="replace").splitlines()
+    known = _READERS if any(line.startswith(_WITH_POSES) for line in lines) else _READERS | {"RAWLASER1": _raw_laser}
+    for k, line in enumerate(lines, 1):
         words = line.split()
         if len(words) > 2 and words[0] == "PARAM":
             params[words[1]] = words[2]
-        if not words or words[0] not in ((kind,) if kind else _READERS):
+        if len(words) > 7 and words[0] == "ODOM" and kind not in _READERS:
+            odometry.append((k, words))
+        if not words or words[0] not in ((kind,) if kind else known):
             continue
         kind = words[0]
         try:
-            scans.append(_READERS[kind](words[1:]))
+            scans.append(known[kind](words[1:]))
             beams, before = (len(scan.ranges_m) for scan in (scans[-1], scans[0]))
             if beams != before and scans[-1].directions is None:
                 raise ValueError(f"{beams} beams, where those before have {before}")
@@ -159,16 +177,18 @@ def read_carmen_log(path: str | Path) -> ScanLog:
             raise DataError(f"{path}, line {k} is not a scan: {reason}; fix or delete it") from error
     if not scans:
         raise DataError(
-            f"{path} is not a CARMEN log: expected lines {' or '.join(_READERS)}; what else you can read, "
-            "twc_env.datasets.logs.frame_log.write_frame_log makes a log of (docs/frames.md)"
+            f"{path} is not a CARMEN log: expected lines {', '.join(_READERS)}, or RAWLASER1 with ODOM; what else you "
+            "can read, twc_env.datasets.logs.frame_log.write_frame_log makes a log of (docs/frames.md)"
         )
     scans = _by_time(scans, path)
+    if kind == "RAWLASER1":
+        scans = _with_odometry(scans, odometry, params, path)
     poses, times_s = np.array([scan.pose for scan in scans]), np.array([scan.time_s for scan in scans])
     try:
         log = _log(times_s, poses, *_beams(scans, params, path))
     except ValueError as error:
         raise DataError(f"{path} is not a CARMEN log: {_short(error)}; record it again") from error
-    return _in_metres(log, path)
+    return in_metres(log, path)
 
 
 def _by_time(scans: list[_Scan], path: str | Path) -> list[_Scan]:
@@ -195,7 +215,7 @@ def _beams(scans: list[_Scan], params: dict[str, str], path: str | Path) -> tupl
         first_rad, step_rad = scan.directions or told
         ranges_m[k, :beams] = scan.ranges_m
         directions[k] = first_rad + step_rad * np.arange(count)
-    is_same = np.abs(directions - directions[0]).max() <= _SAME_DIRECTION_RAD
+    is_same = np.abs(directions - directions[0]).max() <= SAME_DIRECTION_RAD
     return ranges_m, directions[0] if is_same else directions
 
 
@@ -218,7 +238,7 @@ def _flaser_directions(beams: int, params: dict[str, str], path: str | Path) -> 
     return _half_circle(beams)
 
 
-def _in_metres(log: ScanLog, path: str | Path) -> ScanLog:
+def in_metres(log: ScanLog, path: str | Path) -> ScanLog:
     """The log; raises DataError if hardly a beam has a return, as where ranges are millimetres."""
     is_told = (log.ranges_m > 0.0) & np.isfinite(log.ranges_m)
     returns = int((is_told & (log.ranges_m < NO_RETURN_M)).sum())
@@ -263,7 +283,42 @@ def _robot_laser(words: Sequence[str]) -> _Scan:
     return _Scan(told_m, [float(word) for word in rest[:3]], float(words[-3]), (first_rad, resolution_rad))
 
 
+def _raw_laser(words: Sequence[str]) -> _Scan:
+    """As a ROBOTLASER1 line up to the remissions, then time, host, time; without a pose."""
+    first_rad, resolution_rad, range_max_m, count = float(words[1]), float(words[3]), float(words[4]), int(words[7])
+    _check_count(count)
+    ranges_m = [float(word) for word in words[8 : 8 + count]]
+    remissions = int(words[8 + count])
+    told_m = [range_m if range_m < range_max_m else math.inf for range_m in ranges_m]
+    return _Scan(told_m, [0.0, 0.0, 0.0], float(words[9 + count + remissions]), (first_rad, resolution_rad))
+
+
+def _with_odometry(
+    scans: list[_Scan], lines: Sequence[tuple[int, list[str]]], params: dict[str, str], path: str | Path
+) -> list[_Scan]:
+    """The scans within the time of the lines `ODOM x y theta v w a time ...`, with interpolated poses of the laser."""
+    try:
+        rows = np.array([[float(word) for word in (words[7], *words[1:4])] for _, words in lines])
+        ahead_m = float(params.get("robot_frontlaser_offset", "0"))
+    except ValueError as error:
+        raise DataError(f"{path}: a line ODOM or PARAM is no number: {_short(error)}; fix or delete it") from error
+    if not len(rows) or not np.isfinite(rows).all():
+        raise DataError(
+            f"{path} has RAWLASER1 lines but no ODOM lines that are finite: odometry is needed; record both"
+        )
+    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    inside = [scan for scan in scans if rows[0, 0] <= scan.time_s <= rows[-1, 0]]
+    if not inside:
+        raise DataError(f"{path}: no RAWLASER1 line is within the time of the ODOM lines; record both together")
+    columns = rows[:, 1], rows[:, 2], np.unwrap(rows[:, 3])
+    times_s = [scan.time_s for scan in inside]
+    poses = np.stack([np.interp(times_s, rows[:, 0], column) for column in columns], axis=1)
+    lasers = compose(poses, np.array([ahead_m, 0.0, 0.0])).tolist()
+    return [scan._replace(pose=pose) for scan, pose in zip(inside, lasers, strict=True)]
+
+
 _READERS = {"FLASER": _flaser, "ROBOTLASER1": _robot_laser}
+_WITH_POSES = tuple(f"{kind} " for kind in _READERS)
 
 
 def _check_count(count: int) -> None:
@@ -311,7 +366,8 @@ def sensor_frames(
 ) -> list[SensorFrame]:
     """Sensor frames of a robot on the path of the log, one per scan of `scans` (default: all).
 
-    Odometry is the motion between the poses of the log; its turn replaces the gyro, which the log lacks.
+    Odometry is the motion between the poses of the log; its turn replaces the gyro where the log has none. Scans that
+    take time are left as the scanner gives them, with its geometry, so that the engine can undo the motion.
     """
     frames: list[SensorFrame] = []
     chosen = np.arange(len(log.times_s)) if scans is None else np.asarray(scans)
@@ -321,9 +377,39 @@ def sensor_frames(
         odometry = between(log.poses[last], log.poses[k])
         elapsed_s = max(log.times_s[k] - log.times_s[last], TIME_BETWEEN_MIN_S)
         time_s += elapsed_s if step else 0.0
-        scan = onto_circle(log.ranges_m[k], log.beams_of(k), beam_count, range_max_m)
-        frames.append(SensorFrame(robot, step, float(time_s), odometry, float(odometry[2] / elapsed_s), scan))
+        turn_rate_rad_s = float(odometry[2] / elapsed_s)
+        if log.turned_rad is not None:
+            turn_rate_rad_s = float((log.turned_rad[k] - log.turned_rad[last]) / elapsed_s)
+        if log.sweep_s > 0.0:
+            scan, scanner = log.ranges_of(k), _scanner_of(log, k, range_max_m)
+        else:
+            scan, scanner = onto_circle(log.ranges_of(k), log.beams_of(k), beam_count, range_max_m), None
+        frames.append(SensorFrame(robot, step, float(time_s), odometry, turn_rate_rad_s, scan, scanner=scanner))
     return frames
+
+
+def _scanner_of(log: ScanLog, scan: int, range_max_m: float) -> Scanner:
+    """Geometry of a scan that takes time, in the frame of the log's poses. No return tells nothing, as above."""
+    first, *others = log.beams_of(scan)[:2].tolist()
+    step_rad = others[0] - first if others else math.radians(1.0)
+    return Scanner(first, step_rad, range_max_m=NO_RETURN_M, free_m=0.0, sweep_s=log.sweep_s)
+
+
+def spaced(log: ScanLog, needed: Sequence[int] | Array = ()) -> Array:
+    """Numbers of the scans to use: all, or, of a log in which the robot hardly moves from scan to scan, those that are
+    `SPACING_M` or `SPACING_RAD` from the last one; the `needed` ones and the last one are among them."""
+    motions = between(log.poses[:-1], log.poses[1:])
+    moved_m, turned_rad = np.hypot(motions[:, 0], motions[:, 1]), np.abs(motions[:, 2])
+    if len(motions) < 2 or not (np.median(moved_m) < SPACING_M and np.median(turned_rad) < SPACING_RAD):
+        return np.arange(len(log.times_s))
+    kept, needed_scans = [0], set(np.asarray(needed, int).tolist()) | {len(log.times_s) - 1}
+    x, y, heading = log.poses.T.tolist()
+    for k in range(1, len(x)):
+        at = kept[-1]
+        turned = abs((heading[k] - heading[at] + math.pi) % (2.0 * math.pi) - math.pi)
+        if math.hypot(x[k] - x[at], y[k] - y[at]) >= SPACING_M or turned >= SPACING_RAD or k in needed_scans:
+            kept.append(k)
+    return np.array(kept)
 
 
 def read_relations(path: str | Path, log: ScanLog) -> Relations:

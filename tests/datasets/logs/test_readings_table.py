@@ -1,0 +1,109 @@
+"""Tables of WiFi and signs in the forms that people have them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from twc_env.datasets.logs.readings_table import Span, read_signs, read_wifi, unit_choices
+from twc_env.errors import DataError
+
+BEGUN = 1_700_000_000.0
+SPAN = Span(BEGUN, BEGUN + 100.0)
+MAC = "aa:bb:cc:dd:ee:0"
+
+
+def table(tmp_path, text: str):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"timestamp,bssid,rssi\n{BEGUN + 1},{MAC}1,-50\n{BEGUN + 1},{MAC}2,-60\n",
+        f"t;MAC;level\n{BEGUN + 1:.0f},0;{MAC}2;-60,0\n{BEGUN + 1:.0f},0;{MAC}1;-50,0\n",
+        f"time\tap\tRSS [dBm]\n{BEGUN + 1}\tAA-BB-CC-DD-EE-01\t-50\n{BEGUN + 1}\taabb.ccdd.ee02\t-60\n",
+        f"dbm, bssid, time_ms\n-50, {MAC}1, {1000 * BEGUN + 1000:.0f}\n-60, {MAC}2, {1000 * BEGUN + 1000:.0f}\n",
+        f"time,bssid,rssi\n{1e9 * BEGUN + 1e9:.0f},{MAC}1,-50\n{1e9 * BEGUN + 1e9:.0f},{MAC}2,-60\n",
+        f"stamp,bssid,signal strength\n2023-11-14T22:13:21Z,{MAC}1,-50\n2023-11-14T23:13:21+01:00,{MAC}2,-60\n",
+        f"{BEGUN + 1},{MAC}1,-50\n{BEGUN + 1},{MAC}2,-60\n",
+        f"\ufefftime,bssid,rssi\r\n{BEGUN + 1},{MAC}1,-50\r\n\r\n{BEGUN + 1},{MAC}2,-60\r\n",
+    ],
+)
+def test_separators_names_and_units_are_recognised(tmp_path, text):
+    (found,), _ = read_wifi(table(tmp_path, text), SPAN)
+    assert found.times_s == pytest.approx([BEGUN + 1.0])
+    assert found.values[0].macs.tolist() == [0xAABBCCDDEE01, 0xAABBCCDDEE02]
+    assert found.values[0].rssi_dbm == pytest.approx([-50.0, -60.0])
+
+
+def test_what_was_not_heard_is_left_out_and_said(tmp_path):
+    rows = [f"{BEGUN},{MAC}{k},{level}" for k, level in enumerate(["-50", "100", "0", "", "nan", "-200"])]
+    (found,), notes = read_wifi(table(tmp_path, "time,bssid,rssi\n" + "\n".join(rows)), SPAN)
+    assert len(found.values[0].macs) == 1
+    assert any("5 readings without a strength" in note for note in notes)
+
+
+def test_readings_of_close_times_are_one_scan_until_an_address_comes_again(tmp_path):
+    rows = [f"{BEGUN + 0.1 * k},{MAC}{k % 3},-50" for k in range(6)]
+    (found,), _ = read_wifi(table(tmp_path, "time,bssid,rssi\n" + "\n".join(rows)), SPAN)
+    assert [len(scan.macs) for scan in found.values] == [3, 3]
+
+
+def test_bearings_and_ranges_are_recognised_or_asked_for(tmp_path):
+    head = "time,text,bearing,range\n"
+    (found,), notes = read_signs(table(tmp_path, head + f"{BEGUN},A 101,-45,2.5\n"), SPAN)
+    assert found.values[0].bearing_rad == pytest.approx(-math.pi / 4)
+    assert "bearings in deg, ranges in m" in notes[0]
+    unsure = table(tmp_path, head + f"{BEGUN},A 101,0.5,2.5\n")
+    with pytest.raises(
+        DataError, match=r"unit of bearing .* cannot be told; give --units angle=rad or --units angle=deg"
+    ):
+        read_signs(unsure, SPAN)
+    (found,), _ = read_signs(unsure, Span(*((BEGUN, BEGUN + 1)), units=unit_choices(["angle=deg"])))
+    assert found.values[0].bearing_rad == pytest.approx(math.radians(0.5))
+    told = "timestamp_ms;label;angle [deg];distance (mm)\n" + f"{1000 * BEGUN};A;0,5;900\n"
+    (found,), _ = read_signs(table(tmp_path, told), SPAN)
+    assert found.values[0].range_m == pytest.approx(0.9)
+
+
+def test_several_robots_need_a_column(tmp_path):
+    span = Span(BEGUN, BEGUN + 10, ("north", "south"))
+    with pytest.raises(DataError, match="does not say which of the 2 robots"):
+        read_wifi(table(tmp_path, f"time,bssid,rssi\n{BEGUN},{MAC}1,-50\n"), span)
+    rows = f"time,robot,bssid,rssi\n{BEGUN},south,{MAC}1,-50\n{BEGUN},0,{MAC}2,-60\n"
+    found, _ = read_wifi(table(tmp_path, rows), span)
+    assert [own.values[0].macs[0] & 0xF for own in found] == [2, 1]
+    with pytest.raises(DataError, match="there is no robot 'west'"):
+        read_wifi(table(tmp_path, rows.replace("south", "west")), span)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "is empty"),
+        ("x,y,z\n1,2,3\n", "no column for time, address, strength"),
+        (f"time,bssid,rssi\n{BEGUN},{MAC}1\n", "row 2: 2 columns, expected 3"),
+        (f"time,bssid,rssi\n{BEGUN},{MAC}1,loud\n", "row 2: strength must be a number"),
+        (f"time,bssid,rssi\n{BEGUN},{MAC}1,60\n", "no strength is below 0: give dBm"),
+        (f"time,bssid,rssi\nyesterday,{MAC}1,-60\n", "row 2: 'yesterday' is no time"),
+        (f"time,bssid,rssi\n{BEGUN + 5000},{MAC}1,-60\n", "put both on one clock"),
+        (f"time,bssid,rssi\n12,{MAC}1,-60\n", "unit of time .* cannot be told; give --units time=s"),
+    ],
+)
+def test_what_cannot_be_told_is_refused_in_one_line(tmp_path, text, told):
+    with pytest.raises(DataError, match=told):
+        read_wifi(table(tmp_path, text), SPAN)
+
+
+def test_units_of_the_command_line_are_checked():
+    assert unit_choices(["time=ms,angle=deg", "length=cm"]) == {"time": "ms", "angle": "deg", "length": "cm"}
+    with pytest.raises(DataError, match=r"--units takes time=s\|ms\|us\|ns"):
+        unit_choices(["time=hours"])
+
+
+def test_simulated_time_is_seconds_if_no_other_unit_meets_the_log(tmp_path):
+    (found,), _ = read_wifi(table(tmp_path, f"time,bssid,rssi\n12.5,{MAC}1,-60\n"), Span(5.0, 60.0))
+    assert np.array_equal(found.times_s, [12.5])

@@ -1,0 +1,68 @@
+"""Files of a replay: maps, pose graph, trajectories, picture, page, table, and a bag."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+from twc_env.datasets.buildings.ros_map import write_ros_maps
+from twc_env.datasets.logs.g2o import write_g2o
+from twc_env.datasets.logs.tum import write_tum
+from twc_env.datasets.ros.bag_writer import RobotEstimate, write_estimates
+from twc_env.errors import DataError
+from twc_env.records.messages import GridMap
+from twc_env.records.whole_file import whole_file
+from twc_env.replaying.run import Replay
+from twc_env.running.command_line import make_folder
+from twc_env.slam.team import TeamMapper
+
+
+def groups_by_size(team: TeamMapper) -> list[int]:
+    """Numbers of the groups of robots that share a map, the largest first."""
+    return sorted(range(len(team.groups)), key=lambda group: -len(team.groups[group].robots))
+
+
+def write_maps(folder: Path, team: TeamMapper) -> None:
+    """ROS maps of all groups, and the pose graph."""
+    make_folder(folder)
+    write_ros_maps(map(team.grid_of, groups_by_size(team)), folder)
+    write_g2o(folder / "pose_graph.g2o", team.graph())
+
+
+def write_paths(folder: Path, replay: Replay) -> None:
+    """Each robot's trajectory at the times of its frames: in its group's map, and by odometry from its start."""
+    make_folder(folder / "trajectories")
+    for path in replay.paths():
+        for kind, poses in (("estimated", path.estimated), ("odometry", path.odometry)):
+            write_tum(folder / "trajectories" / f"robot_{path.robot}_{kind}.tum", path.times_s, poses)
+
+
+def write_table(path: Path, rows: Sequence[dict]) -> None:
+    """A table as CSV."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    with whole_file(path) as beside:
+        beside.write_text(text.getvalue(), encoding="utf-8")
+
+
+def write_bag(path: Path, replay: Replay) -> None:
+    """Poses, transforms and maps as a bag of ROS."""
+    team = replay.engine.team
+    order = groups_by_size(team)
+    frames = {group: "map" if k == 0 else f"map_{k + 1}" for k, group in enumerate(order)}
+    estimates = []
+    for own in replay.paths():
+        name = own.name or (f"robot_{own.robot}" if replay.robots > 1 else "")
+        map_frame = frames[team.group_index(own.robot)]
+        estimates.append(RobotEstimate(name, map_frame, own.times_s, own.estimated, own.logged))
+    grids: dict[str, GridMap] = {
+        frames[group]: team.grid_of(group) for group in order if team.grid_of(group).log_odds.size
+    }
+    try:
+        write_estimates(path, estimates, grids)
+    except OSError as error:
+        raise DataError(f"cannot write the bag {path}: {error.strerror or error}; choose another place") from error

@@ -1,0 +1,139 @@
+"""The engine on the frames of a log, and the robots' paths afterwards."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import accumulate
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.config import EnvConfig
+from twc_env.exploration.assessment.team_alignment import TeamPaths
+from twc_env.records.geometry import between, compose, inverse, travelled_m
+from twc_env.replaying.inputs import ReplayInput
+from twc_env.running.command_line import LINE_WIDTH, show_line
+from twc_env.slam.modes import Engine, make_engine
+
+
+@dataclass(slots=True)
+class RobotPath:
+    """One robot's path at the times of its frames."""
+
+    robot: int
+    name: str
+    times_s: Array
+    """(frames,) on the clock of the log."""
+    estimated: Array
+    """(frames, 3) poses of the robot in the map of its group."""
+    odometry: Array
+    """(frames, 3) poses by the log's odometry, from the start."""
+    logged: Array
+    """(frames, 3) the same in the frame of the log."""
+
+
+@dataclass(slots=True)
+class Replay:
+    """A finished run."""
+
+    source: ReplayInput
+    config: EnvConfig
+    engine: Engine
+    odom_poses: Array
+    """(steps, robots, 3) poses of the front ends after each step."""
+    elapsed_s: float
+
+    @property
+    def robots(self) -> int:
+        """Number of robots."""
+        return self.odom_poses.shape[1]
+
+    def paths(self) -> list[RobotPath]:
+        """The path of each robot that has frames."""
+        rows, last = [], -1  # row of odom_poses for each step; a step missing in the log has the previous row
+        for row, frames in enumerate(self.source.steps):
+            step = frames[0].step if frames else last + 1
+            rows += [row - 1] * (step - last - 1) + [row]
+            last = step
+        estimated = TeamPaths(self.engine, self.odom_poses[np.maximum(rows, 0)]).as_seen()
+        found = []
+        for robot in sorted({frame.robot for frames in self.source.steps for frame in frames}):
+            own = [frame for frames in self.source.steps for frame in frames if frame.robot == robot]
+            poses = estimated[[frame.step for frame in own], robot]
+            times_s = np.array([self.source.begun_s[robot] + frame.time_s for frame in own])
+            mount, logged = self.source.mounts[robot], None
+            odometry = np.array(list(accumulate((f.odometry for f in own), compose, initial=np.zeros(3)))[1:])
+            if self.source.odometry is not None:
+                logged = self.source.odometry[robot]
+            if mount.any() and logged is not None:
+                poses, odometry = compose(poses, inverse(mount)), between(logged[0], logged)
+            name = self.source.names[robot]
+            found.append(RobotPath(robot, name, times_s, poses, odometry, odometry if logged is None else logged))
+        return found
+
+    def table(self) -> list[dict]:
+        """One row per robot, with units."""
+        team, rows = self.engine.team, []
+        for path in self.paths():
+            robot = path.robot
+            closures = [
+                c
+                for c in team.closures
+                if robot in (self.owner(c.candidate.target[0]), self.owner(c.candidate.source[0]))
+            ]
+            rows.append(
+                {
+                    "robot": path.name or str(robot),
+                    "map": team.group_index(robot) + 1,
+                    "time [s]": round(float(path.times_s[-1] - path.times_s[0]), 1),
+                    "path [m]": round(float(travelled_m(path.estimated)[-1]), 2),
+                    "odometry path [m]": round(float(travelled_m(path.odometry)[-1]), 2),
+                    "scans": len(path.times_s),
+                    "keyframes": len(team.keyframe_steps(robot)),
+                    "closures": sum(c.status == "accepted" for c in closures),
+                    "end x [m]": round(float(path.estimated[-1, 0]), 3),
+                    "end y [m]": round(float(path.estimated[-1, 1]), 3),
+                    "end heading [deg]": round(float(np.degrees(path.estimated[-1, 2])), 2),
+                }
+            )
+        return rows
+
+    def owner(self, segment: int) -> int:
+        """The robot of a segment."""
+        return self.engine.team.segments.owners[segment]
+
+
+def run(source: ReplayInput, config: EnvConfig, watch: Callable[[int, Engine], None] | None = None) -> Replay:
+    """Run the engine on all frames; watch: called after every step with its number and the engine."""
+    begun = time.monotonic()
+    seen = 1 + max(frame.robot for frames in source.steps for frame in frames)
+    contacts, steps = source.contacts, source.steps
+    robots = contacts[0].heard.shape[1] if contacts else max(seen, 1 if source.is_episode else len(source.names))
+    engine = make_engine(config, robots)
+    first = next(frames[0].step - k for k, frames in enumerate(steps) if frames)
+    odom_poses, step = [], first
+    for step, frames in enumerate(steps, first):  # steps in the frames may differ between robots
+        if frames:
+            engine.track(frames)
+        engine.absorb(step, contacts[step - first] if contacts else None)
+        odom_poses.append(np.array(engine.poses_odom))
+        if watch is not None:
+            watch(step - first, engine)
+        _show_progress(step - first + 1, len(steps), time.monotonic() - begun)
+    last = max([step, *(frame.step for frame in steps[-1])])
+    if last >= config.max_cycles or not source.is_episode:  # a complete episode: the backlog is processed
+        engine.finish()
+    return Replay(source, config, engine, np.array(odom_poses), time.monotonic() - begun)
+
+
+def _show_progress(done: int, total: int, elapsed_s: float, every: int = 50) -> None:
+    """Bar, count and time left; the cost of a step grows with the map, so that the time left is a lower bound."""
+    if done % every and done != total:
+        return
+    left_s = elapsed_s / done * (total - done)
+    told = f" {done}/{total} steps, {int(left_s) // 60}:{int(left_s) % 60:02d} left"
+    width = max(LINE_WIDTH - len(told) - 2, 10) // 2
+    full = round(width * done / total)
+    show_line(f"[{'#' * full}{'-' * (width - full)}]{told}", done == total)
