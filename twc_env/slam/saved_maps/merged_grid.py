@@ -48,7 +48,7 @@ def _drawn(
     column, row = np.meshgrid(np.arange(c0, c1), np.arange(r0, r1))
     centres = low + (np.stack([column, row], axis=-1).reshape(-1, 2) + 0.5) * resolution_m
     there = np.floor(_moved(inverse(pose), centres) / saved.resolution_m).astype(np.int64)
-    is_inside = (there >= 0).all(axis=1) & (there < saved.free.shape[::-1]).all(axis=1)
+    is_inside = np.all((there >= 0) & (there < saved.free.shape[::-1]), axis=1)
     column, row = np.where(is_inside[:, None], there, 0).T
     for out, mask in ((free, saved.free), (walls, saved.walls)):
         out[r0:r1, c0:c1] = (is_inside & mask[row, column]).reshape(r1 - r0, c1 - c0)

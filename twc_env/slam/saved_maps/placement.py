@@ -26,7 +26,7 @@ PARALLEL_MIN = np.cos(np.radians(25.0))
 """Walls whose directions differ by more are not the same."""
 AGREE_M, CONTRADICT_M = 0.2, 0.35
 """A wall agrees up to the first distance from a wall; in free floor beyond the second it contradicts."""
-CONTRADICTION = 1.5
+CONTRADICTION = 3.0
 """Weight of a metre of wall in free floor against a metre of wall on wall."""
 OTHER_M, OTHER_RAD = 1.0, np.radians(10.0)
 """Placements that differ by more are different ones."""
