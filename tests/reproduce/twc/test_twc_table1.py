@@ -124,6 +124,8 @@ def test_other_readings_of_the_equations_have_rows_of_their_own():
     assert all(
         rows[f"{method} inverse", 1.0]["recall_absolute"] == 0.0 for method in ("wifi", "twc")
     )  # never reaches 1
+    assert rows["wifi strict", 1.0]["recall_absolute"] == 0.0 < rows["wifi", 1.0]["recall_absolute"]
+    assert rows["wifi strict", 0.5]["recall_absolute"] == rows["wifi", 0.5]["recall_absolute"]
     # A distance of at least gamma dB is met by nearly all pairs: what is left is the ratio of shared transmitters.
     printed = rows["wifi as printed", 0.5]
     assert printed["recall_absolute"] > 0.99 and printed["precision"] < 0.3

@@ -9,9 +9,9 @@ from twc_env.reproduce.runner import Runner, table_module
 from twc_env.reproduce.walls import sfw_authors, sfw_ble, sfw_routers, sfw_table1
 from twc_env.reproduce.walls.sfw_flats import flat
 from twc_env.reproduce.walls.sfw_registration import register
-from twc_env.reproduce.walls.sfw_scoring import Mapped, at_coverage
+from twc_env.reproduce.walls.sfw_scoring import Counted, Mapped, at_coverage, counted_walls, shuffled
 from twc_env.reproduce.walls.sfw_slam import slam_walk
-from twc_env.reproduce.walls.sfw_walks import STANDOFF_M, wall_following_route
+from twc_env.reproduce.walls.sfw_walks import STANDOFF_M, WalkReadings, wall_following_route
 from twc_env.world.building.floor_cells import Cells
 
 
@@ -31,14 +31,21 @@ def test_the_table_has_a_row_per_experiment_and_method_and_ours_beats_the_paper(
     rows = rows_of(sfw_table1, "--seeds", "1", "--experiments", "1", "--out", str(tmp_path))
     methods = [row["method"] for row in rows]
     assert methods[:4] == ["paper", "paper, distance", "ours", "ours, SLAM"]
-    assert methods[4:] == ["paper, K by silhouette", "paper, Algorithm 1", "paper, k given everywhere"]
+    assert methods[4:] == list(sfw_table1.METHODS[4:]) and len(methods) == 11
     assert rows[4]["k_accuracy"] <= rows[0]["k_accuracy"] == rows[5]["k_accuracy"]  # chosen in hindsight
     assert rows[6]["iou_wall"] > 0.9 > rows[5]["iou_free"] > 0.5
     assert rows[3]["iou_free"] > 0.9
     assert list(rows[0]) == [
-        "experiment", "routers", "points", "method", "k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier",
-        "paper_k_accuracy", "paper_iou", "seeds", "sd",
+        "experiment", "routers", "points", "method", "k_accuracy", "k_cells", "k_trivial", "iou_free", "iou_trivial",
+        "iou_wall", "coverage", "mse", "brier", "paper_k_accuracy", "paper_iou", "seeds", "sd",
     ]  # fmt: skip
+    row = {each["method"]: each for each in rows}
+    literal, mixture = row["paper, probability by Eq. 4"], row["paper, probability by Gaussians"]
+    assert len({literal["brier"], mixture["brier"], row["paper"]["brier"]}) == 3
+    assert literal["iou_free"] == mixture["iou_free"] == row["paper"]["iou_free"]
+    null = row["ours, strengths shuffled"]
+    assert null["k_accuracy"] <= row["ours"]["k_trivial"] < row["ours"]["k_accuracy"]
+    assert null["iou_wall"] < row["ours"]["iou_wall"]
     assert rows[2]["k_accuracy"] > 0.95 > rows[0]["k_accuracy"]
     assert rows[2]["iou_free"] > 0.97
     assert rows[2]["coverage"] > 0.8
@@ -49,7 +56,9 @@ def test_the_surest_cells_are_told_first_up_to_a_coverage():
     truth = np.full((4, 5), 255, np.uint8)
     probability = np.tile([0.02, 0.1, 0.2, 0.6, np.nan], (4, 1))
     classes = np.select([probability < 0.25, probability > 0.4], [255, 0], 127).astype(np.uint8)
-    made = Mapped(1.0, score_structure(classes, truth, probability), 0.0, classes, truth, probability)
+    made = Mapped(
+        Counted(1.0, 1.0, 0.5), score_structure(classes, truth, probability), 0.0, classes, truth, probability
+    )
     rays = np.arange(20).reshape(4, 5)
     told = at_coverage(made, rays, 0.5)
     assert told.score.coverage == 0.5
@@ -58,10 +67,26 @@ def test_the_surest_cells_are_told_first_up_to_a_coverage():
     assert told.score.iou_free < 1.0
 
 
+def test_walls_are_counted_by_reading_and_by_cell_beside_the_trivial_answer():
+    cells = load_map("sfw-e1").cells(0.1)
+    at = cells.centre_of(np.argwhere(cells.free)[[0, 0, 0, 50]])
+    walk = WalkReadings(at, np.full((4, 1), -50.0), np.zeros((1, 2)), np.array([[1], [1], [1], [0]]))
+    counted = counted_walls(walk, cells, np.array([1, 1, 0, 1]))
+    assert (counted.accuracy, counted.by_cell, counted.trivial) == (0.5, 0.5, 0.75)
+
+
+def test_shuffled_strengths_are_the_same_strengths_elsewhere():
+    rssi = np.arange(40.0).reshape(20, 2)
+    walk = WalkReadings(np.zeros((20, 2)), rssi, np.zeros((2, 2)), np.zeros((20, 2), int))
+    null = shuffled(walk, 3).rssi_dbm
+    assert not np.array_equal(null, rssi) and sorted(null.tolist()) == rssi.tolist()
+    assert np.array_equal(null, shuffled(walk, 3).rssi_dbm) and not np.array_equal(null, shuffled(walk, 4).rssi_dbm)
+
+
 def test_flats_are_measured_in_the_same_columns(rows_of, tmp_path, monkeypatch):
     monkeypatch.setattr(sfw_table1, "_READINGS_PER_M", 10.0)
     rows = rows_of(sfw_table1, "--flats", "1", "--out", str(tmp_path))
-    assert [(row["experiment"], row["routers"]) for row in rows] == [("1 flats", n) for n in (1, 2) for _ in range(7)]
+    assert [(row["experiment"], row["routers"]) for row in rows] == [("1 flats", n) for n in (1, 2) for _ in range(11)]
     assert rows[2]["k_accuracy"] > 0.9
     assert rows[0]["paper_iou"] is None
     assert not any("printed" in text for text in sfw_table1.remarks(rows))

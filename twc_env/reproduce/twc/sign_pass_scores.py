@@ -112,16 +112,22 @@ def _curve(score: Array, is_same: Array) -> list[float]:
     return [float(precision[recall >= level - 1e-9].max(initial=0.0)) for level in RECALL_LEVELS]
 
 
-def score_some(config: EnvConfig, walks: list[Walk], name: str, methods: Sequence[str] = ("wifi", "twc")) -> list[dict]:
-    """Figures of some methods before scan matching; `name` is appended to the name of each."""
+def score_some(
+    config: EnvConfig, walks: list[Walk], name: str, methods: Sequence[str] = ("wifi", "twc"), is_strict: bool = False
+) -> list[dict]:
+    """Figures of some methods before scan matching; `name` is appended to the name of each.
+
+    `is_strict`: the share of transmitters must be above beta, as in the paper's text, not at least beta.
+    """
     sign_passes = [(robot, sign_pass) for robot, w in enumerate(walks) for sign_pass in w.sign_passes]
     pairs, views = _pass_pairs(sign_passes), [sign_pass.keyframe for _, sign_pass in sign_passes]
     cues, scores = _threshold_scores(config, pairs, views)
     if "fused" in methods:
         scores["fused"] = _fused_scores(fused_with_memory(config, walks), pairs, views)
+    sliver = 1e-6 if is_strict else 0.0
     return [
         {"method": f"{method} {name}", "alpha": alpha, "beta": beta, "gamma": gamma}
-        | _figure(method, _accept(method, alpha, beta, gamma, scores, cues, config), alpha, scores, pairs)
+        | _figure(method, _accept(method, alpha, beta + sliver, gamma, scores, cues, config), alpha, scores, pairs)
         | _of(None, "places")
         | _of(None, "verified")
         | dict.fromkeys(("average_precision_verified", "recall_at_full_precision_verified"), math.nan)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,15 @@ COMPENSATED = "paper, distance"
 """The published method on readings compensated for the distance from the router."""
 BY_SILHOUETTE, ALGORITHM_1, DENSE = "paper, K by silhouette", "paper, Algorithm 1", "paper, k given everywhere"
 """The published method without the truth; with its Algorithm 1; and its dense inverse, an oracle."""
-FIGURES = ("k_accuracy", "iou_free", "iou_wall", "coverage", "mse", "brier")
+LITERAL_MU, MIXTURE_MU = "paper, probability by Eq. 4", "paper, probability by Gaussians"
+"""The map of the paper with its fused mu as probability of a wall: Eq. 4 as printed, or a Gaussian per wall; see the
+Brier score."""
+SHUFFLED, OURS_SHUFFLED = "paper, strengths shuffled", "ours, strengths shuffled"
+"""The null: the same strengths at other readings of the walk, so that only the path says anything."""
+FIGURES = (
+    "k_accuracy", "k_cells", "k_trivial", "iou_free", "iou_trivial", "iou_wall", "coverage", "mse", "brier",
+)  # fmt: skip
+"""k_cells: accuracy per cell of the walk (papers.md K17). Trivial: always the most frequent k; all floor."""
 RESOLUTION_M = 0.1
 _FREE_SPACE_EXPONENT = 2.0
 _DENSE_READINGS = 1000
@@ -36,10 +44,21 @@ _DENSE_READINGS = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Counted:
+    """How many numbers of walls k are right, of a walk's readings."""
+
+    accuracy: float
+    by_cell: float
+    """Median k against the median truth, per cell of the walk (papers.md K17)."""
+    trivial: float
+    """Accuracy of always saying the k that is most frequent on this walk."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Mapped:
     """The map of one method for a walk, on the grid of the truth."""
 
-    k_accuracy: float
+    k: Counted
     score: StructureScore
     calibration_error: float
     classes: Array
@@ -48,11 +67,38 @@ class Mapped:
     structure: Structure | None = None
 
     @property
+    def k_accuracy(self) -> float:
+        """Share of the readings whose number of walls is right."""
+        return self.k.accuracy
+
+    @property
     def figures(self) -> dict[str, float]:
         """The columns common to all tables of maps."""
-        score = self.score
-        columns = (self.k_accuracy, score.iou_free, score.iou_wall, score.coverage, score.mse, score.brier)
-        return dict(zip(FIGURES, columns, strict=True))
+        score, all_floor = self.score, np.count_nonzero(self.truth == FREE) / np.count_nonzero(self.truth != UNKNOWN)
+        k = self.k.accuracy, self.k.by_cell, self.k.trivial
+        ious = score.iou_free, float(all_floor), score.iou_wall
+        return dict(zip(FIGURES, (*k, *ious, score.coverage, score.mse, score.brier), strict=True))
+
+
+def shuffled(walk: WalkReadings, seed: int) -> WalkReadings:
+    """The walk with its strengths at other readings."""
+    order = np.random.default_rng([seed, 4]).permutation(len(walk.rssi_dbm))
+    return replace(walk, rssi_dbm=walk.rssi_dbm[order])
+
+
+def counted_walls(walk: WalkReadings, cells: Cells, walls: Array) -> Counted:
+    """Accuracy of walls (heard readings,) to the strongest router of each reading."""
+    rows, focus = focus_of(walk)
+    true = walk.walls[rows, focus]
+    _, cell = np.unique(np.column_stack([_cells_of(walk.position_m[rows], cells), focus]), axis=0, return_inverse=True)
+    right = [np.median(walls[mine]) == np.median(true[mine]) for mine in _groups(cell)]
+    return Counted(float(np.mean(walls == true)), float(np.mean(right)), float(np.bincount(true).max() / len(true)))
+
+
+def _groups(number: Array) -> list[Array]:
+    """Indices of equal numbers."""
+    order = np.argsort(number, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
 
 
 def focus_of(walk: WalkReadings) -> tuple[Array, Array]:
@@ -61,26 +107,28 @@ def focus_of(walk: WalkReadings) -> tuple[Array, Array]:
     return rows, np.argmax(np.nan_to_num(walk.rssi_dbm[rows], nan=-200.0), axis=1)
 
 
-def by_paper(walk: WalkReadings, cells: Cells, is_compensated: bool = False, k_by_silhouette: bool = False) -> Mapped:
+def by_paper(
+    walk: WalkReadings, cells: Cells, is_compensated: bool = False, k_by_silhouette: bool = False, mu: str = ""
+) -> Mapped:
     """Sorted k-means on the strongest router's readings, sliding window, rules 1-5 with Eq. 4 and 5 as printed.
 
     The paper does not state its number of clusters: the best one in hindsight is used, or with `k_by_silhouette` one
-    that needs no truth. `is_compensated`: the free-space path loss is added to the readings before clustering.
+    that needs no truth. `is_compensated`: the free-space path loss is added to the readings before clustering. `mu`:
+    see `by_rules`.
     """
-    return by_rules(walk, cells, _clustered(walk, is_compensated, k_by_silhouette))
+    return by_rules(walk, cells, _clustered(walk, is_compensated, k_by_silhouette), mu)
 
 
 def by_algorithm_1(walk: WalkReadings, cells: Cells) -> Mapped:
     """The published Algorithm 1 instead of its rules, from the same number of walls at each reading (papers.md K13)."""
-    rows, focus = focus_of(walk)
+    rows, _ = focus_of(walk)
     walls = _clustered(walk)
     levels = published.map_by_algorithm_1(
         _cells_of(walk.position_m[rows], cells), walls, walk.rssi_dbm[rows], _routers_in(walk, cells), cells.free.shape
     )
     classes = np.select([levels > UNKNOWN, levels < UNKNOWN], [FREE, WALL], UNKNOWN).astype(np.uint8)
     probability = np.where(classes == UNKNOWN, np.nan, 1.0 - levels / FREE)
-    accuracy = float(np.mean(walls == walk.walls[rows, focus]))
-    return _scores(accuracy, classes, probability, truth_map(cells.free, cells.wall))
+    return _scores(counted_walls(walk, cells, walls), classes, probability, truth_map(cells.free, cells.wall))
 
 
 def by_dense_inverse(walk: WalkReadings, cells: Cells) -> Mapped:
@@ -93,7 +141,9 @@ def by_dense_inverse(walk: WalkReadings, cells: Cells) -> Mapped:
         walls |= published.walls_from_k_map(walls_crossed_map(cells.wall, cells.free, router), router)
     classes = np.select([cells.free, walls], [FREE, WALL], UNKNOWN).astype(np.uint8)
     probability = np.where(classes == UNKNOWN, np.nan, (classes == WALL).astype(float))
-    return _scores(1.0, classes, probability, truth_map(cells.free, cells.wall))
+    rows, focus = focus_of(walk)
+    k = counted_walls(walk, cells, walk.walls[rows, focus])
+    return _scores(k, classes, probability, truth_map(cells.free, cells.wall))
 
 
 def _clustered(walk: WalkReadings, is_compensated: bool = False, k_by_silhouette: bool = False) -> Array:
@@ -126,16 +176,19 @@ def _routers_in(walk: WalkReadings, cells: Cells) -> Array:
     return ((walk.router_m - cells.origin_m) / cells.resolution_m)[:, ::-1]
 
 
-def by_rules(walk: WalkReadings, cells: Cells, walls: Array) -> Mapped:
-    """The published map, from the number of walls (heard readings,) to the strongest router of each reading."""
+def by_rules(walk: WalkReadings, cells: Cells, walls: Array, mu: str = "") -> Mapped:
+    """The published map, from the number of walls (heard readings,) to the strongest router of each reading.
+
+    All cells seen only through walls are walls (rule 3). The probability of these is 1, or with `mu` ("literal" or
+    "mixture") that of Eq. 4 in that form, fused by Eq. 5.
+    """
     rows, focus = focus_of(walk)
-    settings = published.RuleSettings(equation_4="literal")
+    settings = published.RuleSettings(equation_4=mu or "literal")
     places, routers = _cells_of(walk.position_m[rows], cells), _routers_in(walk, cells)
-    classes, _ = published.map_by_rules(places, walls, focus, routers, cells.free.shape, settings)
-    probability = np.where(classes == UNKNOWN, np.nan, (classes == WALL).astype(float))
-    return _scores(
-        float(np.mean(walls == walk.walls[rows, focus])), classes, probability, truth_map(cells.free, cells.wall)
-    )
+    classes, found = published.map_by_rules(places, walls, focus, routers, cells.free.shape, settings)
+    likely = np.where(np.isfinite(found), found, 1.0) if mu else 1.0  # the outer box has no mu
+    probability = np.where(classes == UNKNOWN, np.nan, np.where(classes == WALL, likely, 0.0))
+    return _scores(counted_walls(walk, cells, walls), classes, probability, truth_map(cells.free, cells.wall))
 
 
 def by_ours(walk: WalkReadings, cells: Cells, seed: int) -> Mapped:
@@ -144,10 +197,10 @@ def by_ours(walk: WalkReadings, cells: Cells, seed: int) -> Mapped:
         walk.position_m, walk.rssi_dbm, walk.router_m, cells.resolution_m, seed=seed, origin_m=cells.origin_m
     )
     rows, focus = focus_of(walk)
-    accuracy = float(np.mean(structure.walls[rows, focus] == walk.walls[rows, focus]))
+    k = counted_walls(walk, cells, structure.walls[rows, focus])
     classes = on_grid(structure.grid.classes(), structure.grid.origin_m, cells, UNKNOWN)
     probability = on_grid(structure.grid.probability, structure.grid.origin_m, cells, np.nan)
-    return _scores(accuracy, classes, probability, truth_map(cells.free, cells.wall), structure)
+    return _scores(k, classes, probability, truth_map(cells.free, cells.wall), structure)
 
 
 def at_coverage(made: Mapped, rays: Array, coverage: float) -> Mapped:
@@ -165,7 +218,7 @@ def at_coverage(made: Mapped, rays: Array, coverage: float) -> Mapped:
     classes = np.full(made.classes.shape, UNKNOWN, np.uint8)
     classes.flat[kept] = made.classes.flat[kept]
     probability = np.where(classes == UNKNOWN, np.nan, made.probability)
-    return _scores(made.k_accuracy, classes, probability, made.truth, made.structure)
+    return _scores(made.k, classes, probability, made.truth, made.structure)
 
 
 def on_grid(values: Array, origin_m: Array, cells: Cells, outside) -> Array:
@@ -178,13 +231,11 @@ def on_grid(values: Array, origin_m: Array, cells: Cells, outside) -> Array:
     return placed
 
 
-def _scores(
-    accuracy: float, classes: Array, probability: Array, truth: Array, structure: Structure | None = None
-) -> Mapped:
+def _scores(k: Counted, classes: Array, probability: Array, truth: Array, structure: Structure | None = None) -> Mapped:
     told = np.isfinite(probability) & (truth != UNKNOWN)
     error = calibration_error(probability[told], truth[told] == WALL)
     score = score_structure(classes, truth, probability)
-    return Mapped(accuracy, score, error, classes, truth, probability, structure)
+    return Mapped(k, score, error, classes, truth, probability, structure)
 
 
 def draw_maps(path: Path, title: str, walk: WalkReadings, cells: Cells, maps: dict[str, Mapped]) -> None:
