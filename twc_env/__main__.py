@@ -25,6 +25,7 @@ COMMANDS = {
     "warm-up": "compile all kernels now instead of at the first episode",
     "record": "record the sensor frames of an episode, and the ground truth in a separate file",
     "replay": "run the SLAM engine on a recorded log, or export a run as a web page or Rerun recording",
+    "optimise": "optimise a g2o or TORO pose graph robustly, and tell whether the result is lost",
     "bench": "measure steps per second, with and without SLAM",
     "ocr": "measure how a real OCR misreads signs, or show the measured table",
     "reproduce": "reproduce tables of the three papers and our own, beside published values",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from twc_env.errors import DataError
 from twc_env.records.geometry import inverse
 from twc_env.records.planar_graph import PlanarGraph
 from twc_env.records.twists import adjoint
+from twc_env.records.whole_file import whole_file
 
 _VERTICES, _EDGES = {"VERTEX_SE2", "VERTEX2"}, {"EDGE_SE2", "EDGE2"}
 _WORDS = {"VERTEX_SE2": 5, "VERTEX2": 5, "EDGE_SE2": 12, "EDGE2": 12, "VERTEX_XY": 4, "EDGE_SE2_XY": 8}
@@ -231,3 +233,28 @@ def _symmetric(upper: Array, where: tuple[Array, Array], size: int) -> Array:
 
 def _some(ids: list[int]) -> str:
     return ", ".join(map(str, ids[:NAMED_MAX])) + (" ..." if len(ids) > NAMED_MAX else "")
+
+
+def write_pose_graph(path: str | Path, graph: PlanarGraph, poses: Array, landmarks_m: Array, accepted: Array) -> None:
+    """Write a g2o file of a graph with other poses (n, 3) and landmarks (m, 2), under the ids of the original.
+
+    Edges that are not accepted (e,) stand in it as comments.
+    """
+    ids, landmark_ids = graph.vertex_ids.tolist(), graph.landmark_ids.tolist()
+    lines = [f"VERTEX_SE2 {vertex} {_words(pose)}" for vertex, pose in zip(ids, poses, strict=True)]
+    for landmark, place in zip(landmark_ids, landmarks_m, strict=True):
+        if np.isfinite(place).all():
+            lines.append(f"VERTEX_XY {landmark} {_words(place)}")
+    lines += [f"FIX {ids[k]}" for k in graph.held.tolist()]
+    for k, (a, b) in enumerate(graph.edges.tolist()):
+        values = _words([*graph.measured[k], *graph.information[k][_UPPER3]])
+        lines.append(f"{'' if accepted[k] else '# rejected: '}EDGE_SE2 {ids[a]} {ids[b]} {values}")
+    for k, (a, m) in enumerate(graph.sightings.tolist()):
+        values = _words([*graph.seen_m[k], *graph.seen_information[k][_UPPER2]])
+        lines.append(f"EDGE_SE2_XY {ids[a]} {landmark_ids[m]} {values}")
+    with whole_file(path) as beside:
+        beside.write_text("\n".join(lines) + "\n")
+
+
+def _words(values: Iterable[float]) -> str:
+    return " ".join(f"{value:.12g}" for value in values)
