@@ -26,6 +26,7 @@ COMMANDS = {
     "record": "record the sensor frames of an episode, and the ground truth in a separate file",
     "replay": "run the SLAM engine on a recorded log, or export a run as a web page or Rerun recording",
     "data": "list and fetch public data sets, and simulate logs as real robots record them",
+    "optimise": "optimise a g2o or TORO pose graph robustly, and tell whether the result is lost",
     "bench": "measure steps per second, with and without SLAM",
     "ocr": "measure how a real OCR misreads signs, or show the measured table",
     "reproduce": "reproduce tables of the three papers and our own, beside published values",

@@ -1,4 +1,4 @@
-"""Command line: twc-env maps list | show | generate | import | export | check | schema."""
+"""Command line: twc-env maps list | show | generate | import | export | merge | check | schema."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from twc_env.errors import MapError
 from twc_env.records.json_values import check_writable, write_json
-from twc_env.running.command_line import Fill, add_json, count, natural
+from twc_env.running.command_line import Fill, add_folder, add_json, count, natural
 
 if TYPE_CHECKING:
     from twc_env.world.building.floorplan import Floorplan
@@ -72,6 +72,9 @@ def add_arguments(maps: argparse.ArgumentParser) -> None:
     )
     _seed(give)
 
+    text = "lay maps of one building over each other, without initial guess, and write one map of all"
+    _part(parts, "merge", _merge, text, ["merge monday.yaml tuesday.yaml --out merged"], _MERGE_MORE, fill=_add_merge)
+
     text = "check that maps are valid and every room is reachable; exit status 2 if one is not"
     more = """
 
@@ -87,6 +90,32 @@ copies."""
 
     text = "print the JSON schema of the native format"
     _part(parts, "schema", _schema, text, ["schema > floorplan.schema.json"])
+
+
+_MERGE_MORE = """
+
+Writes transforms.json, and for each group of maps that fit map.yaml + map.pgm (ROS map_server) and map.png, in the
+frame of the group's first map. Maps stay apart, with the reason, where two placements explain the overlap about
+equally, as in identical rooms, or where too little of it agrees. Exit status 1 if no maps were merged."""
+
+
+def _add_merge(merge: argparse.ArgumentParser) -> None:
+    merge.add_argument(
+        "maps", nargs="+", metavar="MAP", help="two or more, see below; turns and resolutions may differ"
+    )
+    merge.add_argument(
+        "--resolution", type=float, default=0.05, metavar="M", help="metres per pixel of a .png or .pgm without yaml"
+    )
+    add_folder(merge, "--out", "merged", "folder of the merged map")
+    add_json(merge)
+
+
+def _merge(options: argparse.Namespace) -> int:
+    from twc_env.running.map_merge import merge_files
+
+    text, is_merged = merge_files(options.maps, options.resolution, options.out, options.json)
+    print(text)
+    return 0 if is_merged else 1
 
 
 def _add_building(make: argparse.ArgumentParser) -> None:

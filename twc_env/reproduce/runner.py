@@ -56,6 +56,9 @@ TABLES = {
     "real-places": Table(
         "same place within 5 m on two real floors: text, WiFi, both, and all cues fused", needs_data=True
     ),
+    "saved-maps": Table(
+        "saved maps merged without initial guess: 100 pairs that overlap, and 50 that must not merge", needs_data=True
+    ),
     "robustness": Table("back ends against false closures on public pose graphs", needs_data=True),
     "solver": Table("our pose-graph solver against gtsam's, on public graphs from odometry", needs_data=True),
     "stress": Table(

@@ -145,8 +145,8 @@ def _graph(vertices: dict[int, list[float]], edges: list[tuple[int, int, list[fl
     information[:, _UPPER[1], _UPPER[0]] = values[:, 3:]
     nodes = np.array(list(vertices.values())).reshape(-1, 3)
     ij = np.array([(index[i], index[j]) for i, j, _, _ in edges], np.int64).reshape(-1, 2)
-    is_odometry = _along_paths(edges)
-    is_odometry &= ~_contradicted(nodes, ij, values[:, :3], information, is_odometry)
+    is_odometry = edges_along_paths(edges)
+    is_odometry &= ~edges_contradicted(nodes, ij, values[:, :3], information, is_odometry)
     return {
         "nodes": nodes,
         "vertex_ids": np.array(list(vertices), np.int64),
@@ -157,7 +157,7 @@ def _graph(vertices: dict[int, list[float]], edges: list[tuple[int, int, list[fl
     }
 
 
-def _along_paths(edges: list[tuple[int, int, list[float], int]]) -> Array:
+def edges_along_paths(edges: list[tuple[int, int, list[float], int]]) -> Array:
     """(e,) bool: between neighbours in the numbering, whatever its step, and not over a jump to another robot's ids."""
     ids = sorted({vertex for edge in edges for vertex in edge[:2]})
     place = {vertex: k for k, vertex in enumerate(ids)}
@@ -166,7 +166,7 @@ def _along_paths(edges: list[tuple[int, int, list[float], int]]) -> Array:
     return np.array([abs(place[i] - place[j]) == 1 and abs(i - j) <= _JUMP * usual for i, j, *_ in edges], bool)
 
 
-def _contradicted(nodes: Array, ij: Array, z: Array, information: Array, is_along: Array) -> Array:
+def edges_contradicted(nodes: Array, ij: Array, z: Array, information: Array, is_along: Array) -> Array:
     """(e,) bool: edges between neighbours whose vertices stand far from where the edge leads.
 
     So do edges between the last vertex of one robot and the first of the next. Where vertices are not laid along the
@@ -194,7 +194,7 @@ def _laid_along(edges: list[tuple[int, int, list[float], int]], path) -> dict[in
         ways.setdefault(i, []).append((j, np.array(values[:3])))
         ways.setdefault(j, []).append((i, inverse(values[:3])))
     first, order = min(ways), itertools.count()
-    along = {frozenset(edge[:2]) for edge, is_along in zip(edges, _along_paths(edges), strict=True) if is_along}
+    along = {frozenset(edge[:2]) for edge, is_along in zip(edges, edges_along_paths(edges), strict=True) if is_along}
     poses: dict[int, Array] = {}
     waiting = [(False, next(order), first, np.zeros(3))]
     while waiting:

@@ -42,6 +42,8 @@ PRIOR_COUNTS = (3, 1)
 JOINT_GROUPS_MAX, JOINT_SEEDS, JOINT_SIZE_MAX = 150, 40, 12
 """Groups considered for joint acceptance, those of them that start a set, and the largest set."""
 ROUNDS_MAX = 200
+UNPROVEN = "unproven"
+"""How the reason of a closure begins that is neither accepted nor contradicted."""
 
 
 class ConsistentSetSearch:
@@ -249,7 +251,7 @@ class ConsistentSetSearch:
         for k in np.flatnonzero(~kept):
             group = self._group[k]
             if squared[k] < GATE:
-                why = "unproven: drift is too large to distinguish it from a false closure"
+                why = f"{UNPROVEN}: drift is too large to distinguish it from a false closure"
             elif share[group] > 0:
                 why = "contradicts its group and the map"
             elif self._size[group] > 1:

@@ -1,0 +1,65 @@
+"""`twc-env optimise`: pose graphs of others, optimised robustly, with a verdict on every closure and on the whole."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from twc_env.errors import ConfigError, did_you_mean
+from twc_env.records.json_values import check_folder, write_json
+from twc_env.running.command_line import add_json, aligned
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Fill the command's parser."""
+    parser.description = (
+        "Optimise a planar pose graph of any origin: g2o or TORO, packed (.gz, .xz) or not, with gaps in the ids, "
+        "flipped edges, FIX lines, missing vertices, landmarks and several components, each of which is solved by "
+        "itself. What cannot be used is named. Edges between vertices with neighbouring ids are odometry and are "
+        "believed; all others are closures. A component is LOST if its result cannot be trusted, with the reasons: "
+        "the exit status is 1 then."
+    )
+    parser.epilog = (
+        "examples:\n  twc-env optimise intel.g2o --out runs/intel\n"
+        "  twc-env optimise manhattan.g2o.gz --robust gnc --json -\n\n"
+        "--out writes graph.g2o (rejected edges as comments), poses.tum (the vertex id stands for the time), "
+        "closures.csv and graph.png."
+    )
+    parser.add_argument("graph", type=Path, metavar="GRAPH", help="a g2o or TORO file")
+    parser.add_argument(
+        "--robust",
+        default="ours",
+        metavar="METHOD",
+        help="which closures to accept: ours (groups by evidence), dcs, cauchy, gnc, pcm, none (all of them), or a "
+        "back end of your own, FILE.py:CLASS",
+    )
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="where to write the results")
+    add_json(parser)
+    parser.set_defaults(run=_optimise)
+
+
+def _optimise(options: argparse.Namespace) -> int:
+    from twc_env.datasets.logs.pose_graph_file import read_pose_graph
+    from twc_env.records.class_file import is_in_file
+    from twc_env.running.graph_report import component_rows, summary, write_results
+    from twc_env.slam.graph_optimisation.whole_graph import METHODS, optimise_graph
+
+    if options.robust not in METHODS and not is_in_file(options.robust):
+        among = f"choose from {', '.join(METHODS)}, or FILE.py:CLASS{did_you_mean(options.robust, METHODS)}"
+        raise ConfigError(f"unknown method {options.robust!r} for --robust; {among}")
+    check_folder(options.out)
+    graph = read_pose_graph(options.graph)
+    for remark in graph.remarks:
+        print(f"note: {remark}")
+    result = optimise_graph(graph, options.robust)
+    shown, left = component_rows(graph, result)
+    print(aligned(shown))
+    if left:
+        print(f"and {left} more components, in --json")
+    for number, trust in enumerate(result.trust):
+        for reason in trust.reasons:
+            print(f"LOST, component {number}: {reason}")
+    write_json(options.json, summary(graph, result))
+    if options.out is not None:
+        print("".join(f"written: {path}\n" for path in write_results(graph, result, options.out)), end="")
+    return 1 if result.is_lost else 0

@@ -1,0 +1,1 @@
+"""Tables about maps that robots saved."""

@@ -1,0 +1,102 @@
+"""What `twc-env optimise` shows and writes of an optimised pose graph."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from twc_env.records.planar_graph import PlanarGraph
+from twc_env.records.whole_file import whole_file
+from twc_env.running.command_line import make_folder
+from twc_env.slam.graph_optimisation.trust import Trust
+from twc_env.slam.graph_optimisation.whole_graph import OptimisedGraph
+
+SHOWN_MAX = 12
+"""Components in the table, the largest first."""
+
+
+def verdict(trust: Trust) -> str:
+    """One word on a component: lost, unchecked (there are no closures), or sound."""
+    return "LOST" if trust.is_lost else "unchecked" if not trust.accepted else "sound"
+
+
+def component_rows(graph: PlanarGraph, result: OptimisedGraph) -> tuple[list[dict], int]:
+    """The table of the largest components, and how many more there are."""
+    rows = _rows(graph, result)
+    order = sorted(range(len(rows)), key=lambda k: -rows[k]["poses"])[:SHOWN_MAX]
+    return [rows[k] for k in sorted(order)], max(len(rows) - SHOWN_MAX, 0)
+
+
+def summary(graph: PlanarGraph, result: OptimisedGraph) -> dict:
+    """All figures, for JSON."""
+    rejected = np.flatnonzero(~result.accepted)
+    return {
+        "is_lost": result.is_lost,
+        "components": [row | {"reasons": list(trust.reasons)} for row, trust in
+                       zip(_rows(graph, result), result.trust, strict=True)],
+        "landmarks": len(graph.landmark_ids),
+        "sightings": len(graph.sightings),
+        "rejected": [_closure(graph, result, int(e)) for e in rejected],
+        "remarks": list(graph.remarks),
+    }  # fmt: skip
+
+
+def write_results(graph: PlanarGraph, result: OptimisedGraph, folder: Path) -> list[Path]:
+    """Write the graph, the poses, a table of all closures and, with matplotlib, a picture; returns the paths."""
+    from twc_env.datasets.logs.pose_graph_file import write_pose_graph
+    from twc_env.datasets.logs.tum import write_tum
+    from twc_env.pictures.graph_picture import draw_graph
+    from twc_env.reproduce.drawing import can_draw
+
+    make_folder(folder)
+    paths = [folder / name for name in ("graph.g2o", "poses.tum", "closures.csv")]
+    write_pose_graph(paths[0], graph, result.poses, result.landmarks_m, result.accepted)
+    write_tum(paths[1], graph.vertex_ids.astype(float), result.poses)
+    closures = [_closure(graph, result, int(e)) for e in np.flatnonzero(~graph.is_odometry)]
+    with whole_file(paths[2]) as beside, beside.open("w", newline="") as file:
+        writer = csv.DictWriter(file, _COLUMNS)
+        writer.writeheader()
+        writer.writerows(closures)
+    if can_draw():
+        paths.append(folder / "graph.png")
+        draw_graph(graph, result, paths[-1])
+    return paths
+
+
+_COLUMNS = ("from", "to", "component", "accepted", "chi_squared", "reason", "disagrees_with", "chi_squared_of_both")
+
+
+def _closure(graph: PlanarGraph, result: OptimisedGraph, edge: int) -> dict:
+    first, second = graph.vertex_ids[graph.edges[edge]].tolist()
+    opponent, chi = result.opponents.get(edge, (None, None))
+    against = "" if opponent is None else " ".join(map(str, graph.vertex_ids[graph.edges[opponent]].tolist()))
+    values = (
+        first, second, int(result.component[graph.edges[edge, 0]]), bool(result.accepted[edge]),
+        round(float(result.squared_errors[edge]), 3), result.reasons.get(edge, ""), against,
+        "" if chi is None else round(chi, 1),
+    )  # fmt: skip
+    return dict(zip(_COLUMNS, values, strict=True))
+
+
+def _rows(graph: PlanarGraph, result: OptimisedGraph) -> list[dict]:
+    sizes = np.bincount(result.component, minlength=len(result.trust)).tolist()
+    firsts = np.unique(result.component, return_index=True)[1].tolist()
+    return [
+        {
+            "component": number,
+            "from vertex": int(graph.vertex_ids[first]),
+            "poses": size,
+            "closures": trust.closures,
+            "accepted": trust.accepted,
+            "undecided": trust.undecided,
+            "second hypothesis": trust.second,
+            "chi2/dof": round(float(trust.contradiction), 3),
+            "expected error [m]": round(float(trust.expected_error_m), 3),
+            "map [m]": round(trust.diagonal_m, 1),
+            "on no loop": f"{100 * trust.unchecked:.0f} %",
+            "verdict": verdict(trust),
+        }
+        for number, (first, size, trust) in enumerate(zip(firsts, sizes, result.trust, strict=True))
+    ]

@@ -1,0 +1,1 @@
+"""Pose graphs of others, optimised whole: components, landmarks, and whether the result can be trusted."""

@@ -1,0 +1,139 @@
+"""Whether an optimised pose graph can be trusted, or is lost. It never sees the truth.
+
+Four things are measured of a component. *Undecided*: closures that the back end can neither accept nor contradict,
+because drift is too large. *Second hypothesis*: how many of the rejected closures agree with each other and odometry
+without the accepted ones. *Contradiction*: squared errors of what was accepted, per degree of freedom. *Expected
+error*: odometry and accepted closures are drawn anew from their stated noise, scaled by that ratio, and the graph is
+optimised again; how far its poses move, after alignment, is the error that the closures leave (a parametric bootstrap
+of the inverse Fisher information, without its gauge).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.config import PoseGraphConfig
+from twc_env.records.geometry import between, compose
+from twc_env.slam.graph_optimisation.components import unchecked_poses
+from twc_env.slam.pose_graph.consistent_set import UNPROVEN
+from twc_env.slam.pose_graph.robust_back_end import BackendResult, solve
+from twc_env.slam.pose_graph.solver import Graph, NormalEquations
+
+UNDECIDED_MAX = 0.5
+"""Undecided closures as a share of the accepted ones."""
+SECOND_MAX = 0.5
+"""Closures of the second hypothesis as a share of the accepted ones."""
+CONTRADICTION_MAX = 10.0
+"""Squared error per degree of freedom."""
+EXPECTED_MAX = 0.08
+"""Expected error as a share of the map's diagonal."""
+REJECTED_MIN = 3
+"""So few rejected closures are no hypothesis."""
+DRAWS, ROUNDS = 6, 3
+PRIOR_CLOSURES = 5
+"""Weight, in closures, of the stated noise against that of the residuals."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trust:
+    """What speaks for and against a result; `reasons` is empty if nothing says that it is lost."""
+
+    reasons: tuple[str, ...]
+    closures: int
+    accepted: int
+    undecided: int
+    second: int
+    """Closures of the second hypothesis."""
+    contradiction: float
+    """Squared error per degree of freedom; about 1 if the stated noise is right."""
+    expected_error_m: float
+    diagonal_m: float
+    """Of the box around all poses."""
+    unchecked: float
+    """Share of poses on no loop of accepted closures."""
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the result is not to be used."""
+        return bool(self.reasons)
+
+
+def trust_in(graph: Graph, result: BackendResult) -> Trust:
+    """How far the result of a back end on this graph, one component, can be trusted."""
+    poses, accepted = result.poses, result.accepted & graph.is_closure
+    used = graph.of(result.accepted | ~graph.is_closure)
+    count, closures = int(accepted.sum()), int(graph.is_closure.sum())
+    undecided = sum(UNPROVEN in rejection.reason for rejection in result.rejections)
+    second = _second_hypothesis(graph, poses, accepted)
+    squared = float(used.squared_errors(poses).sum())
+    loops = max(len(used.edges) - len(poses) + 1, 0)
+    contradiction = (squared + 3 * PRIOR_CLOSURES) / (3 * loops + 3 * PRIOR_CLOSURES)
+    expected_m = _expected_error_m(used, poses) * np.sqrt(contradiction)
+    diagonal_m = float(np.hypot(*np.ptp(poses[:, :2], axis=0))) if len(poses) else 0.0
+    reasons = []
+    if closures and not count:
+        reasons.append(f"none of {closures} closures is accepted: odometry alone carries the map")
+    elif undecided > UNDECIDED_MAX * count:
+        reasons.append(
+            f"{undecided} closures are undecided, {count} accepted: drift is too large to tell true from false"
+        )
+    if count and second > SECOND_MAX * count:
+        reasons.append(
+            f"{second} rejected closures agree with each other as {count} accepted ones do: a second hypothesis"
+        )
+    if contradiction > CONTRADICTION_MAX:
+        reasons.append(f"what is accepted contradicts itself: squared error {contradiction:.3g} per degree of freedom")
+    if closures and expected_m > EXPECTED_MAX * diagonal_m:
+        reasons.append(
+            f"the closures hold too little: expected error {expected_m:.3g} m on a map of {diagonal_m:.3g} m"
+        )
+    return Trust(
+        reasons=tuple(reasons),
+        closures=closures,
+        accepted=count,
+        undecided=undecided,
+        second=second,
+        contradiction=contradiction,
+        expected_error_m=expected_m,
+        diagonal_m=diagonal_m,
+        unchecked=float(unchecked_poses(len(poses), used.edges).mean()) if len(poses) > 1 else 0.0,
+    )
+
+
+def _second_hypothesis(graph: Graph, poses: Array, accepted: Array) -> int:
+    """How many closures the incremental search accepts where those accepted are left out."""
+    rejected = graph.is_closure & ~accepted
+    if np.count_nonzero(rejected) < max(REJECTED_MIN, SECOND_MAX * np.count_nonzero(accepted)):
+        return 0
+    rest = graph.of(~accepted)
+    found = solve(poses, *rest.parts, PoseGraphConfig(robust="ours"))
+    return int(np.count_nonzero(found.accepted & rest.is_closure))
+
+
+def _expected_error_m(used: Graph, poses: Array) -> float:
+    """Root mean square distance [m] between the poses and those of redrawn measurements, after alignment."""
+    if len(poses) < 3 or not len(used.edges):
+        return 0.0
+    equations = NormalEquations(used.edges, used.measured, used.information, len(poses), 0, used.shared)
+    spread = np.linalg.cholesky(np.linalg.inv(used.information))
+    fitted = between(poses[used.edges[:, 0]], poses[used.edges[:, 1]])
+    random = np.random.default_rng(0)
+    weight = np.ones(len(used.edges))
+    squares = []
+    for _ in range(DRAWS):
+        noise = np.einsum("eij,ej->ei", spread, random.normal(size=(len(spread), 3)))
+        equations.measured = np.ascontiguousarray(compose(fitted, noise))
+        moved = equations.minimise(poses, lambda squared: weight, ROUNDS)
+        squares.append(_aligned_square(moved[:, :2], poses[:, :2]))
+    return float(np.sqrt(np.mean(squares)))
+
+
+def _aligned_square(moved: Array, places: Array) -> float:
+    """Mean squared distance of positions (n, 2) to others after the best rigid alignment (Umeyama 1991)."""
+    a, b = moved - moved.mean(axis=0), places - places.mean(axis=0)
+    along, across = float((a * b).sum()), float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
+    total = float((a * a).sum() + (b * b).sum())
+    return max(total - 2.0 * float(np.hypot(along, across)), 0.0) / len(a)
