@@ -111,6 +111,7 @@ class TeamMapper:
         for keyframe in keyframes_of(prior, segment):
             self._graph.add_keyframe(keyframe)
             self._search.learn(keyframe)
+        self._graph.place(self._graph.path_of(segment), prior.poses)
         self._maps.add_prior(segment, prior.grid)
         return segment
 

@@ -16,14 +16,14 @@ AREA_PER_BOX_M2, BOXES_MAX = 8.0, 3
 """Floor of a room per box of furniture, and the most boxes in a room."""
 BOX_LENGTH_M, BOX_DEPTH_M, BEHIND_M = (0.6, 1.4), (0.4, 0.7), 0.06
 """Ranges of the sides of a box, and its distance from the wall behind it."""
-BOX_APART_M, BOX_SIGN_M, BOX_DOOR_M = 0.9, 0.8, 1.0
+BOX_APART_M, BOX_SIGN_M, BOX_DOOR_M = 0.7, 0.7, 0.8
 """Least distances of a box from others, signs and doors: robots must pass, and read."""
 BOX_DB, DOOR_DB = 2.0, 3.0
 DOOR_M = (0.6, 1.7)
 """Widths of gaps between two walls in line that are doors."""
 INSIDE_M = 0.4
 """This far from a shut door, on both sides, is floor."""
-TRIES = 40
+TRIES = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
