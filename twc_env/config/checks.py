@@ -30,7 +30,7 @@ def number(default, minimum: float = -math.inf, maximum: float = math.inf, *, is
     return field(default=default, metadata={"minimum": minimum, "maximum": maximum, "is_later": is_later})
 
 
-def later(default: bool):
+def later(default: bool | str):
     """A field added after digests were published: at its default, which changes nothing, the digest leaves it out."""
     return field(default=default, metadata={"is_later": True})
 

@@ -257,6 +257,9 @@ class SlamConfig(Checked):
     which is used as is, without scan matching or loop closures."""
     resolution_m: float = number(0.1, 0.02, 0.5)
     """Cell size of the merged map."""
+    prior: str = later("")
+    """A map saved in an earlier session (`--save`, docs/lasting_maps.md): robots start anywhere in it, find it as they
+    find each other, and go on with it."""
     undoes_rolling: bool = later(True)
     """Whether scans whose beams were measured one after the other are undone by odometry and gyro; false shows what
     that is worth."""

@@ -116,7 +116,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     ones, `{"starts": "entrance"}` poses side by side, `{"starts": [(x, y, heading), ...]}` the given ones, in the
     building frame; robots that would overlap a wall or each other are refused. `{"map": NAME}` plays in another
     building, `{"split": "train"}` (or validation, test) in a building of that split drawn by the seed, of the family of
-    `map` if it has one; `floorplan.name` is its name.
+    `map` if it has one; `floorplan.name` is its name. `{"prior": FILE}` begins with a map that an engine saved earlier
+    (`slam.prior`).
 
     `belief(agent)` is what a robot knows, for planners; `result()` evaluates the episode so far against ground truth;
     `snapshot()` and `restore()` save and restore the exact state.
@@ -206,6 +207,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if building is None and self._draws_building:
             building = one_of(self.config.map, seed)
         config = self._move_into(building)
+        prior = (options or {}).get("prior")
+        if prior is not None:
+            config = override(config, {"slam.prior": prior})
         self._seed = seed
         episode = self._begun = Episode(config, self._world, seed, starts)
         self.agents = self.possible_agents[:]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
+from twc_env.datasets.lasting_maps import prior_of
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration.assessment import evaluation, map_scores, rewards
 from twc_env.exploration.assessment.episode_record import EpisodeRecord
@@ -50,7 +51,7 @@ class Episode:
         self.world = world
         """Ground truth."""
         world.reset(seed, starts)
-        self.engine: Engine = make_engine(config, count)
+        self.engine: Engine = make_engine(config, count, prior_of(config))
         if config.slam.oracle != "none":
             self.engine.give_starts(world.poses_home.copy())
         if config.slam.k_visibility.are_transmitters_known:

@@ -11,7 +11,7 @@ from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError
 from twc_env.world.building.splits import drawn_from, family_of, one_of
 
-NAMES = ("starts", "map", "split")
+NAMES = ("starts", "map", "split", "prior")
 
 
 def read_options(options: Mapping[str, Any] | None, seed: int, config: EnvConfig) -> tuple[Any, str | None]:

@@ -265,7 +265,7 @@ class MergeHypothesis:
     It may be wrong: the engine waits for closures that agree."""
 
     robots: tuple[int, ...]
-    """The other group."""
+    """The other group; () for the map of an earlier session."""
     pose_map_other: Array
     """(3,) pose of the other group's map frame in this map."""
     support: int

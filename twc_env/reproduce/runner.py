@@ -37,6 +37,9 @@ TABLES = {
         needs_data=True,
     ),
     "merging": Table("map merging from unknown start frames in 100 unseen generated buildings"),
+    "sessions": Table(
+        "a second session in the map of the first, furniture moved and doors shut; ten sessions in one building"
+    ),
     "lidar-model": Table(
         "the scanner model against five real laser logs: noise, lost returns, points off the map, change",
         needs_data=True,

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
+from twc_env.errors import DataError
 from twc_env.kernels.compiled import BindsAnew, borrowing_kernel, bound
 from twc_env.records.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.records.team_messages import TeamBeliefs, TeamFrames, nobody, read_only
@@ -48,6 +50,14 @@ class DeadReckoning(BindsAnew):
 
     def give_transmitters(self, macs: Array, position_m: Array, start_poses: Array) -> None:
         """Does nothing."""
+
+    def lasting_map(self) -> NoReturn:
+        """Raises DataError: there is no map."""
+        raise DataError("slam.mode is 'off': there is no map to save; use the engine")
+
+    def found_prior(self, robot: int) -> bool:
+        """False: no robot shares a map."""
+        return False
 
     def give_starts(self, poses: Array) -> None:
         """Does nothing."""

@@ -10,6 +10,7 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.slam.mapping.segments import NO_ROBOT
 from twc_env.slam.places.device_offsets import LETTERS_MIN, DeviceOffsets, offset_of
 from twc_env.slam.places.text_similarity import normalise
 from twc_env.slam.team import TeamMapper
@@ -85,7 +86,7 @@ def _carried(mapper: TeamMapper) -> list[str]:
     """When robots were put down elsewhere, and which of the segments of their paths are in no common map."""
     found, segments = [], mapper.segments
     for segment, robot in enumerate(segments.owners):
-        if segment == robot:
+        if robot in (segment, NO_ROBOT):
             continue
         before = segments.of(robot)[segments.of(robot).index(segment) - 1]
         is_joined = mapper.group_of_segment(segment) == mapper.group_of_segment(before)
@@ -98,6 +99,8 @@ def _carried(mapper: TeamMapper) -> list[str]:
 def _name(mapper: TeamMapper, segment: int) -> str:
     """Name of a robot, or of a part of its path after it was carried."""
     robot = mapper.segments.owners[segment]
+    if robot == NO_ROBOT:
+        return "the prior map"
     return f"robot {robot}" if segment == robot else f"robot {robot} after being carried (segment {segment})"
 
 
@@ -143,12 +146,16 @@ def _odd_devices(mapper: TeamMapper) -> list[str]:
 
 
 def _apart(mapper: TeamMapper) -> list[str]:
-    groups = [group.robots for group in mapper.groups]
+    groups, lines = [group.robots for group in mapper.groups], []
+    if mapper.prior is not None:
+        lines = [f"{list(g)} did not find the prior map" for g in groups if mapper.prior not in g]
+        groups = [own for g in groups if (own := tuple(robot for robot in g if robot != mapper.prior))]
     if len(groups) < 2:
-        return []
+        return lines
     pending = sum(closure.status == "pending" for closure in mapper.closures)
     return [
-        f"no common map of {' and '.join(str(list(g)) for g in groups)}; {pending} closures wait for others that agree"
+        *lines,
+        f"no common map of {' and '.join(str(list(g)) for g in groups)}; {pending} closures wait for others that agree",
     ]
 
 

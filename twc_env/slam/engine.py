@@ -15,6 +15,7 @@ from twc_env.config import CuesConfig, EnvConfig
 from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, TwcError
 from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of
+from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.records.team_messages import NOBODY, TeamBeliefs, TeamFrames, nobody
 from twc_env.records.whole_copy import CopiedWhole
@@ -78,8 +79,9 @@ class View:
 
     @property
     def segments(self) -> tuple[int, ...]:
-        """All segments whose keyframes the map holds: the robots, unless some were carried (`Segments`)."""
-        return self.mapper.groups[self.group].robots
+        """All segments of robots whose keyframes the map holds: the robots, unless some were carried (`Segments`)."""
+        held, prior = self.mapper.groups[self.group].robots, self.mapper.prior
+        return held if prior is None else tuple(segment for segment in held if segment != prior)
 
 
 class CooperativeSlam(CopiedWhole):
@@ -88,12 +90,15 @@ class CooperativeSlam(CopiedWhole):
     `track` runs the front ends; `absorb` exchanges messages and updates the mappers. `update` does both.
     """
 
-    def __init__(self, config: EnvConfig, robot_count: int):
+    def __init__(self, config: EnvConfig, robot_count: int, prior: LastingMap | None = None):
+        """prior: the map of an earlier session, which `slam.prior` names (`datasets.read_lasting_map`)."""
         if not isinstance(config, EnvConfig):
             raise ConfigError(
                 f"config must be an EnvConfig; got {config!r}: twc_env.config.override makes one of a dict"
             )
         robot_count = whole_number("robot_count", robot_count, 1)
+        if prior is not None or config.slam.prior:
+            _check_prior(config, prior)
         self._cues = None if config.slam.cues == CuesConfig() else config.slam.cues
         """The enabled cues; None: all."""
         config = cues.restricted_config(config)
@@ -103,7 +108,7 @@ class CooperativeSlam(CopiedWhole):
         self._beam_count = config.lidar.circle_beam_count
         self._is_central = config.link.topology == "central"
         homes = [None] if self._is_central else range(robot_count)
-        self.mappers = [TeamMapper(config, robot_count, home) for home in homes]
+        self.mappers = [TeamMapper(config, robot_count, home, prior) for home in homes]
         self._exchange = Exchange(config, robot_count)
         self.bytes_sent: dict[str, int] = self._exchange.bytes_sent
         """Message type -> bytes transmitted so far."""
@@ -301,6 +306,19 @@ class CooperativeSlam(CopiedWhole):
         given[self._front_ends.everyone if isinstance(frames, TeamFrames) else [frame.robot for frame in frames]] += 1
         self.absorb(max(self._listening.last_step, int(given.max()) - 1), contacts)
 
+    def lasting_map(self) -> LastingMap:
+        """The map so far, for a later session to begin with: with a prior map the two as one, or the prior map itself
+        if no robot has found it. With one mapper per robot, that of robot 0.
+
+        Raises DataError without keyframes.
+        """
+        return self.team.lasting_map()
+
+    def found_prior(self, robot: int) -> bool:
+        """Whether the robot's map is merged with that of an earlier session."""
+        mapper = self.mapper_of(robot)
+        return mapper.prior is not None and mapper.group_index(robot) == mapper.group_of_segment(mapper.prior)
+
     def pose_map_robot(self, robot: int) -> Array:
         """(3,) estimate of a robot in its group's map frame, as of the last `absorb`."""
         return self._poses[robot, 0]
@@ -354,3 +372,24 @@ class CooperativeSlam(CopiedWhole):
                 rows[robot] = grid, signs, group.version, picture
         grids, signs_of, versions, pictures = map(list, zip(*rows, strict=True))
         return grids, signs_of, versions, pictures
+
+
+def _check_prior(config: EnvConfig, prior: LastingMap | None) -> None:
+    """Raise ConfigError for a prior map that this engine cannot begin with."""
+    slam, lidar = config.slam, config.lidar
+    if prior is None:
+        raise ConfigError(f"slam.prior is {slam.prior!r}: give its content, prior=datasets.read_lasting_map(FILE)")
+    reasons = {
+        "slam.oracle": slam.oracle != "none" and f"is {slam.oracle!r}: known starts are in another frame",
+        "slam.radio_slam.online": slam.radio_slam.online and "is on: radio constraints know no earlier paths",
+        "slam.cues.lidar": not slam.cues.lidar and "is off: without scan matching nothing holds the two together",
+    }
+    for name, reason in reasons.items():
+        if reason:
+            raise ConfigError(f"{name} {reason}; use the default, or no slam.prior")
+    beams = prior.scans_m.shape[1]
+    if (beams, prior.range_max_m) != (lidar.circle_beam_count, float(lidar.range_max_m)):
+        raise ConfigError(
+            f"slam.prior was made with {beams} beams of up to {prior.range_max_m:g} m, this scanner has "
+            f"{lidar.circle_beam_count} of up to {lidar.range_max_m:g} m: set lidar.beam_count and lidar.range_max_m"
+        )

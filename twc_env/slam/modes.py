@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from twc_env.config import EnvConfig
+from twc_env.errors import ConfigError
+from twc_env.records.lasting_map import LastingMap
 from twc_env.slam.dead_reckoning import DeadReckoning
 from twc_env.slam.engine import CooperativeSlam
 
 Engine = CooperativeSlam | DeadReckoning
 
 
-def make_engine(config: EnvConfig, robot_count: int) -> Engine:
-    """A new engine as configured, for the start of an episode."""
-    return DeadReckoning(config, robot_count) if config.slam.mode == "off" else CooperativeSlam(config, robot_count)
+def make_engine(config: EnvConfig, robot_count: int, prior: LastingMap | None = None) -> Engine:
+    """A new engine as configured, for the start of an episode; prior: the map that `slam.prior` names."""
+    if config.slam.mode == "off":
+        if prior is not None:
+            raise ConfigError("slam.mode is 'off': without an engine slam.prior is of no use; leave one of them")
+        return DeadReckoning(config, robot_count)
+    return CooperativeSlam(config, robot_count, prior)

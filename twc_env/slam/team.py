@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
+from twc_env.errors import DataError
 from twc_env.records.geometry import between
+from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import GridMap, Keyframe, LoopCandidate, LoopClosure, MergeHypothesis
 from twc_env.records.team_messages import KnownSigns
 from twc_env.slam.mapping.closure_search import ClosureSearch
 from twc_env.slam.mapping.group_maps import Group, GroupMaps
 from twc_env.slam.mapping.keyframe_sparsification import KeyframeSparsification
+from twc_env.slam.mapping.map_saving import keyframes_of, saved_map
 from twc_env.slam.mapping.segments import Segments
 from twc_env.slam.mapping.team_graph import TeamGraph
 from twc_env.slam.merging.map_optimiser import MapOptimiser
@@ -44,7 +47,7 @@ class TeamMapper:
     `home` is the robot that runs this mapper, whose scans are available at once; None for the single central mapper.
     """
 
-    def __init__(self, config: EnvConfig, robot_count: int, home: int | None = None):
+    def __init__(self, config: EnvConfig, robot_count: int, home: int | None = None, prior: LastingMap | None = None):
         self._config, self._on_request = config.slam, config.link.scan_on_request
         self._turns, self._turn = (1, 0) if home is None else (robot_count, home)
         """Mappers take turns: only one per step re-evaluates merges and does the expensive work of large maps."""
@@ -93,6 +96,36 @@ class TeamMapper:
         self._signs: dict[tuple[int, ...], tuple[tuple[int, int], KnownSigns]] = {}
         self._hypotheses: tuple[tuple[int, ...], dict[int, tuple[MergeHypothesis, ...]]] = (), {}
         """Cache of `hypotheses_of` for one state of graph and groups."""
+        self.prior: int | None = None
+        """The segment that stands for a map of an earlier session ..."""
+        self._lasting, self._range_max_m = prior, config.lidar.range_max_m
+        """... and that map."""
+        if prior is not None:
+            self.prior = self._take_in(prior)
+
+    def _take_in(self, prior: LastingMap) -> int:
+        """Make a map of an earlier session a member of the team, in a frame of its own; returns its segment."""
+        segment = self._graph.prior = self.segments.add_prior()
+        for part in (self._graph, self._maps, self._search):
+            part.add_robot()
+        for keyframe in keyframes_of(prior, segment):
+            self._graph.add_keyframe(keyframe)
+            self._search.learn(keyframe)
+        self._graph.place(self._graph.path_of(segment), prior.poses)
+        self._maps.add_prior(segment, prior.grid)
+        return segment
+
+    def lasting_map(self) -> LastingMap:
+        """The map to save: that of the prior map's group, or of the group with most keyframes. Raises DataError without
+        keyframes."""
+        groups = [group.robots for group in self.groups]
+        sizes = [len(self._graph.nodes_of(robots)) for robots in groups]
+        number = int(np.argmax(sizes)) if self.prior is None else self.group_of_segment(self.prior)
+        if self._lasting is not None and len(groups[number]) == 1:
+            return self._lasting  # no robot has found it: nothing is known to have changed
+        if sizes[number] == 0:
+            raise DataError("there is no map to save: no robot has taken a keyframe")
+        return saved_map(self._graph, groups[number], self.grid_of(number), self._range_max_m, self._lasting)
 
     def update(self, step: int, keyframes: Sequence[Keyframe], scans: Sequence[tuple[int, int]] = ()) -> bool:
         """Add keyframes and requested scans; verify, merge and optimise within this step's budget.
@@ -325,6 +358,8 @@ class TeamMapper:
         """
         if not self._config.merging.enabled:
             return False
+        if self.prior is not None and self.group_of_segment(self.prior) == b:
+            a, b = b, a  # into the frame of the prior map
         robots_a, robots_b = self.groups[a].robots, self.groups[b].robots
         pending = self._graph.waiting.between(robots_a, robots_b)
         tried = self._tried_counts.get((robots_a, robots_b), 0)

@@ -225,26 +225,31 @@ def _closures(engine: Engine, best: GroupScore, record: EpisodeRecord, alignment
     """`EpisodeResult.closures`: those of the mapper of the best map; alignment (robots, 3) as `EpisodePaths`."""
     mapper = best.view.mapper
     viewer = best.view.viewers[0]
-    if not mapper.closures:
+    made = [c for c in mapper.closures if mapper.prior not in (c.candidate.target[0], c.candidate.source[0])]
+    if not made:  # the truth of an earlier session is not known here
         return []
     true_poses: list[Array] = []
     believed: list[Array] = []
     """Per segment: true poses (k, 3) of its keyframes, and their estimated positions (k, 2) in the building frame."""
     for segment, robot in enumerate(mapper.segments.owners):
+        if segment == mapper.prior:
+            believed.append(np.zeros((0, 2)))
+            true_poses.append(np.zeros((0, 3)))
+            continue
         shown = (mapper, alignment[viewer])
         if segment not in best.view.segments and segment < record.true_poses.shape[1]:
             shown = engine.mapper_of(robot), alignment[robot]
         believed.append(transform_points(shown[1], shown[0].segment_path(segment)[0][:, :2]))
         true_poses.append(record.true_poses[mapper.segment_path(segment)[1], robot])
 
-    ends = [(closure.candidate.target, closure.candidate.source) for closure in mapper.closures]
+    ends = [(closure.candidate.target, closure.candidate.source) for closure in made]
     first_row = np.cumsum([0, *map(len, true_poses)])
     pairs = np.array(ends)  # (closures, 2, 2)
     true = np.concatenate(true_poses)[first_row[pairs[..., 0]] + pairs[..., 1]]  # (closures, 2, 3)
-    measured = np.array([closure.pose_target_source for closure in mapper.closures])
+    measured = np.array([closure.pose_target_source for closure in made])
     is_correct = metrics.closures_are_correct(measured, between(true[:, 0], true[:, 1])).tolist()
     rows = []
-    for closure, (target, source), correct in zip(mapper.closures, ends, is_correct, strict=True):
+    for closure, (target, source), correct in zip(made, ends, is_correct, strict=True):
         rows.append(
             {
                 "kind": closure.candidate.recogniser,

@@ -75,9 +75,9 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells, last: Sequence
         if view.mapper is not mapper:  # a mapper may have several maps
             mapper = view.mapper
             nodes, groups = mapper.nodes, mapper.groups
-        group = groups[view.group]
+        group, segments = groups[view.group], view.segments
         truth = true_of_segments(mapper, true_poses)
-        evaluated = evaluate(viewers[0], group.robots, nodes, truth, group.grid.snapshot(), cells)
+        evaluated = evaluate(viewers[0], segments, nodes, truth, group.grid.snapshot(), cells)
         if evaluated is not None:
             (x, y, turn), wrong, area_m2 = evaluated
             c, s = math.cos(turn), math.sin(turn)

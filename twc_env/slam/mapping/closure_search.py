@@ -78,6 +78,15 @@ class ClosureSearch:
             if recogniser is not None:
                 recogniser.add_robot()
 
+    def learn(self, keyframe: Keyframe) -> None:
+        """Store the place of a keyframe without looking for closures, as of a map of an earlier session."""
+        own = (keyframe.robot,)
+        self._recogniser.propose(keyframe, own)
+        if self._signless is not None:
+            self._signless.propose(keyframe, own)
+        if self._meetings is not None:
+            self._meetings.propose(keyframe, own)
+
     def propose(self, keyframe: Keyframe) -> None:
         """Queue the candidates of a new keyframe."""
         has_closure, has_any_closure = (

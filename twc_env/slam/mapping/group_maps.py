@@ -72,6 +72,8 @@ class GroupMaps:
         """Robots of one side of a merge -> grid of their nodes."""
         self._fixed_maps: dict[tuple[int, ...], PartialMap] = {}
         """Robots of a group -> grid of the nodes that were fixed at its last redraw."""
+        self._prior_grid: OccupancyGrid | None = None
+        """Grid of a map of an earlier session, whose nodes are the first and are never drawn again."""
         self.wanted: dict[tuple[int, int], None] = {}
         """Keys of the scans to request, in order."""
 
@@ -93,6 +95,29 @@ class GroupMaps:
             self._draw(self.groups[group].grid, poses, keyframe.ranges_m[None])
         elif self._is_map_used(group):
             self.wanted[keyframe.key] = None
+
+    def add_prior(self, robot: int, grid: GridMap) -> None:
+        """The keyframes of this robot are those of a map of an earlier session with this grid."""
+        nodes, (poses, scans) = self._graph.path_of(robot), self._graph.rows_of(self._graph.path_of(robot))
+        while len(nodes) > len(self._drawn):
+            self._drawn, self._has_scan = grown(self._drawn), grown(self._has_scan)
+        self._drawn[nodes], self._has_scan[nodes] = poses, True
+        own = self.groups[self.group_of[robot]].grid
+        if grid.resolution_m == self._resolution_m:
+            own.begin_with(grid)
+        else:
+            own.integrate(poses, scans)
+            own.begin_with(own.snapshot())
+        self._prior_grid = self._new_grid()
+        self._prior_grid.take_over(own)
+
+    def _begun(self, grid: OccupancyGrid, nodes: Array) -> int:
+        """Begin a grid of these nodes (k,) of a group anew; returns how many of them it shows: a prior map's, or 0."""
+        if self._prior_grid is None or not len(nodes) or nodes[0] > 0:
+            grid.clear()
+            return 0
+        grid.take_over(self._prior_grid)
+        return len(self._graph.path_of(self._graph.robot_of_node[0]))
 
     def receive(self, scans: Sequence[tuple[int, int]]) -> None:
         """Draw requested scans that have arrived."""
@@ -132,7 +157,9 @@ class GroupMaps:
             or not np.array_equal(partial.nodes, nodes[:count])
             or _have_moved(poses[:count], partial.poses)
         ):
-            partial, count = PartialMap(self._new_grid(), nodes[:0], poses[:0]), 0
+            grid = self._new_grid()
+            count = self._begun(grid, nodes)
+            partial = PartialMap(grid, nodes[:count], poses[:count])
         self._draw(partial.grid, *self._graph.rows_of(nodes[count:]))
         cache[robots] = partial = PartialMap(partial.grid, nodes, np.concatenate([partial.poses, poses[count:]]))
         return partial
@@ -197,8 +224,7 @@ class GroupMaps:
         fixed = int(np.searchsorted(nodes, first))
         if fixed == 0:
             self._fixed_maps.pop(robots, None)
-            self.groups[group].grid.clear()
-            self._redraw(group, nodes)
+            self._redraw(group, nodes[self._begun(self.groups[group].grid, nodes) :])
             return
         fixed_map = self._drawn_in(self._fixed_maps, robots, self._drawable(group, nodes[:fixed]))
         self._drawn[nodes[:fixed]] = self._graph.poses[nodes[:fixed]]

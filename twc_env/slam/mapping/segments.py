@@ -1,7 +1,8 @@
 """Segments: the parts of a robot's path between which it was lifted and put down elsewhere.
 
 A mapper treats each segment like a robot of its own, whose map must be merged with the others by place recognition.
-Segment r is the first of robot r; later ones are numbered from the count of robots on.
+Segment r is the first of robot r; later ones are numbered from the count of robots on. A map of an earlier session is
+a segment of no robot.
 """
 
 from __future__ import annotations
@@ -13,13 +14,16 @@ from numpy.typing import NDArray as Array
 
 from twc_env.records.messages import Keyframe
 
+NO_ROBOT = -1
+"""Owner of the segment that stands for a map of an earlier session."""
+
 
 class Segments:
     """Which segments there are of which robots, as far as one mapper knows."""
 
     def __init__(self, robot_count: int):
         self.owners = list(range(robot_count))
-        """Robot of each segment."""
+        """Robot of each segment; `NO_ROBOT` of a prior map."""
         self.current = list(range(robot_count))
         """The latest segment of each robot."""
         self._first_index = [0] * robot_count
@@ -36,6 +40,12 @@ class Segments:
         self.owners.append(keyframe.robot)
         self._first_index.append(keyframe.index)
         return self.current[keyframe.robot]
+
+    def add_prior(self) -> int:
+        """A segment of no robot, for a map of an earlier session; returns its number."""
+        self.owners.append(NO_ROBOT)
+        self._first_index.append(0)
+        return len(self.owners) - 1
 
     def numbered(self, keyframe: Keyframe) -> Keyframe:
         """The keyframe as one of its robot's latest segment."""

@@ -18,6 +18,7 @@ from twc_env.slam.mapping.removed_keyframes import RemovedKeyframes
 from twc_env.slam.places.sign_readings import SignReadings
 from twc_env.slam.pose_graph.graph_arrays import ODOMETRY, GraphArrays, subgraph_of
 from twc_env.slam.pose_graph.graph_sparsification import Edges, sparsified
+from twc_env.slam.pose_graph.held_poses import contracted
 from twc_env.slam.pose_graph.keyframe_paths import path_position
 from twc_env.slam.pose_graph.odometry_only import OdometryOnlyMotions
 from twc_env.slam.pose_graph.solver import Graph
@@ -59,6 +60,8 @@ class TeamGraph(GraphArrays):
         self._odometry_only = OdometryOnlyMotions(robot_count)
         self._readings = SignReadings(robot_count)
         self._edge_of_closure: dict[int, int] = {}
+        self.prior: int | None = None
+        """The robot that stands for a map of an earlier session, whose poses never change; its nodes come first."""
 
     @property
     def sign_news(self) -> list[int]:
@@ -290,18 +293,34 @@ class TeamGraph(GraphArrays):
     def subgraph(self, robots: Sequence[int], first: int = 0) -> tuple[Array, Array, Graph, Array]:
         """Nodes (n,) and edges (e,) among some robots, the subgraph of these, and which edges are used (e,).
 
-        Of the nodes before `first` only those with edges to later ones are included, and no edges among them.
+        Of the nodes before `first` only those with edges to later ones are included, and no edges among them. A prior
+        map is one node, its first, to which all edges of its nodes are moved.
         """
+        has_prior = self.prior is not None and self.prior in robots
+        if has_prior and first > 0:
+            first = max(first, int(self._counts[self.prior]))
         nodes, edges, local, measured, information, is_closure, is_used = subgraph_of(
             self._mask(robots), first, self.robot_of_node, self.ends, self.measured, self.information,
             self.closure_of_edge, self.is_used,
         )  # fmt: skip
+        if has_prior and first == 0:
+            kept = int(self._counts[self.prior])
+            parts = local, measured, information, is_closure, is_used
+            is_left, (local, measured, information, is_closure, is_used) = contracted(self.poses[:kept], parts)
+            nodes, edges = nodes[kept - 1 :], edges[is_left]
+            nodes[0] = 0
         shared = None
         if self._scale_std is not None:
             owner = np.where(is_closure, UNOWNED, self.robot_of_node[nodes[local[:, 1]]])
             length_m = np.diff(self.travels_m[nodes[local]], axis=1)[:, 0]
             shared = shared_errors(owner, measured, length_m, self._scale_std)
         return nodes, edges, Graph(local, measured, information, is_closure, shared), is_used
+
+    def anchor(self, robots: Sequence[int]) -> int:
+        """The node that an optimisation of these robots holds: the prior map's, or the first robot's first."""
+        if self.prior is not None and self.prior in robots:
+            return 0
+        return self.node((robots[0], 0)) if self.keyframes[robots[0]] else 0
 
     def refused_count(self, robots: Sequence[int]) -> int:
         """Number of closures among some robots that are unused edges."""

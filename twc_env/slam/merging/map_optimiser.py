@@ -137,7 +137,7 @@ class MapOptimiser:
         nodes, edges, graph, is_used = self._graph.subgraph(robots)
         if len(nodes) < 2:
             return
-        fixed = bisect_left(nodes, self._graph.node((robots[0], 0))) if self._graph.keyframes[robots[0]] else 0
+        fixed = bisect_left(nodes, self._graph.anchor(robots))
         refused = int(np.count_nonzero(~is_used))
         is_thorough |= self._is_refused_often(robots, refused)
         result = robust_backend.revise(

@@ -38,11 +38,11 @@ def merge_hypotheses(graph: TeamGraph, groups: Sequence[Group], mine: int) -> tu
         places_m = transform_points(pose, signs.places_m)
         found.append(
             MergeHypothesis(
-                other.robots,
+                tuple(robot for robot in other.robots if robot != graph.prior),
                 pose,
                 int(support[best]),
                 tuple(KnownSign(text, place) for text, place in zip(signs.texts, places_m, strict=True)),
-                {robot: compose(pose, at) for robot, at in latest.items()},
+                {robot: compose(pose, at) for robot, at in latest.items() if robot != graph.prior},
             )
         )
     return tuple(found)

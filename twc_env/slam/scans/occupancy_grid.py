@@ -19,6 +19,8 @@ ROUNDING_M = 1e-9
 """A box that ends this close to the grid's border may lie outside after the grid has grown on another side."""
 CELLS_MAX = 2**31
 """4 GB of cells; a map that needs more comes from wrong poses."""
+SURE_FREE, SURE_WALL = -12, 20
+"""Log-odds of certain cells (`map_merging`): three scans see through free floor, two meet a wall."""
 NOWHERE_M = (math.inf, math.inf, -math.inf, -math.inf)
 """An empty box: left, bottom, right, top."""
 
@@ -55,6 +57,20 @@ class OccupancyGrid(BindsAnew):
         self.log_odds, self.origin_m = other.log_odds.copy(), other.origin_m.copy()
         self._kinds, self._touched, self._numbers = other._kinds.copy(), other._touched.copy(), other._numbers.copy()
         self._boxes_m, self._snapshot = other._boxes_m.copy(), None
+        self._rebind()
+
+    def begin_with(self, grid: GridMap) -> None:
+        """Begin with the cells of an older grid of the same resolution, of which newer scans need few to outweigh it:
+        certain cells are just certain (`SURE_FREE`, `SURE_WALL`)."""
+        cells, cell = np.clip(grid.log_odds, SURE_FREE, SURE_WALL).astype(np.int16), self.resolution_m
+        left, bottom = np.round(np.asarray(grid.origin_m) / cell).astype(int).tolist()
+        self.clear()
+        rows, columns = cells.shape
+        self.log_odds, self.origin_m = np.ascontiguousarray(cells), np.array([left * cell, bottom * cell])
+        self._kinds = np.zeros(cells.shape, np.uint8)
+        note_kinds(self.log_odds, 0, 0, rows, columns, self._kinds)
+        self._touched = np.zeros((-(-rows // BLOCK_ROWS), -(-columns // BLOCK_COLUMNS)), np.int64)
+        self._boxes_m[:] = *self.origin_m, *(self.origin_m + np.array([columns, rows]) * cell)
         self._rebind()
 
     def integrate(self, poses: Array, scans: Array) -> None:

@@ -1,0 +1,168 @@
+"""Files of maps that last (docs/lasting_maps.md): arrays and JSON only, nothing in them can run code."""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env._version import __version__
+from twc_env.config import EnvConfig
+from twc_env.datasets.logs.arrays_file import REAL, TEXT, TRUTH_VALUE, WHOLE, fault_of_types, read_arrays, write_arrays
+from twc_env.errors import DataError
+from twc_env.records.lasting_map import LastingMap
+from twc_env.records.messages import Fingerprint, GridMap, SignObservation
+
+FORMAT = "twc_env/lasting-map-1"
+REMEDY = "save the map again"
+_TYPES = {
+    TEXT: ("header",),
+    WHOLE: ("sessions_of", "sign_counts", "sign_texts", "mac_counts", "macs", "edge_ends", "grid"),
+    REAL: (
+        "poses", "scans_m", "sign_places_m", "sign_facings_rad", "rssi_dbm", "edge_measured", "edge_information",
+        "grid_origin_m",
+    ),
+    TRUTH_VALUE: ("is_closure",),
+}  # fmt: skip
+_ARRAYS = tuple(name for names in _TYPES.values() for name in names)
+_NUMBERS = ("range_max_m", "resolution_m", "sessions", "texts")
+"""Keys of the header that a reader needs."""
+
+
+def write_lasting_map(path: str | Path, lasting: LastingMap) -> int:
+    """Write a map to a sealed .npz file, whole or not at all; returns its size in bytes. Raises DataError if it cannot
+    be written."""
+    texts = sorted({sign.text for signs in lasting.signs for sign in signs})
+    number_of = {text: k for k, text in enumerate(texts)}
+    signs = [sign for own in lasting.signs for sign in own]
+    heard = lasting.fingerprints
+    header = {
+        "keyframes": len(lasting.poses),
+        "range_max_m": float(lasting.range_max_m),
+        "resolution_m": float(lasting.grid.resolution_m),
+        "sessions": int(lasting.sessions),
+        "texts": texts,
+        "version": __version__,
+    }
+    try:
+        write_arrays(
+            path,
+            format=np.array(FORMAT),
+            header=np.array(json.dumps(header, sort_keys=True)),
+            poses=lasting.poses,
+            scans_m=lasting.scans_m.astype(np.float32),
+            sessions_of=lasting.sessions_of.astype(np.int32),
+            sign_counts=np.array([len(own) for own in lasting.signs], np.int32),
+            sign_texts=np.array([number_of[sign.text] for sign in signs], np.int32),
+            sign_places_m=np.array([sign.position_m for sign in signs], np.float32).reshape(-1, 2),
+            sign_facings_rad=np.array([sign.facing_rad for sign in signs], np.float32),
+            mac_counts=np.array([len(print_.macs) for print_ in heard], np.int32),
+            macs=np.concatenate([np.zeros(0, np.int64), *(print_.macs for print_ in heard)]),
+            rssi_dbm=np.concatenate([np.zeros(0), *(print_.rssi_dbm for print_ in heard)]).astype(np.float32),
+            edge_ends=lasting.edge_ends.astype(np.int32),
+            edge_measured=lasting.edge_measured,
+            edge_information=lasting.edge_information,
+            is_closure=lasting.is_closure,
+            grid=lasting.grid.log_odds.astype(np.int16),
+            grid_origin_m=np.asarray(lasting.grid.origin_m, float),
+        )
+    except OSError as error:
+        raise DataError(f"cannot write {path}: {error.strerror}; choose another place") from error
+    return Path(path).stat().st_size
+
+
+def read_lasting_map(path: str | Path) -> LastingMap:
+    """A map as `write_lasting_map` wrote it. Raises DataError if the file is missing, damaged, of another kind or of
+    another version of the format."""
+    arrays = read_arrays(path, "saved map", FORMAT, _ARRAYS, REMEDY)
+    try:
+        header = json.loads(str(arrays["header"]))
+        missing = [key for key in _NUMBERS if key not in header]
+        fault = f"a header without {', '.join(missing)}" if missing else _fault(arrays, header)
+    except (AttributeError, TypeError, ValueError) as error:
+        fault = f"a header that is no JSON object ({error})"
+    if fault is not None:
+        raise DataError(f"{path} contradicts itself: {fault}; {REMEDY}")
+    return _unpacked(arrays, header)
+
+
+def _fault(arrays: dict[str, Array], header: dict) -> str | None:
+    """The first inconsistency of the arrays, or None."""
+    if fault := fault_of_types(arrays, _TYPES):
+        return fault
+    count, edges, signs, heard = (len(np.atleast_1d(arrays[k])) for k in ("poses", "is_closure", "sign_texts", "macs"))
+    beams = arrays["scans_m"].shape[1] if arrays["scans_m"].ndim == 2 else 0
+    shapes = {
+        "poses": (count, 3), "scans_m": (count, beams), "sessions_of": (count,), "sign_counts": (count,),
+        "mac_counts": (count,), "sign_texts": (signs,), "sign_places_m": (signs, 2), "sign_facings_rad": (signs,),
+        "macs": (heard,), "rssi_dbm": (heard,), "edge_ends": (edges, 2), "edge_measured": (edges, 3),
+        "edge_information": (edges, 3, 3), "is_closure": (edges,), "grid_origin_m": (2,),
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape:
+            return f"{name} of shape {arrays[name].shape}, {shape} is possible"
+        if arrays[name].dtype.kind == "f" and name != "sign_facings_rad" and not np.isfinite(arrays[name]).all():
+            return f"{name} that are not finite"
+    if arrays["grid"].ndim != 2 or (arrays["grid"].size and np.abs(arrays["grid"].astype(np.int64)).max() > 1000):
+        return f"a grid of shape {arrays['grid'].shape} and type {arrays['grid'].dtype}"
+    if count == 0 or beams == 0:
+        return "no keyframes"
+    for name, total in (("sign_counts", signs), ("mac_counts", heard)):
+        if arrays[name].min() < 0 or arrays[name].sum() != total:
+            return f"{name} counts {arrays[name].sum()}, and there are {total}"
+    texts = header["texts"]
+    if not (isinstance(texts, list) and all(isinstance(text, str) for text in texts)):
+        return "texts in the header that are no list of texts"
+    for name, end in (("sign_texts", len(texts)), ("edge_ends", count)):
+        if arrays[name].size and not 0 <= arrays[name].min() <= arrays[name].max() < end:
+            return f"{name} up to {arrays[name].max()}, and there are {end}"
+    for key in ("range_max_m", "resolution_m", "sessions"):
+        if isinstance(header[key], bool) or not isinstance(header[key], (int, float)) or not 0 < header[key] < 1e6:
+            return f"{key} = {header[key]!r} in the header"
+    return None
+
+
+def _unpacked(arrays: dict[str, Array], header: dict) -> LastingMap:
+    texts, places, facings = header["texts"], arrays["sign_places_m"].astype(float), arrays["sign_facings_rad"]
+    signs = [
+        SignObservation(texts[number], place, float(facing))
+        for number, place, facing in zip(arrays["sign_texts"].tolist(), places, facings.tolist(), strict=True)
+    ]
+    ends, heard_ends = np.cumsum(arrays["sign_counts"]).tolist(), np.cumsum(arrays["mac_counts"])[:-1]
+    macs = np.split(arrays["macs"].astype(np.int64), heard_ends)
+    rssi_dbm = np.split(arrays["rssi_dbm"].astype(float), heard_ends)
+    grid = np.ascontiguousarray(arrays["grid"].astype(np.int16))
+    return LastingMap(
+        poses=arrays["poses"].astype(float),
+        scans_m=arrays["scans_m"].astype(float),
+        sessions_of=arrays["sessions_of"].astype(np.int64),
+        signs=tuple(tuple(signs[first:end]) for first, end in zip([0, *ends[:-1]], ends, strict=True)),
+        fingerprints=tuple(Fingerprint(*heard) for heard in zip(macs, rssi_dbm, strict=True)),
+        edge_ends=arrays["edge_ends"].astype(np.int64),
+        edge_measured=arrays["edge_measured"].astype(float),
+        edge_information=arrays["edge_information"].astype(float),
+        is_closure=arrays["is_closure"],
+        grid=GridMap(grid, arrays["grid_origin_m"].astype(float), float(header["resolution_m"])),
+        range_max_m=float(header["range_max_m"]),
+        sessions=int(header["sessions"]),
+    )
+
+
+def prior_of(config: EnvConfig) -> LastingMap | None:
+    """The map that `slam.prior` names; None without one. Raises DataError as `read_lasting_map`."""
+    if not config.slam.prior:
+        return None
+    try:
+        state = Path(config.slam.prior).stat()
+    except OSError as error:
+        raise DataError(f"cannot read the saved map {config.slam.prior}: {error.strerror}; {REMEDY}") from error
+    return _read_once(config.slam.prior, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=4)
+def _read_once(path: str, _changed_ns: int, _size: int) -> LastingMap:
+    """The map of a file in this state: episodes after one another read it once."""
+    return read_lasting_map(path)

@@ -1,0 +1,1 @@
+"""Tables about maps that last: sessions after one another in one building, and localisation in a finished map."""
