@@ -1,6 +1,6 @@
 """MaskablePPO of sb3-contrib on a team: choices that are not possible are never drawn.
 
-    python docs/tutorials/maskable_ppo.py [DECISIONS] [FOLDER]
+python docs/tutorials/maskable_ppo.py [DECISIONS] [FOLDER]
 """
 
 import sys
