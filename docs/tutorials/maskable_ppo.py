@@ -1,4 +1,4 @@
-"""MaskablePPO of sb3-contrib on a team: choices that are not possible are never drawn.
+"""MaskablePPO of sb3-contrib on a team: it asks the environments for their action masks by itself.
 
 python docs/tutorials/maskable_ppo.py [DECISIONS] [FOLDER]
 """
@@ -17,24 +17,24 @@ from twc_env.vector.sb3 import TeamVecEnv
 class Returns(BaseCallback):
     """Notes the return of every episode, of one robot per team: all robots are paid the same."""
 
-    def __init__(self):
+    def __init__(self, robots: int):
         super().__init__()
+        self.robots = robots
         self.noted: list[float] = []
 
     def _on_step(self) -> bool:
-        robots = self.training_env.unwrapped.robots if hasattr(self.training_env, "unwrapped") else 1
-        self.noted += [info["episode"]["r"] for info in self.locals["infos"][::robots] if "episode" in info]
+        self.noted += [info["episode"]["r"] for info in self.locals["infos"][:: self.robots] if "episode" in info]
         return True
 
 
-def main(decisions: int = 40_000, folder: Path = Path("runs/tutorials")) -> None:
+def main(decisions: int = 30_000, folder: Path = Path("runs/tutorials")) -> None:
     """Learn for this number of decisions of all robots."""
     torch.set_num_threads(1)
     envs = TeamVecEnv(8, SETTINGS, seed=0)
     model = MaskablePPO(
-        "MultiInputPolicy", envs, n_steps=32, batch_size=128, learning_rate=1e-3, gamma=1.0, ent_coef=0.01, seed=0
+        "MultiInputPolicy", envs, n_steps=32, batch_size=128, learning_rate=1e-3, gamma=0.9, ent_coef=0.01, seed=0
     )
-    returns = Returns()
+    returns = Returns(envs.robots)
     model.learn(decisions, callback=returns)
     save_curve("maskable_ppo", returns.noted, folder)
     envs.close()

@@ -18,6 +18,7 @@ SETTINGS = {
     "action.kind": "frontier",
     "observation.lidar": False,
     "observation.map": False,
+    "observation.pose": False,
     "observation.wifi": False,
     "observation.signs": False,
 }
