@@ -50,7 +50,7 @@ test: .venv/installed-test ## all tests, training and OCR included (installs tor
 	@touch $@
 
 docs: .venv/installed-docs ## the documentation site in build/site, built strictly (open index.html)
-	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict
 	@echo "The site: build/site/index.html"
 
 test-bounds: .venv/installed-test ## the engine's tests with numba's bounds checks (own kernel cache; slow)

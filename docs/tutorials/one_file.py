@@ -21,11 +21,11 @@ class Settings:
     """Hyperparameters."""
 
     environments: int = 8
-    rollout: int = 32
+    rollout: int = 16
     """Steps of every environment between two updates."""
     epochs: int = 8
-    batch: int = 128
-    learning_rate: float = 1e-3
+    batch: int = 64
+    learning_rate: float = 2e-3
     discount: float = 0.9
     trace: float = 0.95
     """Lambda of generalised advantage estimation."""
@@ -60,7 +60,7 @@ def robots_of(observations: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
     }
 
 
-def main(decisions: int = 30_000, folder: Path = Path("runs/tutorials"), s: Settings = Settings()) -> None:
+def main(decisions: int = 12_000, folder: Path = Path("runs/tutorials"), s: Settings = Settings()) -> None:
     """Learn for this number of decisions of all robots."""
     torch.set_num_threads(1)
     torch.manual_seed(s.seed)

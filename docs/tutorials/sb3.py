@@ -41,11 +41,11 @@ class Returns(BaseCallback):
         return True
 
 
-def main(decisions: int = 30_000, folder: Path = Path("runs/tutorials")) -> None:
+def main(decisions: int = 12_000, folder: Path = Path("runs/tutorials")) -> None:
     """Learn for this number of decisions of all robots."""
     torch.set_num_threads(1)
     envs = TeamVecEnv(8, SETTINGS, seed=0)
-    model = PPO(MaskedPolicy, envs, n_steps=32, batch_size=128, learning_rate=1e-3, gamma=0.9, ent_coef=0.01, seed=0)
+    model = PPO(MaskedPolicy, envs, n_steps=16, batch_size=64, learning_rate=2e-3, gamma=0.9, ent_coef=0.01, seed=0)
     returns = Returns(envs.robots)
     model.learn(decisions, callback=returns)
     save_curve("sb3", returns.noted, folder)

@@ -11,17 +11,22 @@ from pathlib import Path
 
 import numpy as np
 
+# --8<-- [start:task]
 SETTINGS = {
     "map": "twin-01",
     "robots": 2,
     "max_cycles": 300,  # 30 s of simulated time, too few to see all of it by chance
     "action.kind": "frontier",
+    "action.stay_s": 10.0,  # waiting is a choice too, and expensive
+    "lidar.beam_count": 90,
+    "reward.period_steps": 50,
     "observation.lidar": False,
     "observation.map": False,
     "observation.pose": False,
     "observation.wifi": False,
     "observation.signs": False,
 }
+# --8<-- [end:task]
 """Settings of the task; the return of an episode is the share of the floor that is mapped correctly at its end."""
 
 

@@ -18,9 +18,9 @@ import twc_env
 from twc_env.vector.without_infos import WithoutInfos
 
 SEEN = ("robot", "observation")
-ROLLOUT = 256
+ROLLOUT = 128
 """Steps of the team between two updates; episodes are cut where they are and go on."""
-EPOCHS, BATCH = 8, 64
+EPOCHS, BATCH = 8, 32
 
 
 class Flat(nn.Module):
@@ -35,7 +35,7 @@ class Flat(nn.Module):
         return self.net(torch.cat([frontiers.flatten(-2), team.flatten(-2)], -1).float())
 
 
-def main(decisions: int = 30_000, folder: Path = Path("runs/tutorials")) -> None:
+def main(decisions: int = 12_000, folder: Path = Path("runs/tutorials")) -> None:
     """Learn for this number of decisions of all robots."""
     torch.set_num_threads(1)
     torch.manual_seed(0)
@@ -62,7 +62,7 @@ def main(decisions: int = 30_000, folder: Path = Path("runs/tutorials")) -> None
         reward=env.reward_key, done=("robot", "done"), terminated=("robot", "terminated"),
     )  # fmt: skip
     loss.make_value_estimator(gamma=0.9, lmbda=0.95)
-    optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
+    optimiser = torch.optim.Adam(loss.parameters(), lr=2e-3)
     returns, gained, at = [], 0.0, env.reset()
     for _ in range(max(decisions // (ROLLOUT * len(team.possible_agents)), 1)):
         with torch.no_grad():
