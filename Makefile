@@ -4,7 +4,7 @@ PY := .venv/bin/python
 INSTALL := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
 PINS := pyproject.toml constraints.txt
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-bounds test-ray soak check clean
+.PHONY: help setup demo test docs test-bounds test-ray soak check clean
 
 help: ## list the commands
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1 \t/' | expand -t 20
@@ -43,6 +43,15 @@ check: .venv/installed-dev ## format, lint, types, import arrows
 
 test: .venv/installed-test ## all tests, training and OCR included (installs torch and onnxruntime)
 	$(PY) -m pytest -q
+
+.venv/installed-docs: $(PINS) | .venv/bin/python
+	@echo "installing into .venv (a minute or more)"
+	$(INSTALL) -e '.[viz,docs]'
+	@touch $@
+
+docs: .venv/installed-docs ## the documentation site in build/site, built strictly (open index.html)
+	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict
+	@echo "The site: build/site/index.html"
 
 test-bounds: .venv/installed-test ## the engine's tests with numba's bounds checks (own kernel cache; slow)
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_bounds $(PY) -m pytest -q tests/slam tests/exploration

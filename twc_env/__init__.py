@@ -9,8 +9,11 @@ and, for one robot, with Gymnasium. Heavy dependencies are imported only when an
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from os import PathLike
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from twc_env.running import command_start
 
@@ -33,6 +36,10 @@ if TYPE_CHECKING:
     from twc_env.exploration.trace import EpisodeTrace
     from twc_env.maps import load_map, map_names
     from twc_env.slam.engine import CooperativeSlam
+    from twc_env.world.building.floorplan import Floorplan
+
+Arguments = ParamSpec("Arguments")
+Returned = TypeVar("Returned")
 
 __all__ = [
     "TASKS",
@@ -81,26 +88,65 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'twc_env' has no attribute {name!r}")
 
 
-def parallel_env(*args: Any, **kwargs: Any) -> ExplorationEnv:
+def parallel_env(
+    map: str | PathLike[str] | None = None,
+    robots: int | None = None,
+    max_cycles: int | None = None,
+    config: EnvConfig | Mapping[str, Any] | None = None,
+    render_mode: str | None = None,
+    floorplan: Floorplan | None = None,
+    task: str | None = None,
+    render_signal: bool = False,
+    **unknown: Any,
+) -> ExplorationEnv:
     """The environment under PettingZoo's parallel API; `help(twc_env.ExplorationEnv)` describes it.
 
-    Arguments: map, robots, max_cycles, config (an EnvConfig or a dict such as {"action.kind": "frontier"}),
-    render_mode, floorplan, task, render_signal. `twc-env settings` lists everything config may contain.
+    Args:
+        map: name of a bundled or generated map, a set of buildings, or a file. Default: that of the settings.
+        robots: number of robots.
+        max_cycles: time steps after which an episode is truncated.
+        config: an EnvConfig, or a dict of settings, such as {"action.kind": "frontier"}. `twc-env settings` lists all.
+        render_mode: "human" opens a window, "rgb_array" makes `render()` return an image.
+        floorplan: a floor plan made in memory, in place of `map`.
+        task: a standard task, such as "twc/ExploreOffice-v1", to which the other arguments apply.
+        render_signal: whether pictures overlay WiFi signal strength.
+        unknown: refused, with the argument that was probably meant.
+
+    Raises:
+        ConfigError: a setting is unknown or out of its range.
+        MapError: the map cannot be loaded.
     """
     from twc_env.exploration.environment import ExplorationEnv
 
-    return ExplorationEnv(*args, **kwargs)
+    return ExplorationEnv(
+        map, robots, max_cycles, config, render_mode, floorplan, task, render_signal=render_signal, **unknown
+    )
 
 
+def _with_arguments_of(
+    function: Callable[Arguments, Any],
+) -> Callable[[Callable[..., Returned]], Callable[Arguments, Returned]]:
+    """A decorator: type checkers, editors and `help` see the arguments of another function."""
+
+    def show(own: Callable[..., Returned]) -> Callable[Arguments, Returned]:
+        shown = inspect.signature(function).replace(return_annotation=own.__annotations__["return"])
+        own.__signature__ = shown  # type: ignore[attr-defined]
+        return own
+
+    return show
+
+
+@_with_arguments_of(parallel_env)
 def raw_env(*args: Any, **kwargs: Any) -> pettingzoo.AECEnv:
-    """The environment under PettingZoo's AEC API, without checking the call order."""
+    """The environment under PettingZoo's AEC API, without checking the call order; arguments as of `parallel_env`."""
     from twc_env.exploration.turns import TurnsEnv
 
     return TurnsEnv(parallel_env(*args, **kwargs))
 
 
+@_with_arguments_of(parallel_env)
 def env(*args: Any, **kwargs: Any) -> pettingzoo.AECEnv:
-    """The environment under PettingZoo's AEC API; same arguments as `parallel_env`."""
+    """The environment under PettingZoo's AEC API; arguments as of `parallel_env`."""
     from pettingzoo.utils import OrderEnforcingWrapper
 
     return OrderEnforcingWrapper(raw_env(*args, **kwargs))

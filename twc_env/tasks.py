@@ -91,6 +91,27 @@ TASKS: dict[str, dict[str, Any]] = {
     },
 }
 """Id -> dotted settings that differ from the defaults. Of v0, the last three are oracles and an ablation."""
+PURPOSES: dict[str, str] = {
+    "twc/Explore-v0": "the defaults: three robots, map `twin-01`, velocity commands",
+    "twc/ExploreTwin01-v0": "a corridor with four rooms that look alike (TWC-SLAM, scene #01)",
+    "twc/ExploreTwin02-v0": "repeated exits along three walks (TWC-SLAM, scene #02)",
+    "twc/ExploreOffice-v0": "a generated office of 800 m2",
+    "twc/ExploreFrontier-v0": "an action selects a frontier; all robots decide at the same time: a start for learning",
+    "twc/ExploreFrontierAsync-v0": "the same, but each robot decides as soon as it has arrived",
+    "twc/ExploreHard-v0": "the office with most things gone wrong: legged robots with twice the drift, fewer and "
+    "repeated signs, half of the access points, one mapper per robot, lossy short-range links",
+    "twc/ExploreKnownStarts-v0": "oracle: relative start poses are known",
+    "twc/ExploreTruePoses-v0": "oracle: true poses are known, as most exploration benchmarks assume",
+    "twc/ExploreNoMerging-v0": "ablation: maps are never merged",
+    "twc/ExploreQuick-v1": "nothing special: small and quick",
+    "twc/ExploreOffice-v1": "finding each other in a large building with a short-sighted scanner",
+    "twc/ExploreEntrance-v1": "spreading out: all robots start at one entrance and share a map at once",
+    "twc/ExplorePeers-v1": "meeting, and passing maps on: no central mapper, short links that walls weaken",
+    "twc/ExploreMall-v1": "eight robots and much floor",
+    "twc/ExploreBare-v1": "no wrong merges: no signs, few access points",
+    "twc/ExploreRadio-v1": "accuracy without scan matching: WiFi and signs; scans only for driving and drawing",
+}
+"""Id -> what the task is for."""
 SUITES: dict[str, tuple[str, ...]] = {"v1": tuple(task for task in TASKS if task.endswith("-v1"))}
 """The tasks that `twc-env benchmark --suite` plays together."""
 

@@ -11,7 +11,9 @@ import pytest
 from twc_env.__main__ import COMMANDS, _parser
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted(str(p.relative_to(ROOT)) for pattern in ("*.md", "docs/*.md", "maps/*.md") for p in ROOT.glob(pattern))
+PAGES = sorted(
+    str(p.relative_to(ROOT)) for pattern in ("*.md", "docs/**/*.md", "maps/*.md") for p in ROOT.glob(pattern)
+)
 PAGES.remove("CHANGELOG.md")  # it also has commands of earlier versions
 VERB = "|".join(COMMANDS)
 

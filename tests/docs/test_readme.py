@@ -14,7 +14,9 @@ from twc_env.reproduce.runner import TABLES, table_module
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
-PAGES = sorted(str(path.relative_to(ROOT)) for place in (".", "docs", "maps") for path in (ROOT / place).glob("*.md"))
+PAGES = sorted(
+    str(path.relative_to(ROOT)) for pattern in ("*.md", "docs/**/*.md", "maps/*.md") for path in ROOT.glob(pattern)
+)
 
 
 def example() -> str:
@@ -57,7 +59,7 @@ def headings(text: str) -> set[str]:
 def test_every_setting_named_in_a_document_exists():
     config = EnvConfig()
     sections = "|".join(field.name for field in fields(config) if is_dataclass(getattr(config, field.name)))
-    for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
+    for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]:
         for name in re.findall(rf"`((?:{sections})\.[a-z_0-9.]+)[`= ]", path.read_text()):
             folder, _, module = f"twc_env/{name.replace('.', '/')}".rpartition("/")
             is_code = (

@@ -1,4 +1,4 @@
-"""The snippets of the README and of docs/library.md run as they stand."""
+"""The snippets of docs/integrations.md, docs/library.md and docs/gallery.md run as they stand."""
 
 import importlib.util
 import os
@@ -7,12 +7,10 @@ from pathlib import Path
 
 import pytest
 
-import twc_env
 from tests.forks import Forks
 
 ROOT = Path(__file__).parents[2]
-README = (ROOT / "README.md").read_text()
-TEXT = README[README.index("## Integrations") : README.index("## Documentation")]
+TEXT = (ROOT / "docs" / "integrations.md").read_text()
 LIBRARY = (ROOT / "docs" / "library.md").read_text()
 
 
@@ -22,7 +20,8 @@ def snippets(text: str) -> dict[str, str]:
     return dict(found)
 
 
-SNIPPETS = snippets(TEXT) | snippets(LIBRARY)
+GALLERY = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "gallery.md").read_text(), flags=re.DOTALL)
+SNIPPETS = snippets(TEXT) | snippets(LIBRARY) | {f"Gallery {k}": text for k, text in enumerate(GALLERY)}
 LIBRARIES = "gymnasium", "pettingzoo", "numba", "torchrl.envs", "stable_baselines3"
 NEEDS = {
     "stable-baselines3": "stable_baselines3",
@@ -51,7 +50,6 @@ def test_a_snippet_runs(heading, forks, tmp_path):
     assert status == 0, said
 
 
-def test_the_library_page_names_every_tool_and_task():
+def test_the_library_page_names_every_tool():
     assert {*NEEDS, "Gymnasium, vectorised", "Copying and snapshots"} == snippets(TEXT).keys()
     assert len(snippets(LIBRARY)) == LIBRARY.count("\n### ") == LIBRARY.count("```python")
-    assert set(re.findall(r"`(twc/[\w-]+)`", README)) == set(twc_env.TASKS)

@@ -115,7 +115,7 @@ class VectorTeams:
         """One step of all environments.
 
         actions: (count, robots, ...). Returns observations as from `reset`, rewards (count, robots) float32, whether
-        the episode has ended (count,) bool, and infos[k][robot]; if it has, `is_terminated` in them tells whether the
+        the episode has ended (count,) bool, and `infos[k][robot]`; if it has, `is_terminated` in them tells whether the
         floor was mapped (`episode.ends_at_coverage`) or the time limit reached.
         """
         self.send(actions, self._all)

@@ -1,0 +1,56 @@
+"""PPO of stable-baselines3 on a team, with action masks in a policy of ten lines.
+
+python docs/tutorials/sb3.py [DECISIONS] [FOLDER]
+"""
+
+import sys
+from pathlib import Path
+
+import torch
+from small_task import SETTINGS, save_curve
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import MultiInputActorCriticPolicy
+
+from twc_env.vector.sb3 import TeamVecEnv
+
+
+class MaskedPolicy(MultiInputActorCriticPolicy):
+    """Choices that are not possible get a probability of 0."""
+
+    def extract_features(self, obs, features_extractor=None):
+        """The features; the mask is kept for the distribution, which is always asked for next."""
+        self._mask = obs["action_mask"] > 0
+        return super().extract_features(obs, features_extractor)
+
+    def _get_action_dist_from_latent(self, latent_pi):
+        logits = self.action_net(latent_pi).masked_fill(~self._mask, -1e8)
+        return self.action_dist.proba_distribution(action_logits=logits)
+
+
+class Returns(BaseCallback):
+    """Notes the return of every episode, of one robot per team: all robots are paid the same."""
+
+    def __init__(self, robots: int):
+        super().__init__()
+        self.robots = robots
+        self.noted: list[float] = []
+
+    def _on_step(self) -> bool:
+        self.noted += [info["episode"]["r"] for info in self.locals["infos"][:: self.robots] if "episode" in info]
+        return True
+
+
+def main(decisions: int = 12_000, folder: Path = Path("runs/tutorials")) -> None:
+    """Learn for this number of decisions of all robots."""
+    torch.set_num_threads(1)
+    envs = TeamVecEnv(8, SETTINGS, seed=0)
+    model = PPO(MaskedPolicy, envs, n_steps=16, batch_size=64, learning_rate=2e-3, gamma=0.9, ent_coef=0.01, seed=0)
+    returns = Returns(envs.robots)
+    model.learn(decisions, callback=returns)
+    save_curve("sb3", returns.noted, folder)
+    envs.close()
+
+
+if __name__ == "__main__":
+    main(*(kind(text) for kind, text in zip((int, Path), sys.argv[1:], strict=False)))

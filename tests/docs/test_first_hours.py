@@ -1,0 +1,83 @@
+"""The commands of docs/first_hours run in their order, on smaller settings, and write what the pages name."""
+
+import os
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tests.docs.test_commands import ROOT
+from tests.forks import Forks
+
+PAGES = ("student", "researcher", "lecturer")
+SMALLER = (
+    (r"--steps 60000", "--steps 16 --max-cycles 20 --area 150 --workers 0"),
+    (r"--steps \d{3,}", "--steps 12"),
+    (r"--seeds 0-9", "--seeds 0"),
+    (r"--buildings 5", "--buildings 2"),
+    (r"generate office 400", "generate office 200"),
+    (r"max_cycles=1000", "max_cycles=30"),
+)
+"""What the test replaces in commands and programs."""
+LOADED = "import numba, numpy, gymnasium, pettingzoo, twc_env.__main__, twc_env.exploration.environment"
+
+
+def blocks(page: str) -> list[tuple[str, str]]:
+    """(language, text) of the code blocks that a reader is to run."""
+    text = (ROOT / "docs" / "first_hours" / f"{page}.md").read_text()
+    return re.findall(r"^```(sh|python)\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def programs(page: str) -> list[str]:
+    """Python programs that do what the blocks do."""
+    found = []
+    for language, text in blocks(page):
+        for pattern, smaller in SMALLER:
+            text = re.sub(pattern, smaller, text)
+        if language == "python":
+            found.append(text)
+            continue
+        for line in text.replace("\\\n", " ").splitlines():
+            name, *words = shlex.split(line, comments=True)
+            assert name == "twc-env"
+            found.append(
+                f"import sys, twc_env.__main__\nsys.argv[0] = 'twc-env'\nassert not twc_env.__main__.main({words})"
+            )
+    return found
+
+
+@pytest.fixture(scope="module")
+def forks(tmp_path_factory):
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    forks = Forks(LOADED, tmp_path_factory.mktemp("forks"), {**os.environ, "PYTHONPATH": path, "MPLBACKEND": "Agg"})
+    yield forks
+    forks.close()
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_commands_of_a_first_hour_run_and_write_what_the_page_names(page, forks, tmp_path):
+    if page == "student":
+        pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+    pytest.importorskip("matplotlib", reason="needs the extra 'viz'")
+    for program in programs(page):
+        status, said = forks.run(program, tmp_path)
+        assert status == 0, f"{program}\n{said}"
+    text = (ROOT / "docs" / "first_hours" / f"{page}.md").read_text()
+    named = set(re.findall(r"`(runs/[\w./-]+)`", text)) | set(
+        re.findall(r"--out (\S+)", "".join(b for _, b in blocks(page)))
+    )
+    assert len(named) >= 2
+    assert [name for name in named if not (tmp_path / name).exists()] == []
+
+
+def test_every_smaller_setting_is_still_needed():
+    shown = "".join(text for page in PAGES for _, text in blocks(page))
+    assert [pattern for pattern, _ in SMALLER if not re.search(pattern, shown)] == []
+
+
+def test_each_first_hour_begins_at_minute_zero_and_ends_within_the_hour():
+    for page in PAGES:
+        text = Path(ROOT / "docs" / "first_hours" / f"{page}.md").read_text()
+        minutes = [int(minute) for minute in re.findall(r"^## Minute (\d+)", text, re.MULTILINE)]
+        assert minutes[0] == 0 and minutes == sorted(set(minutes)) and minutes[-1] < 60

@@ -1,0 +1,88 @@
+"""Numbers in the texts are those of the files that the named commands wrote (docs/data)."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+TUTORIALS = ("sb3", "maskable_ppo", "torchrl", "one_file", "rllib", "benchmarl")
+
+
+def read(name: str):
+    return json.loads((DOCS / "data" / f"{name}.json").read_text())
+
+
+def row(name: str, **wanted) -> dict:
+    (found,) = (r for r in read(name) if all(r[key] == value for key, value in wanted.items()))
+    return found
+
+
+def table2(method: str, backend: str) -> dict:
+    return row("twc-table2", method=method, backend=backend)
+
+
+def sfw(method: str) -> dict:
+    return row("sfw-table1", method=method)
+
+
+def radio(method: str) -> dict:
+    return row("radio-table1", method=method)
+
+
+NUMBERS = [
+    ("index.md", "After {} steps", lambda: str(read("demo")["steps"])),
+    ("index.md", "{} s of simulated time", lambda: f"{read('demo')['sim_time_s']:.0f}"),
+    ("index.md", "one map of\n{} % of the floor", lambda: f"{100 * read('demo')['coverage_correct']:.1f}"),
+    ("index.md", "trajectories are off by {} m", lambda: f"{read('demo')['team_ate_m']:.3f}"),
+    ("index.md", "would be by {} m with odometry", lambda: f"{read('demo')['odometry_ate_m']:.1f}"),
+    (
+        "explained/twc_slam.md",
+        "{} % of its closures are right",
+        lambda: f"{100 * table2('lidar', 'plain')['closure_precision']:.0f}",
+    ),
+    ("explained/twc_slam.md", "a trajectory error (ATE) of {} m", lambda: f"{table2('lidar', 'plain')['ate_m']:.1f}"),
+    ("explained/twc_slam.md", "collapses as well ({} m)", lambda: f"{table2('text', 'plain')['ate_m']:.1f}"),
+    (
+        "explained/twc_slam.md",
+        "{} % of the closures are",
+        lambda: f"{100 * table2('twc', 'plain')['closure_precision']:.0f}",
+    ),
+    ("explained/twc_slam.md", "still bend it: {} m", lambda: f"{table2('twc', 'plain')['ate_m']:.2f}"),
+    ("explained/twc_slam.md", "they do no harm: {} m", lambda: f"{table2('twc', 'ours')['ate_m']:.3f}"),
+    ("explained/twc_slam.md", "heap of the laser has {} m", lambda: f"{table2('lidar', 'plain')['epe_m']:.2f}"),
+    ("explained/twc_slam.md", "readable map of `twc` {} m", lambda: f"{table2('twc', 'plain')['epe_m']:.2f}"),
+    ("explained/k_visibility.md", "counts the walls of {} %", lambda: f"{100 * sfw('paper')['k_accuracy']:.1f}"),
+    ("explained/k_visibility.md", "(the paper: {} %)", lambda: f"{100 * sfw('paper')['paper_k_accuracy']:.1f}"),
+    ("explained/k_visibility.md", "true one with an IoU of {}", lambda: f"{sfw('paper')['iou_free']:.3f}"),
+    ("explained/k_visibility.md", "(the paper: {}).", lambda: f"{sfw('paper')['paper_iou']:.3f}"),
+    ("explained/k_visibility.md", "Ours counts {} % rightly", lambda: f"{100 * sfw('ours')['k_accuracy']:.1f}"),
+    ("explained/k_visibility.md", "has an IoU of {} for floor", lambda: f"{sfw('ours')['iou_free']:.3f}"),
+    ("explained/radio_slam.md", "odometry is off by {} m", lambda: f"{radio('odometry')['error_mean_m']:.1f}"),
+    ("explained/radio_slam.md", "radio SLAM by {} m", lambda: f"{radio('wifi')['error_mean_m']:.2f}"),
+]
+"""Page, the words around the number, and the number as the file has it."""
+
+
+@pytest.mark.parametrize(("page", "words", "value"), NUMBERS, ids=[f"{page} {words}" for page, words, _ in NUMBERS])
+def test_a_number_is_that_of_its_file(page, words, value):
+    text = " ".join((DOCS / page).read_text().split())
+    shown = re.findall(re.escape(" ".join(words.split())).replace(r"\{\}", r"(\d[\d.,]*\d|\d)"), text)
+    assert shown == [value()]
+
+
+@pytest.mark.parametrize("name", [name for name in TUTORIALS if (DOCS / "tutorials" / f"{name}.md").exists()])
+def test_the_means_of_a_tutorial_are_those_of_its_curve_which_rises(name):
+    curve = read(f"tutorial-{name}")
+    text = " ".join((DOCS / "tutorials" / f"{name}.md").read_text().split())
+    first, last = f"{curve['means'][0]:.2f}", f"{curve['means'][-1]:.2f}"
+    assert f"{curve['episodes']:,} episodes" in text and f"from {first} to {last}" in text
+    spread = curve["standard_errors"][0] + curve["standard_errors"][-1]
+    assert curve["means"][-1] - curve["means"][0] > 2 * spread
+
+
+def test_every_kept_file_is_checked():
+    kept = {path.stem for path in (DOCS / "data").glob("*.json")}
+    checked = {"demo", "twc-table2", "sfw-table1", "radio-table1"} | {f"tutorial-{name}" for name in TUTORIALS}
+    assert kept <= checked

@@ -1,0 +1,181 @@
+"""The documentation site builds without a warning, and everything on it leads somewhere on it."""
+
+import functools
+import http.server
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+import twc_env
+from twc_env.__main__ import COMMANDS
+
+ROOT = Path(__file__).parents[2]
+FILM_MAX_BYTES = 2_000_000
+PHONE, DESKTOP = (390, 844), (1280, 900)
+
+
+class Page(HTMLParser):
+    """Links, anchors and what a page loads."""
+
+    def __init__(self, path: Path):
+        super().__init__()
+        self.links, self.anchors, self.loads = [], set(), []
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        self.anchors |= {given[key] for key in ("id", "name") if given.get(key)}
+        if tag == "a" and given.get("href"):
+            self.links.append(given["href"])
+        if tag in ("img", "script", "source") and given.get("src"):
+            self.loads.append(given["src"])
+        if tag == "link" and given.get("rel") in ("stylesheet", "icon", "preload"):
+            self.loads.append(given["href"])
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The folder of the built site."""
+    for module in ("mkdocs", "material", "mkdocstrings"):
+        pytest.importorskip(module, reason="needs the extra 'docs'")
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
+    env = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "WARNING" not in done.stdout + done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pages(site):
+    return {path: Page(path) for path in site.rglob("*.html")}
+
+
+def test_every_link_leads_to_a_page_and_a_heading_of_the_site(site, pages):
+    lost = []
+    for path, page in pages.items():
+        if path.name == "404.html":
+            continue  # it is shown at any address, so its links begin at the root of the server
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            target = target / "index.html" if target.is_dir() else target
+            is_there = target.exists() and target.is_relative_to(site.resolve())
+            anchors = pages[target].anchors if target in pages else {parts.fragment}
+            if not is_there or (parts.fragment and unquote(parts.fragment) not in anchors):
+                lost.append((str(path.relative_to(site)), link))
+    assert lost == []
+
+
+def test_pages_load_nothing_from_other_hosts(site, pages):
+    for path, page in pages.items():
+        assert [load for load in page.loads if urlsplit(load).netloc] == [], path
+        for load in page.loads:
+            if path.name != "404.html":
+                assert (path.parent / unquote(urlsplit(load).path)).exists(), (path, load)
+    assert not [path for path in site.rglob("*.css") if "fonts.googleapis" in path.read_text(encoding="utf-8")]
+
+
+def test_the_site_names_every_task_setting_command_and_public_name(site):
+    gallery = (site / "gallery.html").read_text(encoding="utf-8")
+    assert [task for task in twc_env.TASKS if f"<code>{task}</code>" not in gallery] == []
+    assert all(name in gallery for name in twc_env.map_names())
+    commands = (site / "reference" / "commands.html").read_text(encoding="utf-8")
+    assert [name for name in COMMANDS if f'id="{name}"' not in commands] == []
+    reference = "".join(path.read_text(encoding="utf-8") for path in (site / "api").glob("*.html"))
+    names = set(twc_env.__all__) - {"__version__"}
+    assert [name for name in names if f".{name}" not in reference and f">{name}<" not in reference] == []
+
+
+def test_the_reference_shows_the_arguments_of_parallel_env(site):
+    page = (site / "api" / "index.html").read_text(encoding="utf-8")
+    signature = page[page.index('id="twc_env.parallel_env"') :][:6000]
+    assert all(f">{name}<" in signature for name in ("map", "robots", "max_cycles", "config", "render_mode", "task"))
+
+
+def test_every_notebook_is_a_page_with_a_download(site):
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        assert (site / "notebooks" / path.name).read_bytes() == path.read_bytes()
+        assert f'href="{path.name}"' in (site / "notebooks" / f"{path.stem}.html").read_text(encoding="utf-8")
+
+
+def test_every_page_of_docs_is_in_the_navigation(site):
+    menu = Page(site / "index.html")
+    home = {unquote(link.partition("#")[0]) for link in menu.links}
+    missing = [
+        page.relative_to(ROOT / "docs").as_posix()
+        for page in (ROOT / "docs").rglob("*.md")
+        if page.relative_to(ROOT / "docs").with_suffix(".html").as_posix() not in home
+    ]
+    assert [page for page in missing if page != "index.md"] == []
+
+
+def test_the_film_of_the_first_page_is_small():
+    assert (ROOT / "docs/pictures/episode.gif").stat().st_size < FILM_MAX_BYTES
+
+
+@pytest.fixture(scope="module")
+def address(site):
+    """Address of a server of the site."""
+
+    class Quiet(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *_):
+            pass
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=str(site)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    webdriver = pytest.importorskip("selenium.webdriver", reason="needs the extra 'dev'")
+    binary, driver = shutil.which("chromium") or shutil.which("google-chrome"), shutil.which("chromedriver")
+    if not binary or not driver:
+        pytest.skip("needs Chromium and chromedriver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = binary
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--hide-scrollbars"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    with webdriver.Chrome(options=options, service=webdriver.ChromeService(driver)) as browser:
+        yield browser
+
+
+SHOWN = ("index.html", "gallery.html", "explained/twc_slam.html", "api/index.html", "results.html")
+
+
+@pytest.mark.parametrize("size", [PHONE, DESKTOP], ids=["phone", "desktop"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pages_fit_a_browser_without_errors(site, address, browser, size, scheme):
+    screen = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": size is PHONE}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+    preferred = [{"name": "prefers-color-scheme", "value": scheme}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": preferred})
+    for name in [*SHOWN, *(path.relative_to(site).as_posix() for path in sorted(site.glob("notebooks/02*.html")))]:
+        browser.get(f"{address}/{name}")
+        inner, wide = browser.execute_script("return [window.innerWidth, document.documentElement.scrollWidth]")
+        assert wide <= inner == size[0], f"{name} is {wide} px wide"
+        colour = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+        red, green, blue = (float(part) for part in colour.strip("rgba()").split(",")[:3])
+        assert ((red + green + blue) / 3 > 128) == (scheme == "light"), colour
+        broken = "return [...document.images].filter(i => i.complete && !i.naturalWidth).map(i => i.src)"
+        assert browser.execute_script(broken) == []
+        errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+        assert errors == [], json.dumps(errors)
+        if folder := os.environ.get("TWC_SCREENSHOTS"):
+            Path(folder).mkdir(exist_ok=True)
+            shot = f"{name.replace('/', '-').removesuffix('.html')}-{scheme}-{size[0]}.png"
+            browser.save_screenshot(str(Path(folder) / shot))
