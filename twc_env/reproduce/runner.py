@@ -70,6 +70,9 @@ TABLES = {
     "bare-places": Table(
         "merging in scenes with little geometry: bare corridors, and a hall larger than the laser range"
     ),
+    "ambiguity": Table(
+        "merging where places look alike: teams merged rightly, wrongly and not at all, in buildings of eight kinds"
+    ),
     "reality": Table(
         "what each effect of reality costs: people, carried robots, poor scanners, drifting odometry, weak links"
     ),

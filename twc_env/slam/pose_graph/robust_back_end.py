@@ -67,9 +67,9 @@ def revise(
 
     `ours` refits the used closures with dynamic covariance scaling, rejects those the fit contradicts and accepts
     rejected ones that now agree (`refit_closures`). When `is_thorough`, it also selects closures from scratch; that
-    solution is returned if it accepts more of them and `may_replace(running, new)` agrees. With at most FEW_REFUSED
-    rejections the second solution starts from a fit of all closures instead. The other modes solve from scratch each
-    time.
+    solution is returned if it accepts more of them, costs less (`_cost`) and `may_replace(running, new)` agrees. With
+    at most FEW_REFUSED rejections the second solution starts from a fit of all closures instead. The other modes solve
+    from scratch each time.
     """
     if config.robust != "ours":
         return solve(poses, *graph.parts, config, fixed, shared=graph.shared)
@@ -79,9 +79,21 @@ def revise(
             afresh = _refit_from_all(result, graph, config, fixed)
         else:
             afresh = solve(result.poses, *graph.parts, config, fixed, EPISODE_KEYS_MAX, graph.shared)
-        if afresh.accepted.sum() > result.accepted.sum() and may_replace(result, afresh):
+        is_fuller = afresh.accepted.sum() > result.accepted.sum()
+        if is_fuller and _cost(graph, afresh) < _cost(graph, result) and may_replace(result, afresh):
             return afresh
     return result
+
+
+def _cost(graph: Graph, result: BackendResult) -> float:
+    """Truncated least squares cost (Yang 2020, Eq. 3): squared errors of accepted edges, and GATE for each rejected
+    one.
+
+    Odometry covariances allow for more than most paths err by. A map may therefore bend by metres to a single false
+    closure, and accepts one more than before; odometry pays for it with more than that closure is worth.
+    """
+    squared = graph.squared_errors(result.poses)
+    return float(squared[result.accepted].sum()) + GATE * int(np.count_nonzero(~result.accepted))
 
 
 def _refit_from_all(result: BackendResult, graph: Graph, config: PoseGraphConfig, fixed: int) -> BackendResult:
