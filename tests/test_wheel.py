@@ -48,6 +48,15 @@ def test_maps_can_be_loaded_by_name_from_an_installed_wheel(installed, tmp_path)
     assert name == "twin-01"
 
 
+def test_the_sample_log_and_the_catalogue_of_data_are_in_the_wheel(installed):
+    for folder in ("sample", "public"):
+        place = Path("twc_env") / "datasets" / folder
+        names = {path.name for path in (ROOT / place).iterdir() if path.suffix not in (".py", "")}
+        assert names
+        assert names <= {path.name for path in (installed / place).iterdir()}
+    assert sum(path.stat().st_size for path in (installed / "twc_env" / "datasets" / "sample").iterdir()) < 600_000
+
+
 def test_the_wheel_has_the_version_of_the_package(installed):
     import twc_env
 

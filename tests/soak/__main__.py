@@ -137,8 +137,8 @@ def _damaged_logs(files: int, seed: int, figures: dict[str, object]) -> list[str
 
     report = fuzz_logs(files, seed)
     print(
-        f"{report.count} damaged logs: {report.refused} refused, {report.loaded} replayed, {len(report.escaped)} raised "
-        f"something else; slowest {report.slowest_s:.1f} s ({report.slowest})"
+        f"{report.count} damaged logs: {report.refused} refused, {report.loaded} replayed, {len(report.escaped)} "
+        f"raised something else; slowest {report.slowest_s:.1f} s ({report.slowest})"
     )
     figures["logs"] = {name: getattr(report, name) for name in report.__slots__}
     slow = report.slowest_s > SECONDS_MAX

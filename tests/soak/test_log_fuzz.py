@@ -22,7 +22,7 @@ def test_the_fuzzer_of_logs_detects_injected_faults(monkeypatch):
         raise KeyError("two\nlines")
 
     monkeypatch.setattr(log_fuzz, "read_input", broken)
-    monkeypatch.setattr(log_fuzz, "_sound", lambda folder: (None, None))
+    monkeypatch.setattr(log_fuzz, "_sound", lambda log: (None, None))
     monkeypatch.setattr(log_fuzz, "run", lambda source, config: None)
     assert len(fuzz_logs(3).escaped) == 3
 

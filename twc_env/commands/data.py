@@ -39,13 +39,14 @@ def add_arguments(data: argparse.ArgumentParser) -> None:
     listing = parts.add_parser(
         "list", help="name, licence, size and source of all sets, or the files of given ones",
         description="Name, licence, size and source of all sets, or the files of given ones.", fill=_add_list,
+        epilog="examples:\n  twc-env data list\n  twc-env data list houseexpo",
     )  # fmt: skip
     listing.set_defaults(run=_list)
     fetching = parts.add_parser(
         "fetch", help="download sets to their places",
         description="Download sets to their places below TWC_DATA, with a checksum of each file. An interrupted "
         "download goes on where it broke off. Mind the licences: `twc-env data list` tells them.",
-        fill=_add_fetch,
+        epilog="example:\n  twc-env data fetch carmen intel --to data", fill=_add_fetch,
     )  # fmt: skip
     fetching.set_defaults(run=_fetch)
     sample = parts.add_parser(
@@ -53,7 +54,7 @@ def add_arguments(data: argparse.ArgumentParser) -> None:
         description="Simulate robots that wander through a building, and write what real ones would record: a CARMEN "
         "log of each robot or one ROS bag, WiFi and sign readings as tables, and the true paths for evo. The sample of "
         "the package, which `twc-env replay sample` reads, was written by `twc-env data sample --out FOLDER`.",
-        fill=_add_sample,
+        epilog="example:\n  twc-env data sample --kind mcap --robots 3 --seed 1 --out runs/bag", fill=_add_sample,
     )  # fmt: skip
     sample.set_defaults(run=_sample)
 

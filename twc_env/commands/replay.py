@@ -153,7 +153,7 @@ def _replay(options: argparse.Namespace) -> None:
     is_export = is_export and (options.html is not None or options.rerun is not None)
     for log in options.logs:
         if not log.exists() and [str(each) for each in options.logs] != [SAMPLE]:
-            what = "run folder" if is_export or options.html is not None else "run folder or log"
+            what = "run folder" if options.html is not None or options.rerun is not None else "run folder or log"
             raise DataError(f"there is no {what} {log}: `twc-env explore --out RUN` writes one")
         is_own_run = log.is_dir() and not is_bag(log)
         if is_own_run and not is_export and not (log / "frames.npz").exists():
@@ -269,6 +269,8 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
         for key, value in figures.items():
             print(f"{key:<20} {value}")
         print("\n" + aligned(done.table()))
+        if len(team.groups) > 1 and (lacked := done.engine.lacked()):
+            print("\nwhy there is more than one map:", *lacked, sep="\n  ")
     write_json(options.json, figures | {"robots": done.table()})
     if options.out:
         _write_folder(options.out, done, formats)

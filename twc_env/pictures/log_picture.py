@@ -14,6 +14,7 @@ from twc_env.exploration.drawing.rendering import COLOURS
 from twc_env.records.geometry import travelled_m
 from twc_env.records.messages import GridMap
 from twc_env.records.whole_file import whole_file
+from twc_env.replaying.run import groups_by_size
 
 if TYPE_CHECKING:
     from twc_env.replaying.run import Replay
@@ -38,7 +39,7 @@ def draw_log(replay: Replay, paths: list[Path]) -> list[Path]:
     except ImportError as error:
         raise DataError("a picture of the map needs matplotlib; run `pip install 'twc_env[viz]'`") from error
     team, robots = replay.engine.team, replay.paths()
-    groups = sorted(range(len(team.groups)), key=lambda group: -len(team.groups[group].robots))
+    groups = groups_by_size(team)
     drawn = [g for g in groups if team.grid_of(g).log_odds.size][:PANELS_MAX] or groups[:1]
     columns = min(len(drawn), 2 if len(drawn) > 1 else 1)
     rows = math.ceil(len(drawn) / columns)

@@ -36,8 +36,8 @@ def write_page(run: Path, path: Path) -> Path:
     trace, report = read_trace(run / "trace.npz"), read_report(run / "report.json")
     with contradictions(run):
         data = page_data(trace, report)
-    title = f"{report.get('agent', 'team')} on {report['map']}, seed {report['seed']}"
-    return fill_page(path, title, data)
+        title = f"{report.get('agent', 'team')} on {report['map']}, seed {report['seed']}"
+        return fill_page(path, title, data)
 
 
 def fill_page(path: Path, title: str, data: dict[str, Any]) -> Path:

@@ -14,14 +14,9 @@ from twc_env.datasets.ros.bag_writer import RobotEstimate, write_estimates
 from twc_env.errors import DataError
 from twc_env.records.messages import GridMap
 from twc_env.records.whole_file import whole_file
-from twc_env.replaying.run import Replay
+from twc_env.replaying.run import Replay, groups_by_size
 from twc_env.running.command_line import make_folder
 from twc_env.slam.team import TeamMapper
-
-
-def groups_by_size(team: TeamMapper) -> list[int]:
-    """Numbers of the groups of robots that share a map, the largest first."""
-    return sorted(range(len(team.groups)), key=lambda group: -len(team.groups[group].robots))
 
 
 def write_maps(folder: Path, team: TeamMapper) -> None:

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
-from twc_env.exploration.assessment.team_alignment import TeamPaths
 from twc_env.records.geometry import between, compose, inverse, travelled_m
 from twc_env.replaying.inputs import ReplayInput
 from twc_env.running.command_line import LINE_WIDTH, show_line
 from twc_env.slam.modes import Engine, make_engine
+from twc_env.slam.team import TeamMapper
 
 
 @dataclass(slots=True)
@@ -52,16 +52,12 @@ class Replay:
 
     def paths(self) -> list[RobotPath]:
         """The path of each robot that has frames."""
-        rows, last = [], -1  # row of odom_poses for each step; a step missing in the log has the previous row
-        for row, frames in enumerate(self.source.steps):
-            step = frames[0].step if frames else last + 1
-            rows += [row - 1] * (step - last - 1) + [row]
-            last = step
-        estimated = TeamPaths(self.engine, self.odom_poses[np.maximum(rows, 0)]).as_seen()
         found = []
         for robot in sorted({frame.robot for frames in self.source.steps for frame in frames}):
-            own = [frame for frames in self.source.steps for frame in frames if frame.robot == robot]
-            poses = estimated[[frame.step for frame in own], robot]
+            rows = [(k, f) for k, frames in enumerate(self.source.steps) for f in frames if f.robot == robot]
+            own = [frame for _, frame in rows]
+            odom = self.odom_poses[[k for k, _ in rows], robot]
+            poses = self._in_map(robot, np.array([frame.step for frame in own]), odom)
             times_s = np.array([self.source.begun_s[robot] + frame.time_s for frame in own])
             mount, logged = self.source.mounts[robot], None
             odometry = np.array(list(accumulate((f.odometry for f in own), compose, initial=np.zeros(3)))[1:])
@@ -73,9 +69,20 @@ class Replay:
             found.append(RobotPath(robot, name, times_s, poses, odometry, odometry if logged is None else logged))
         return found
 
+    def _in_map(self, robot: int, steps: Array, odom: Array) -> Array:
+        """(frames, 3) poses in the map of the robot's group, each relative to the latest keyframe; steps (frames,):
+        numbers of its frames, odom (frames, 3): poses of its front end."""
+        mapper = self.engine.mapper_of(robot)
+        taken, poses = mapper.keyframe_steps(robot), mapper.poses_of(robot)
+        if not len(taken):
+            return odom
+        at = np.clip(np.searchsorted(steps, taken), 0, len(steps) - 1)
+        held = np.clip(np.searchsorted(taken, steps, side="right") - 1, 0, None)
+        return compose(poses[held], between(odom[at[held]], odom))
+
     def table(self) -> list[dict]:
         """One row per robot, with units."""
-        team, rows = self.engine.team, []
+        team, rows, order = self.engine.team, [], groups_by_size(self.engine.team)
         for path in self.paths():
             robot = path.robot
             closures = [
@@ -86,7 +93,7 @@ class Replay:
             rows.append(
                 {
                     "robot": path.name or str(robot),
-                    "map": team.group_index(robot) + 1,
+                    "map": order.index(team.group_index(robot)) + 1,
                     "time [s]": round(float(path.times_s[-1] - path.times_s[0]), 1),
                     "path [m]": round(float(travelled_m(path.estimated)[-1]), 2),
                     "odometry path [m]": round(float(travelled_m(path.odometry)[-1]), 2),
@@ -105,6 +112,11 @@ class Replay:
         return self.engine.team.segments.owners[segment]
 
 
+def groups_by_size(team: TeamMapper) -> list[int]:
+    """Numbers of the groups of robots that share a map, the largest first, as their maps are numbered."""
+    return sorted(range(len(team.groups)), key=lambda group: -len(team.groups[group].robots))
+
+
 def run(source: ReplayInput, config: EnvConfig, watch: Callable[[int, Engine], None] | None = None) -> Replay:
     """Run the engine on all frames; watch: called after every step with its number and the engine."""
     begun = time.monotonic()
@@ -113,7 +125,7 @@ def run(source: ReplayInput, config: EnvConfig, watch: Callable[[int, Engine], N
     robots = contacts[0].heard.shape[1] if contacts else max(seen, 1 if source.is_episode else len(source.names))
     engine = make_engine(config, robots)
     first = next(frames[0].step - k for k, frames in enumerate(steps) if frames)
-    odom_poses, step = [], first
+    odom_poses, step, warm = [], first, begun
     for step, frames in enumerate(steps, first):  # steps in the frames may differ between robots
         if frames:
             engine.track(frames)
@@ -121,7 +133,9 @@ def run(source: ReplayInput, config: EnvConfig, watch: Callable[[int, Engine], N
         odom_poses.append(np.array(engine.poses_odom))
         if watch is not None:
             watch(step - first, engine)
-        _show_progress(step - first + 1, len(steps), time.monotonic() - begun)
+        if step == first:
+            warm = time.monotonic()  # the first step loads compiled kernels
+        _show_progress(step - first + 1, len(steps), time.monotonic() - warm)
     last = max([step, *(frame.step for frame in steps[-1])])
     if last >= config.max_cycles or not source.is_episode:  # a complete episode: the backlog is processed
         engine.finish()
@@ -129,10 +143,10 @@ def run(source: ReplayInput, config: EnvConfig, watch: Callable[[int, Engine], N
 
 
 def _show_progress(done: int, total: int, elapsed_s: float, every: int = 50) -> None:
-    """Bar, count and time left; the cost of a step grows with the map, so that the time left is a lower bound."""
+    """Bar, count and time left; the cost of a step grows with the map, so that more may be left."""
     if done % every and done != total:
         return
-    left_s = elapsed_s / done * (total - done)
+    left_s = elapsed_s / max(done - 1, 1) * (total - done)
     told = f" {done}/{total} steps, {int(left_s) // 60}:{int(left_s) % 60:02d} left"
     width = max(LINE_WIDTH - len(told) - 2, 10) // 2
     full = round(width * done / total)

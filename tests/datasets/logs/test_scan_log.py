@@ -47,7 +47,9 @@ def test_a_line_of_newer_carmen_says_where_its_beams_point(tmp_path, parts):
 def test_what_is_no_carmen_log_is_answered_with_the_way_for_other_logs(tmp_path):
     path = tmp_path / "drive.bag"
     path.write_bytes(b"#ROSBAG V2.0")
-    with pytest.raises(DataError, match=r"expected lines FLASER or ROBOTLASER1; what else .*write_frame_log"):
+    with pytest.raises(
+        DataError, match=r"expected lines FLASER, ROBOTLASER1, or RAWLASER1 with ODOM; what else .*write_frame_log"
+    ):
         read_carmen_log(path)
 
 

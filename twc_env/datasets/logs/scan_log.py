@@ -39,8 +39,10 @@ _RETURNS_MIN = 0.1
 _LOG = logging.getLogger(__name__)
 
 _SINGLE_DIGITS = 5
+DENSE_M, DENSE_RAD = 0.25, 0.25
+"""A log is dense if the robot moves and turns by less than this from scan to scan, in the median."""
 SPACING_M, SPACING_RAD = 0.1, 0.1
-"""Of logs in which the robot hardly moves from scan to scan, only scans so far from the last one are used."""
+"""Of a dense log, only scans so far from the last one are used."""
 TIME_TOLERANCE_S = 0.02
 """Largest difference between the time of a relation and that of its scan."""
 
@@ -396,11 +398,11 @@ def _scanner_of(log: ScanLog, scan: int, range_max_m: float) -> Scanner:
 
 
 def spaced(log: ScanLog, needed: Sequence[int] | Array = ()) -> Array:
-    """Numbers of the scans to use: all, or, of a log in which the robot hardly moves from scan to scan, those that are
+    """Numbers of the scans to use: all, or, of a dense log, those that are
     `SPACING_M` or `SPACING_RAD` from the last one; the `needed` ones and the last one are among them."""
     motions = between(log.poses[:-1], log.poses[1:])
     moved_m, turned_rad = np.hypot(motions[:, 0], motions[:, 1]), np.abs(motions[:, 2])
-    if len(motions) < 2 or not (np.median(moved_m) < SPACING_M and np.median(turned_rad) < SPACING_RAD):
+    if len(motions) < 2 or not (np.median(moved_m) < DENSE_M and np.median(turned_rad) < DENSE_RAD):
         return np.arange(len(log.times_s))
     kept, needed_scans = [0], set(np.asarray(needed, int).tolist()) | {len(log.times_s) - 1}
     x, y, heading = log.poses.T.tolist()
