@@ -48,7 +48,7 @@ test-bounds: .venv/installed-test ## the engine's tests with numba's bounds chec
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_bounds $(PY) -m pytest -q tests/slam tests/exploration
 
 soak: .venv/installed-test ## hours: 1,000,000 steps, malformed actions and maps, observation checks
-	$(PY) -m tests.soak --actions 100000 --observations 10000 --maps 10000
+	$(PY) -m tests.soak --actions 100000 --observations 10000 --maps 10000 --graphs 3000
 	$(PY) -m tests.soak --steps 1000000
 
 .venv-ray/installed: pyproject.toml

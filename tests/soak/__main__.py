@@ -31,7 +31,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m tests.soak",
         description="Run episodes of 500 steps, each in another building of the training split, with robots driven by "
         "a reactive policy, and print the memory growth after a warm-up. An exception ends the run and names the "
-        "seed of its episode. With --actions, --observations or --maps, run these tests instead.",
+        "seed of its episode. With --actions, --observations, --maps or --graphs, run these tests instead.",
         epilog="examples:\n  python -m tests.soak --steps 100000 --set observation.kind=flat\n"
         "  python -m tests.soak --actions 100000 --observations 10000 --maps 10000",
     )
@@ -55,6 +55,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="COUNT",
         help="number of mutated map files; each must load or be rejected in one line",
     )
+    long.add_argument(
+        "--graphs",
+        type=count,
+        metavar="COUNT",
+        help="number of mutated pose graphs; each must be optimised or rejected in one line",
+    )
     long.add_argument("--seed", type=natural, default=0, help="seed of the first episode")
     add_set(long)
     add_json(long)
@@ -63,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _soak(options: argparse.Namespace) -> None:
-    if (options.actions, options.observations, options.maps) != (None, None, None):
+    if (options.actions, options.observations, options.maps, options.graphs) != (None, None, None, None):
         _misuse(options)
         return
     from tests.soak.long_runs import soak
@@ -101,6 +107,8 @@ def _misuse(options: argparse.Namespace) -> None:
         figures["observations"] = {name: getattr(seen, name) for name in seen.__slots__}
     if options.maps is not None:
         faults += _mutated_maps(options.maps, options.seed, figures)
+    if options.graphs is not None:
+        faults += _mutated_graphs(options.graphs, options.seed, figures)
     write_json(options.json, figures)
     if faults:
         raise TwcError("; ".join(faults))
@@ -122,6 +130,20 @@ def _mutated_maps(files: int, seed: int, figures: dict[str, object]) -> list[str
     if report.grown_mb > MEMORY_MAX_MB:
         faults.append(f"memory grew by {report.grown_mb:.0f} MB, more than {MEMORY_MAX_MB:g} MB")
     return faults
+
+
+def _mutated_graphs(files: int, seed: int, figures: dict[str, object]) -> list[str]:
+    from tests.soak.graph_fuzz import SECONDS_MAX, fuzz_graphs
+
+    report = fuzz_graphs(files, seed, show_count)
+    print(
+        f"{report.count} mutated pose graphs: {report.refused} refused, {report.optimised} optimised, of which "
+        f"{report.lost} are reported as lost, {len(report.escaped)} raised something else; slowest "
+        f"{report.slowest_s:.2f} s ({report.slowest})"
+    )
+    figures["graphs"] = {name: getattr(report, name) for name in report.__slots__}
+    slow = [f"{report.slowest} took more than {SECONDS_MAX:g} s"] if report.slowest_s > SECONDS_MAX else []
+    return list(report.escaped) + slow
 
 
 if __name__ == "__main__":
