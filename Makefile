@@ -56,8 +56,8 @@ docs: .venv/installed-docs ## the documentation site in build/site, built strict
 test-bounds: .venv/installed-test ## the engine's tests with numba's bounds checks (own kernel cache; slow)
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_bounds $(PY) -m pytest -q tests/slam tests/exploration
 
-soak: .venv/installed-test ## hours: 1,000,000 steps, malformed actions, maps and logs, observation checks
-	$(PY) -m tests.soak --actions 100000 --observations 10000 --maps 10000 --logs 2000
+soak: .venv/installed-test ## hours: 1,000,000 steps, malformed actions, maps, logs and graphs, observation checks
+	$(PY) -m tests.soak --actions 100000 --observations 10000 --maps 10000 --logs 2000 --graphs 3000
 	$(PY) -m tests.soak --steps 1000000
 
 .venv-ray/installed: pyproject.toml

@@ -44,6 +44,8 @@ ALLOWED = {
     "twc_env.slam.front_end": LEAVES | rooms("odometry", "scans", "places", "matching"),
     "twc_env.slam.mapping": LEAVES | rooms("scans", "places", "pose_graph", "matching", "walls"),
     "twc_env.slam.merging": LEAVES | rooms("places", "pose_graph", "radio", "mapping"),
+    "twc_env.slam.saved_maps": LEAVES | rooms("pose_graph"),
+    "twc_env.slam.graph_optimisation": LEAVES | rooms("pose_graph"),
     "twc_env.metrics": LEAVES,
     "twc_env.planning": LEAVES,
     "twc_env.datasets": LEAVES | FLOORPLAN,

@@ -31,7 +31,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m tests.soak",
         description="Run episodes of 500 steps, each in another building of the training split, with robots driven by "
         "a reactive policy, and print the memory growth after a warm-up. An exception ends the run and names the "
-        "seed of its episode. With --actions, --observations, --maps or --logs, run these tests instead.",
+        "seed of its episode. With --actions, --observations, --maps, --logs or --graphs, run these tests instead.",
         epilog="examples:\n  python -m tests.soak --steps 100000 --set observation.kind=flat\n"
         "  python -m tests.soak --actions 100000 --observations 10000 --maps 10000",
     )
@@ -61,6 +61,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="COUNT",
         help="number of damaged bags, tables and laser logs; each must be replayed or be rejected in one line",
     )
+    long.add_argument(
+        "--graphs",
+        type=count,
+        metavar="COUNT",
+        help="number of mutated pose graphs; each must be optimised or rejected in one line",
+    )
     long.add_argument("--seed", type=natural, default=0, help="seed of the first episode")
     add_set(long)
     add_json(long)
@@ -69,7 +75,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _soak(options: argparse.Namespace) -> None:
-    if any(each is not None for each in (options.actions, options.observations, options.maps, options.logs)):
+    long_tests = (options.actions, options.observations, options.maps, options.logs, options.graphs)
+    if any(each is not None for each in long_tests):
         _misuse(options)
         return
     from tests.soak.long_runs import soak
@@ -109,6 +116,8 @@ def _misuse(options: argparse.Namespace) -> None:
         faults += _mutated_maps(options.maps, options.seed, figures)
     if options.logs is not None:
         faults += _damaged_logs(options.logs, options.seed, figures)
+    if options.graphs is not None:
+        faults += _mutated_graphs(options.graphs, options.seed, figures)
     write_json(options.json, figures)
     if faults:
         raise TwcError("; ".join(faults))
@@ -143,6 +152,20 @@ def _damaged_logs(files: int, seed: int, figures: dict[str, object]) -> list[str
     figures["logs"] = {name: getattr(report, name) for name in report.__slots__}
     slow = report.slowest_s > SECONDS_MAX
     return report.escaped + ([f"{report.slowest} took {report.slowest_s:.0f} s"] if slow else [])
+
+
+def _mutated_graphs(files: int, seed: int, figures: dict[str, object]) -> list[str]:
+    from tests.soak.graph_fuzz import SECONDS_MAX, fuzz_graphs
+
+    report = fuzz_graphs(files, seed, show_count)
+    print(
+        f"{report.count} mutated pose graphs: {report.refused} refused, {report.optimised} optimised, of which "
+        f"{report.lost} are reported as lost, {len(report.escaped)} raised something else; slowest "
+        f"{report.slowest_s:.2f} s ({report.slowest})"
+    )
+    figures["graphs"] = {name: getattr(report, name) for name in report.__slots__}
+    slow = [f"{report.slowest} took more than {SECONDS_MAX:g} s"] if report.slowest_s > SECONDS_MAX else []
+    return list(report.escaped) + slow
 
 
 if __name__ == "__main__":

@@ -44,8 +44,8 @@ def draw_merged(grid: GridMap, maps: list[SavedMap], poses: Array, title: str, p
 
 
 def _outlined(saved: SavedMap) -> Array:
-    """(rows, columns) of what the map knows, with gaps closed."""
+    """(rows, columns) of what the map knows, with gaps and holes closed."""
     rounds = max(1, round(GAP_M / saved.resolution_m / 2))
     known = np.pad(saved.free | saved.walls, rounds)
-    closed = ndimage.binary_closing(known, iterations=rounds)[rounds:-rounds, rounds:-rounds]
-    return np.asarray(closed, float)
+    closed = ndimage.binary_fill_holes(ndimage.binary_closing(known, iterations=rounds))
+    return np.asarray(closed, float)[rounds:-rounds, rounds:-rounds]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from twc_env.world.building.floorplan import Floorplan
 
 _UNKNOWN_GREY = 205
 """What map_saver paints where it knows nothing; drawn plans have other greys in and behind their walls."""
+_WALLS_MIN = 0.1
+"""A map_server map in which a smaller share of the floor's rim is occupied draws no walls, only where floor ends."""
 _LOG = logging.getLogger(__name__)
 
 
@@ -28,7 +31,7 @@ def read_grid(path: str | Path, resolution_m: float = PICTURE_RESOLUTION_M) -> R
     path = Path(path)
     suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
     if suffixes[-1:] in ([".yaml"], [".yml"]):
-        grid = read_ros_cells(path)
+        grid = _with_walls(read_ros_cells(path), path)
     else:
         grey = read_grey(path)[::-1]
         free = grey > FREE_ABOVE
@@ -36,6 +39,18 @@ def read_grid(path: str | Path, resolution_m: float = PICTURE_RESOLUTION_M) -> R
     if not grid.free.any():
         raise MapError(f"{path.name} shows no free floor; check the thresholds, or that floor is white")
     return grid
+
+
+def _with_walls(grid: RosMap, path: Path) -> RosMap:
+    """The grid; where it draws hardly a wall, the rim of its free floor becomes one."""
+    rim = _rim(grid.free) & ~grid.free
+    if not rim.any() or (grid.occupied & rim).sum() >= _WALLS_MIN * rim.sum():
+        return grid
+    _LOG.warning(
+        "%s: only %.0f %% of the rim of its floor is occupied; all of it is taken for walls: check occupied_thresh",
+        path.name, 100 * (grid.occupied & rim).sum() / rim.sum(),
+    )  # fmt: skip
+    return dataclasses.replace(grid, occupied=grid.occupied | rim)
 
 
 def grid_of_plan(plan: Floorplan) -> RosMap:

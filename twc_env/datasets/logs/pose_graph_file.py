@@ -119,12 +119,11 @@ class _Lines:
         """The graph of all lines. Raises DataError if there is none in two dimensions."""
         if not self.edges and not self.vertices:
             self._refuse()
-        sightings = [s for s in self.sightings if s[1] not in self.vertices]
+        known = {*self.vertices, *(end for edge in self.edges for end in edge[:2]), *(s[0] for s in self.sightings)}
+        sightings = [s for s in self.sightings if s[1] not in known]
         remarks = self._remarks(len(self.sightings) - len(sightings))
-        ids = sorted({*self.vertices, *(end for edge in self.edges for end in edge[:2]), *(s[0] for s in sightings)})
+        ids = sorted(known)
         index = {vertex: k for k, vertex in enumerate(ids)}
-        if both := next((s for s in sightings if s[1] in index), None):
-            raise self._error(both[3], f"{both[1]} is a landmark here and a pose elsewhere; number them anew")
         poses = np.array([self.vertices.get(vertex, (math.nan,) * 3) for vertex in ids], float).reshape(-1, 3)
         edges = np.array([(index[i], index[j]) for i, j, *_ in self.edges], np.int64).reshape(-1, 2)
         values = np.array([v for _, _, v, _ in self.edges], float).reshape(-1, 9)

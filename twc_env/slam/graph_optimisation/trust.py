@@ -2,10 +2,11 @@
 
 Four things are measured of a component. *Undecided*: closures that the back end can neither accept nor contradict,
 because drift is too large. *Second hypothesis*: how many of the rejected closures agree with each other and odometry
-without the accepted ones. *Contradiction*: squared errors of what was accepted, per degree of freedom. *Expected
-error*: odometry and accepted closures are drawn anew from their stated noise, scaled by that ratio, and the graph is
-optimised again; how far its poses move, after alignment, is the error that the closures leave (a parametric bootstrap
-of the inverse Fisher information, without its gauge).
+without the accepted ones; for back ends other than `ours`, also whether the search of `ours` in all closures finds
+another map, where errors stand out. *Contradiction*: squared errors of what was accepted, per degree of freedom.
+*Expected error*: odometry and accepted closures are drawn anew from their stated noise, scaled by that ratio, and the
+graph is optimised again; how far its poses move, after alignment, is the error that the closures leave (a parametric
+bootstrap of the inverse Fisher information, without its gauge).
 """
 
 from __future__ import annotations
@@ -30,6 +31,10 @@ CONTRADICTION_MAX = 10.0
 """Squared error per degree of freedom."""
 EXPECTED_MAX = 0.08
 """Expected error as a share of the map's diagonal."""
+STANDS_OUT = 25.0
+"""With a larger squared error in what another back end accepted, its map is compared with that of `ours`."""
+DIFFERS_ERRORS, DIFFERS_SHARE = 2.0, 0.01
+"""Two maps differ by more than so many expected errors and such a share of the diagonal."""
 REJECTED_MIN = 3
 """So few rejected closures are no hypothesis."""
 DRAWS, ROUNDS = 6, 3
@@ -61,16 +66,16 @@ class Trust:
         return bool(self.reasons)
 
 
-def trust_in(graph: Graph, result: BackendResult) -> Trust:
-    """How far the result of a back end on this graph, one component, can be trusted."""
+def trust_in(graph: Graph, result: BackendResult, robust: str = "ours") -> Trust:
+    """How far the result of the back end `robust` on this graph, one component, can be trusted."""
     poses, accepted = result.poses, result.accepted & graph.is_closure
     used = graph.of(result.accepted | ~graph.is_closure)
     count, closures = int(accepted.sum()), int(graph.is_closure.sum())
     undecided = sum(UNPROVEN in rejection.reason for rejection in result.rejections)
     second = _second_hypothesis(graph, poses, accepted)
-    squared = float(used.squared_errors(poses).sum())
+    errors = used.squared_errors(poses)
     loops = max(len(used.edges) - len(poses) + 1, 0)
-    contradiction = (squared + 3 * PRIOR_CLOSURES) / (3 * loops + 3 * PRIOR_CLOSURES)
+    contradiction = (float(errors.sum()) + 3 * PRIOR_CLOSURES) / (3 * loops + 3 * PRIOR_CLOSURES)
     expected_m = _expected_error_m(used, poses) * np.sqrt(contradiction)
     diagonal_m = float(np.hypot(*np.ptp(poses[:, :2], axis=0))) if len(poses) else 0.0
     reasons = []
@@ -90,6 +95,11 @@ def trust_in(graph: Graph, result: BackendResult) -> Trust:
         reasons.append(
             f"the closures hold too little: expected error {expected_m:.3g} m on a map of {diagonal_m:.3g} m"
         )
+    if robust != "ours" and count and errors.max(initial=0.0) > STANDS_OUT:
+        other = solve(poses, *graph.parts, PoseGraphConfig(robust="ours")).poses
+        away_m = float(np.sqrt(_aligned_square(other[:, :2], poses[:, :2])))
+        if away_m > max(DIFFERS_ERRORS * expected_m, DIFFERS_SHARE * diagonal_m):
+            reasons.append(f"the search of `ours` finds another map, {away_m:.3g} m away: use it, or compare both")
     return Trust(
         reasons=tuple(reasons),
         closures=closures,

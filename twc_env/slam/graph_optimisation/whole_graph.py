@@ -100,7 +100,7 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
         poses[members], accepted[edges] = result.poses, result.accepted
         reasons |= {int(edges[one.edge]): one.reason for one in result.rejections}
         opponents |= {int(edges[e]): (int(edges[by]), chi) for e, (by, chi) in _opponents(part, start[members], result)}
-        trust.append(trust_in(part, result))
+        trust.append(trust_in(part, result, robust))
     return OptimisedGraph(
         poses=poses,
         start=start,

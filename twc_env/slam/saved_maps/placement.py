@@ -31,10 +31,10 @@ CONTRADICTION = 3.0
 OTHER_M, OTHER_RAD = 1.0, np.radians(10.0)
 """Placements that differ by more are different ones."""
 FINE_COUNT = 12
-EVIDENCE_MIN_M, RATIO_MAX, CONTRADICTION_MAX, CERTAINTY_MIN = 15.0, 0.55, 0.06, 0.9
+EVIDENCE_MIN_M, RATIO_MAX, CONTRADICTION_MAX = 13.0, 0.55, 0.05
 """A placement is believed from this evidence on, if the second best has at most this share of it, and at most this
 share of its walls contradicts."""
-LOG_ODDS = (0.0, 1.0, -1.0, -1.0)
+LOG_ODDS = (4.4, 0.2, -8.3, -43.0)
 """Logistic regression of right placements: constant, logarithm of the evidence [m], second evidence / first, share of
 contradicting walls."""
 
@@ -111,8 +111,6 @@ def judged(ranked: list[Agreement]) -> Placement:
         )
     elif best.contradiction > CONTRADICTION_MAX:
         reason = f"{best.contradicting_m:.1f} m of wall stand in the other's free floor ({best.agreeing_m:.1f} m agree)"
-    elif certainty < CERTAINTY_MIN:
-        reason = f"certainty {certainty:.2f} is below {CERTAINTY_MIN:g}"
     return Placement(best, second, certainty, reason)
 
 

@@ -1,0 +1,50 @@
+import csv
+import json
+
+import pytest
+
+from tests.soak.graph_fuzz import ring_graph
+from twc_env.__main__ import main
+from twc_env.datasets.logs.tum import read_tum
+
+
+@pytest.fixture
+def ring(tmp_path):
+    path = tmp_path / "ring.g2o"
+    path.write_text(ring_graph(first=40) + "EDGE_SE2 44 44 1 0 0 1 0 0 1 0 1\n")
+    return path
+
+
+def test_a_graph_is_optimised_and_everything_written(ring, tmp_path, capsys):
+    pytest.importorskip("matplotlib", reason="matplotlib is an optional dependency")
+    assert main(["optimise", str(ring), "--out", str(tmp_path / "o"), "--json", str(tmp_path / "a.json")]) == 0
+    out = capsys.readouterr().out
+    assert "note: 1 edges from a vertex to itself left out: 44" in out
+    assert "sound" in out and "LOST" not in out
+    times, poses = read_tum(tmp_path / "o" / "poses.tum")
+    assert times[0] == 40 and len(poses) == 24
+    rows = list(csv.DictReader((tmp_path / "o" / "closures.csv").read_text().splitlines()))
+    assert [row["accepted"] for row in rows] == 8 * ["True"] + ["False"]
+    assert rows[-1]["reason"] and float(rows[-1]["chi_squared"]) > 100
+    assert rows[-1]["disagrees_with"]
+    assert (tmp_path / "o" / "graph.png").stat().st_size > 10_000
+    found = json.loads((tmp_path / "a.json").read_text())
+    assert not found["is_lost"] and len(found["rejected"]) == 1
+
+
+def test_a_lost_graph_ends_with_one_and_says_why(ring, capsys):
+    assert main(["optimise", str(ring), "--robust", "none"]) == 1
+    assert "LOST, component 0: what is accepted contradicts itself" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["missing.g2o"], "cannot read missing.g2o"),
+        (["missing.g2o", "--robust", "our"], "unknown method 'our' for --robust; choose from ours, dcs"),
+    ],
+)
+def test_bad_input_is_one_line(arguments, message, capsys):
+    assert main(["optimise", *arguments]) == 2
+    error = capsys.readouterr().err.strip()
+    assert message in error and "\n" not in error

@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+
+from tests.real_data import needs_data
+from tests.slam.saved_maps.cuts import irregular_building
+from twc_env.errors import DataError
+from twc_env.reproduce.maps import map_cuts, saved_maps
+from twc_env.reproduce.runner import data_folder
+from twc_env.slam.saved_maps.saved_map import SavedMap
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
+def test_parts_share_what_is_asked(share):
+    hall = np.pad(np.ones((80, 120), bool), 2)
+    parts = map_cuts.overlapping_parts(SavedMap("hall", hall, ~hall, 0.1), share, np.random.default_rng(0))
+    assert map_cuts.overlap_of(parts) == pytest.approx(share, abs=0.02)
+
+
+def test_parts_with_a_gap_share_nothing():
+    building = irregular_building()
+    assert map_cuts.overlap_of(map_cuts.overlapping_parts(building, -0.15, np.random.default_rng(0))) == 0.0
+
+
+@needs_data
+def test_the_table_counts_what_is_right_wrong_and_left(rows_of):
+    rows = rows_of(saved_maps, "--pairs", "4", "--false-pairs", "3", "--jobs", "1")
+    assert [row["pairs"] for row in rows] == 7 * [1]
+    assert all(row["accepted"] + row["abstained"] == row["pairs"] for row in rows)
+    assert sum(row["wrong"] for row in rows) == 0
+    assert sum(row["right"] for row in rows) >= 2
+
+
+@needs_data
+def test_no_building_of_the_table_was_calibrated_on():
+    shown, used = (set(saved_maps.buildings(data_folder(), flag)) for flag in (False, True))
+    assert shown and used and not shown & used
+
+
+@needs_data
+def test_equal_cases_give_equal_maps():
+    case = saved_maps.Case(saved_maps.band_name(saved_maps.BANDS[2]), 2, saved_maps.buildings(data_folder())[2])
+    first, second = saved_maps.make_pair(case), saved_maps.make_pair(case)
+    assert np.array_equal(first.source.walls, second.source.walls)
+    assert 0.5 <= first.overlap <= 0.65
+
+
+def test_without_data_the_table_says_what_it_needs(rows_of, monkeypatch):
+    monkeypatch.delenv("TWC_DATA", raising=False)
+    with pytest.raises(DataError, match="set the environment variable TWC_DATA"):
+        rows_of(saved_maps, "--pairs", "1")
