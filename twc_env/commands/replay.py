@@ -17,9 +17,11 @@ from twc_env.records.json_values import check_folder, write_json
 from twc_env.running.command_line import (
     add_allow_code,
     add_json,
+    add_lasting,
     add_set,
     assignments,
     make_folder,
+    prior_setting,
     refuse_code,
     show_count,
 )
@@ -46,6 +48,7 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         "  twc-env replay runs/demo --set slam.place_recognition.recogniser=text --out runs/text\n"
         "  twc-env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel\n"
         "  twc-env replay monday.log tuesday.log --out runs/both\n"
+        "  twc-env replay tuesday.log --prior monday.npz --save both.npz\n"
         "  twc-env replay runs/demo --html"
     )
     replay.add_argument(
@@ -80,6 +83,7 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         help="odometry filter: compiled kernel, or filterpy's EKF as a reference (default: as in the log)",
     )
     add_set(replay)
+    add_lasting(replay)
     add_allow_code(replay)
     replay.add_argument(
         "--out",
@@ -117,6 +121,7 @@ def _replay(options: argparse.Namespace) -> None:
 
 def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     from twc_env.config import digest, override
+    from twc_env.datasets.lasting_maps import prior_of, save_map
     from twc_env.datasets.logs.frame_log import read_truth_log
     from twc_env.slam.modes import make_engine
 
@@ -126,7 +131,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     if not options.allow_code:
         refuse_code(config, logs[0], asked)
     chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
-    config = override(config, {**asked, **chosen})
+    config = override(config, {**asked, **chosen, **prior_setting(options)})
     odom_poses: list[np.ndarray] = []
     if config.slam.oracle != "none":
         print(f"slam.oracle = {config.slam.oracle!r}: ignored, since logs contain no ground truth", file=sys.stderr)
@@ -139,7 +144,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
         )
     seen = 1 + max(frame.robot for frames in steps for frame in frames)
     robots = contacts[0].heard.shape[1] if contacts else seen
-    engine = make_engine(config, robots)
+    engine = make_engine(config, robots, prior_of(config))
     first = next(frames[0].step - k for k, frames in enumerate(steps) if frames)
     for step, frames in enumerate(steps, first):  # steps in the frames may differ between robots
         if frames:
@@ -164,6 +169,10 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     }
     if options.truth:
         figures["team_ate_m"] = _error_of_log(engine, np.array(odom_poses), read_truth_log(options.truth)[2])
+    if config.slam.prior:
+        figures["found_prior"] = [robot for robot in range(robots) if engine.found_prior(robot)]
+    if options.save:
+        figures["saved"] = save_map(options.save, engine)
     for key, value in figures.items():
         print(f"{key:<20} {value}")
     write_json(options.json, figures)
