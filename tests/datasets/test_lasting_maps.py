@@ -98,5 +98,5 @@ def test_every_damaged_byte_and_every_cut_is_noticed(tmp_path):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(DataError, match="nowhere.npz"):
+    with pytest.raises(DataError, match=r"nowhere\.npz"):
         read_lasting_map(tmp_path / "nowhere.npz")
