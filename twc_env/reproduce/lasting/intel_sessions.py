@@ -1,8 +1,8 @@
 """The Intel Lab log in consecutive sessions, each of which begins with the map that the one before has saved.
 
-The raw log of the table `intel`; no signs and no WiFi, so scans alone find the earlier map. `relation_error_m` is the mean
-error of the benchmark's hand-verified relations between a scan of the session and one of the same or an earlier one, all
-poses in the frame of the first session's map; a session that did not find it has those within itself alone.
+The raw log of the table `intel`; no signs and no WiFi, so scans alone find the earlier map. `relation_error_m` is the
+mean error of the benchmark's hand-verified relations between a scan of the session and one of the same or an earlier
+one, all poses in the frame of the first session's map; a session that did not find it has those within itself alone.
 """
 
 from __future__ import annotations
