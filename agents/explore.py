@@ -15,6 +15,7 @@ import twc_env
 from twc_env import DataError, EnvConfig, EpisodeResult, EpisodeTrace, load_map
 from twc_env.config import to_dict
 from twc_env.datasets.buildings.ros_map import write_ros_maps
+from twc_env.datasets.lasting_maps import save_map
 from twc_env.datasets.logs.frame_log import write_frame_log
 from twc_env.datasets.logs.g2o import write_g2o
 from twc_env.datasets.logs.tum import write_tum
@@ -56,6 +57,8 @@ class Run:
     """All sensor frames, step by step; `twc-env replay` runs the engine on them again."""
     trace: EpisodeTrace
     """Poses, maps and figures over time; `twc-env replay RUN --html` shows them."""
+    saved: str | None = None
+    """What was saved of the map for later sessions: file, size and contents; None if nothing was to be saved."""
 
 
 def explore(
@@ -64,11 +67,13 @@ def explore(
     seed: int,
     film: picture.Film | None = None,
     watch: Callable[[int], None] | None = None,
+    save: Path | None = None,
 ) -> Run:
     """Run one episode until the policy is finished, `config.max_cycles` steps are over or Ctrl-C is pressed (of
     `twc-env`, also SIGTERM).
 
-    `watch` is called with the number of steps taken. Raises TwcError for an unknown agent or map.
+    `watch` is called with the number of steps taken; `save` is the file for the map. Raises TwcError for an unknown
+    agent or map.
     """
     policy = make_policy(agent, config)
     env = twc_env.parallel_env(config=config, render_mode="rgb_array" if film else None)
@@ -107,13 +112,14 @@ def explore(
     finally:
         unregister(COMPILER_EVENT, compiling)
     result = env.result()
+    saved = None if save is None else save_map(save, env.engine)
     if film is not None and (step == 0 or not film.wants(step)):
         _film(film, step, env)
     env.close()
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
     stuck = {"commanded_stuck_share": commanded_stuck_share(result, commands)}
     report = plain({**result.figures, **stuck, "agent": agent, **origin_of(result.config, agent), **speeds})
-    return Run(result, report, film, was_interrupted, frames, contacts, trace)
+    return Run(result, report, film, was_interrupted, frames, contacts, trace, saved)
 
 
 def commanded(actions: Mapping[str, Any], agents: Sequence[str]) -> list[bool]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from twc_env.commands.team_options import add_agent, add_team, folder_name, paragraphs, team_config
 from twc_env.config import EnvConfig, digest, override
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
-from twc_env.running.command_line import INTERRUPTED, end_line, natural, show_count
+from twc_env.running.command_line import INTERRUPTED, add_lasting, end_line, natural, prior_setting, show_count
 
 _EXPLORE_HELP = """\
 Run one episode with a scripted team and write a run folder:
@@ -25,6 +25,8 @@ examples:
   twc-env explore --agent mine.py:Mine        your own team: a class derived from agents.Policy
   twc-env explore --config runs/twin-02 --seed 1        the same episode again, to the byte
   twc-env explore --config twc/ExploreHard-v0 --steps 1500
+  twc-env explore --map test/0003 --save monday.npz
+  twc-env explore --map test/0003 --seed 1 --prior monday.npz --save tuesday.npz
 """
 
 
@@ -48,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=_explore)
     add_agent(parser)
     add_team(parser)
+    add_lasting(parser)
 
 
 def _explore(options: argparse.Namespace) -> int:
@@ -55,7 +58,7 @@ def _explore(options: argparse.Namespace) -> int:
     from twc_env.agents.explore import explore, table_of, write_run
     from twc_env.agents.roster import display_name
 
-    config = team_config(options, options.map, options.steps)
+    config = override(team_config(options, options.map, options.steps), prior_setting(options))
     has_gif = not (options.no_gif or options.no_pictures)
     if not options.no_pictures:
         picture.require_libraries(has_gif)
@@ -64,8 +67,9 @@ def _explore(options: argparse.Namespace) -> int:
     what = f" steps on {folder_name(config.map)}, seed {options.seed}"
     film = picture.Film() if has_gif else None
     run = explore(
-        config, options.agent, options.seed, film, lambda done: show_count(done, config.max_cycles, what, every=50)
-    )
+        config, options.agent, options.seed, film, lambda done: show_count(done, config.max_cycles, what, every=50),
+        options.save,
+    )  # fmt: skip
     end_line()
     write_run(run, folder, not options.no_pictures)
     write_json(options.json, run.report)
@@ -74,6 +78,8 @@ def _explore(options: argparse.Namespace) -> int:
         print(table_of(run.report))
         if run.report["merged_robots"] < run.report["robots"] and run.report["lacked"]:
             print("\nwhy the robots do not all share one map:", *run.report["lacked"], sep="\n  ")
+        if run.saved is not None:
+            print(f"\nmap saved: {run.saved}")
         print(f"\nwritten: {folder}")
     if run.was_interrupted:
         print(f"interrupted after {run.report['steps']} steps; the results cover these", file=sys.stderr)

@@ -12,7 +12,17 @@ import numpy as np
 
 from twc_env.errors import DataError
 from twc_env.records.json_values import TERMINAL, check_folder, check_writable, write_json
-from twc_env.running.command_line import add_allow_code, add_json, add_set, aligned, assignments, end_line, refuse_code
+from twc_env.running.command_line import (
+    add_allow_code,
+    add_json,
+    add_lasting,
+    add_set,
+    aligned,
+    assignments,
+    end_line,
+    prior_setting,
+    refuse_code,
+)
 
 if TYPE_CHECKING:
     from twc_env.config import EnvConfig
@@ -46,6 +56,7 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         "  twc-env replay runs/demo --set slam.place_recognition.recogniser=text --out runs/text\n"
         "  twc-env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel --format png,pdf\n"
         "  twc-env replay monday.log tuesday.log --out runs/both\n"
+        "  twc-env replay tuesday.log --prior monday.npz --save both.npz\n"
         "  twc-env replay runs/demo --html"
     )
     replay.add_argument(
@@ -121,6 +132,7 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         help="odometry filter: compiled kernel, or filterpy's EKF as a reference (default: as in the log)",
     )
     add_set(replay)
+    add_lasting(replay)
     add_allow_code(replay)
     replay.add_argument(
         "--out",
@@ -219,6 +231,7 @@ def _formats(text: str) -> list[str]:
 
 def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     from twc_env.config import digest, override
+    from twc_env.datasets.lasting_maps import save_map
     from twc_env.datasets.logs.frame_log import read_truth_log
     from twc_env.pictures.log_page import LogPage
     from twc_env.replaying.inputs import read_input
@@ -236,7 +249,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     if not options.allow_code:
         refuse_code(config, logs[0], asked)
     chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
-    config = override(config, {**asked, **chosen})
+    config = override(config, {**asked, **chosen, **prior_setting(options)})
     is_told = options.json != TERMINAL
     _say_what_is_ignored(config)
     for note in source.notes if is_told else ():
@@ -265,6 +278,10 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     }
     if options.truth:
         figures["team_ate_m"] = _error_of_log(done, read_truth_log(options.truth)[2])
+    if config.slam.prior:
+        figures["found_prior"] = [robot for robot in range(done.robots) if done.engine.found_prior(robot)]
+    if options.save:
+        figures["saved"] = save_map(options.save, done.engine)
     if is_told:
         for key, value in figures.items():
             print(f"{key:<20} {value}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from functools import lru_cache
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -72,6 +73,25 @@ def write_lasting_map(path: str | Path, lasting: LastingMap) -> int:
     except OSError as error:
         raise DataError(f"cannot write {path}: {error.strerror}; choose another place") from error
     return Path(path).stat().st_size
+
+
+class Mapper(Protocol):
+    """Whatever can give its map, such as an engine."""
+
+    def lasting_map(self) -> LastingMap:
+        """The map so far."""
+
+
+def save_map(path: str | Path, engine: Mapper) -> str:
+    """Write the map of an engine to a file; returns what there is to say about it, its size first. Raises DataError if
+    there is no map, or the file cannot be written."""
+    lasting = engine.lasting_map()
+    size = write_lasting_map(path, lasting)
+    texts = {sign.text for signs in lasting.signs for sign in signs}
+    return (
+        f"{path} ({size / 1000:,.0f} kB: {len(lasting.poses)} keyframes of {lasting.sessions} sessions, "
+        f"{len(texts)} sign texts)"
+    )
 
 
 def read_lasting_map(path: str | Path) -> LastingMap:

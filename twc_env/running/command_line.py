@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from twc_env._version import __version__
 from twc_env.errors import ConfigError, DataError, TwcError, did_you_mean
-from twc_env.records.json_values import check_writable
+from twc_env.records.json_values import check_folder, check_writable
 from twc_env.running.command_start import (
     begin_work,
     end_when_interrupted,
@@ -259,6 +259,28 @@ def add_json(parser: argparse.ArgumentParser, more: str = "") -> None:
     parser.add_argument(
         "--json", type=Path, metavar="FILE", help=f"also write the results as JSON{more}; - for the terminal"
     )
+
+
+def add_lasting(parser: argparse.ArgumentParser) -> None:
+    """The options `--prior` and `--save`: maps that last from session to session."""
+    parser.add_argument(
+        "--prior", type=Path, metavar="FILE", help="begin with a map saved earlier; robots start anywhere in it"
+    )
+    parser.add_argument(
+        "--save",
+        type=Path,
+        metavar="FILE",
+        help="write the map (.npz: keyframes, pose graph, grid) for later sessions; with --prior old and new as one",
+    )
+
+
+def prior_setting(options: argparse.Namespace) -> dict[str, str]:
+    """The setting that `--prior` stands for; none without it. Raises DataError if `--save` cannot be written."""
+    if options.save is not None:
+        check_folder(options.save.parent)
+        if options.save.is_dir():
+            raise DataError(f"cannot write the map to {options.save}: it is a folder; name a file")
+    return {} if options.prior is None else {"slam.prior": str(options.prior)}
 
 
 def add_folder(parser: argparse.ArgumentParser, option: str, default: str, what: str) -> None:

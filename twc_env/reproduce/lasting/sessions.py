@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import tempfile
 import time
 from collections.abc import Sequence
@@ -42,6 +43,7 @@ from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import GridMap
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.lasting.changed_buildings import Fittings, changed, fitted, with_fittings
+from twc_env.reproduce.lasting.intel_sessions import intel_sessions
 from twc_env.reproduce.routes import CLEARANCE_M, RoutePlanner, room_tour
 from twc_env.reproduce.runner import Runner
 from twc_env.reproduce.twc.merging import STEPS_PER_M, begin_episode, step_walkers
@@ -86,7 +88,8 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     chain = runner.each(
         [options.sessions] if options.sessions else [], partial(_chain, names[0], options.seed, settings)
     )
-    return out + [row for own in chain for row in own]
+    logs = runner.each([3] if os.environ.get("TWC_DATA") else [], intel_sessions, lambda k: f"intel in {k} sessions")
+    return out + [row for own in (*chain, *logs) for row in own]
 
 
 def _of_all(found: Sequence[dict]) -> dict:
@@ -149,6 +152,7 @@ def two_sessions(name: str, seed: int = 0, settings: dict | None = None) -> dict
         "doors_shut": int(after.is_shut.sum()),
         "file_kb": size / 1000,
         "keyframes": len(first.lasting.poses),
+        "step_ms": second.step_ms,
     }
 
 
