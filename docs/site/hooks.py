@@ -151,11 +151,11 @@ def _place_in_site(path: str) -> str | None:
     path = SAME.get(path, path)
     if path in BESIDE:
         return BESIDE[path]
-    if path.startswith("docs/"):
+    if path.startswith("docs/") and not path.endswith(".py"):
         return path.removeprefix("docs/")
     if path.startswith("notebooks/") and path.endswith(".ipynb"):
         return path.replace(".ipynb", ".md")
-    return f"source/{path}.md" if (ROOT / path).exists() else None
+    return f"source/{path}.md".replace("/.", "/") if (ROOT / path).exists() else None  # mkdocs leaves out .folders
 
 
 def _targets(text: str) -> list[tuple[str, str]]:

@@ -30,7 +30,7 @@ SETTINGS = {
 """Settings of the task; the return of an episode is the share of the floor that is mapped correctly at its end."""
 
 
-def save_curve(name: str, returns: list[float], folder: Path, parts: int = 20) -> None:
+def save_curve(name: str, returns: list[float], folder: Path, parts: int = 10) -> None:
     """Write NAME.json with the returns of all episodes in the order in which they ended, and NAME.png with their curve.
 
     The curve shows means of `parts` equal parts of the episodes, with the standard error of each mean.

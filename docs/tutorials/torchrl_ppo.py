@@ -43,10 +43,10 @@ def main(decisions: int = 12_000, folder: Path = Path("runs/tutorials")) -> None
     env = PettingZooWrapper(WithoutInfos(team), categorical_actions=True, seed=0)
     shown = env.observation_spec["robot", "observation"]
     numbers = shown["frontiers"].shape[-2:].numel() + shown["team"].shape[-2:].numel()
-    choices = shown["action_mask"].shape[-1]
+    choices = env.observation_spec["robot", "action_mask"].shape[-1]  # the wrapper puts it beside the observation
     blocks = [(*SEEN, "frontiers"), (*SEEN, "team")]
     scorer = TensorDictModule(Flat(numbers, choices), in_keys=blocks, out_keys=[("robot", "logits")])
-    mask = TensorDictModule(lambda m: m.bool(), in_keys=[(*SEEN, "action_mask")], out_keys=[("robot", "mask")])
+    mask = TensorDictModule(lambda m: m.bool(), in_keys=[("robot", "action_mask")], out_keys=[("robot", "mask")])
     actor = ProbabilisticActor(
         TensorDictSequential(mask, scorer),
         in_keys={"logits": ("robot", "logits"), "mask": ("robot", "mask")},
