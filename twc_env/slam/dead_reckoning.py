@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, shared_config
 from twc_env.kernels.compiled import BindsAnew, borrowing_kernel, bound
 from twc_env.records.messages import Belief, Contacts, Keyframe, SensorFrame
 from twc_env.records.team_messages import TeamBeliefs, TeamFrames, nobody, read_only
@@ -25,6 +25,7 @@ class DeadReckoning(BindsAnew):
     """
 
     def __init__(self, config: EnvConfig, robot_count: int):
+        config = shared_config(config)
         self.team = TeamMapper(config, robot_count)
         self.mappers = [self.team]
         self._grid = self.team.grid_of(0)
