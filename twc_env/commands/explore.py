@@ -25,6 +25,7 @@ examples:
   twc-env explore --agent mine.py:Mine        your own team: a class derived from agents.Policy
   twc-env explore --config runs/twin-02 --seed 1        the same episode again, to the byte
   twc-env explore --config twc/ExploreHard-v0 --steps 1500
+  twc-env explore --robots handheld,wheeled,legged      a mixed team (docs/world.md)
 """
 
 
