@@ -139,7 +139,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
         )
     seen = 1 + max(frame.robot for frames in steps for frame in frames)
     robots = contacts[0].heard.shape[1] if contacts else seen
-    engine = make_engine(config, robots)
+    engine = make_engine(config, config.robots if config.robot else robots)
     first = next(frames[0].step - k for k, frames in enumerate(steps) if frames)
     for step, frames in enumerate(steps, first):  # steps in the frames may differ between robots
         if frames:
