@@ -93,7 +93,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `radio` | (2, 64, 64) uint8 | 0, 255 | with `slam.k_visibility.enabled`: probably free, probably wall, estimated |
     | | | | from signal strength alone; egocentric like `map` |
 
-    A robot that has failed measures nothing: its `lidar` and `wifi` are 0.
+    A robot that has failed measures nothing: its `lidar` and `wifi` are 0. In a mixed team (`robot`), `lidar` is as
+    long as the robot's own scan and a share of its own range; with `observation.equal_shapes` shorter ones end in
+    zeros.
 
     With `observation.kind = "flat"` the blocks are concatenated to one float32 vector, images scaled to [0, 1].
 
