@@ -71,6 +71,8 @@ class World:
         """Settings of each robot."""
         self._wifi_periods = [_period_steps(own.radio.scan_period_s, config) for own in self._own]
         self._wifi_period = min(self._wifi_periods)
+        self._is_regular = len(set(self._wifi_periods)) == 1
+        """Whether all robots scan at one rate."""
         self._scanning_robots = _turns(self._wifi_period, config.robots)
         """For each step of a WiFi period, the robots that complete a scan; see `_turn`."""
         self._run: Callable[..., int] | None = None
@@ -110,7 +112,7 @@ class World:
         self._scans_compiled = self._receivers[0].is_plain
         self._turn_numbers: dict[tuple[int, ...], int] = {}
         """Numbers in `_scanning_robots` of turns of robots that scan at different rates, as they occur."""
-        if len(set(self._wifi_periods)) > 1:
+        if not self._is_regular:
             self._scanning_robots = []
         self._listeners = [np.array(turn if self._scans_compiled else (), np.int64) for turn in self._scanning_robots]
         """For each step of a WiFi period, the robots whose scans are computed by `_move_and_sense`."""
@@ -197,7 +199,7 @@ class World:
         step, dynamics = self._step, self._dynamics or _raise_not_reset()
         if step // STEPS != self._noise_block:
             self._draw_noise()
-        turn = step % self._wifi_period if not self._turn_numbers and self._scanning_robots else self._turn(step)
+        turn = step % self._wifi_period if self._is_regular else self._turn(step)
         poses, odometry, turn_rates, ranges, heard = next(self._buffers[turn], None) or self._allocate_steps(turn)
         if commands is None:
             commands, poses = _NO_COMMANDS, dynamics.poses
