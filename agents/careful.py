@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, robot_configs
 from twc_env.planning import MovingObstacles
 from twc_env.records.messages import Belief
 
@@ -19,13 +19,13 @@ class CarefulTeam(Policy):
     """Another policy whose robots wait for moving obstacles other than teammates."""
 
     def __init__(self, team: Policy, config: EnvConfig):
-        self._team, self._dynamics = team, config.dynamics
+        self._team, self._own = team, [own.dynamics for own in robot_configs(config)]
         self._obstacles: dict[str, MovingObstacles] = {}
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Prepare for a new episode."""
         self._team.reset(seed, agents)
-        self._obstacles = {agent: MovingObstacles(self._dynamics) for agent in agents}
+        self._obstacles = {agent: MovingObstacles(own) for agent, own in zip(agents, self._own, strict=True)}
 
     def give_truth(self, *truth: Any) -> None:
         """Pass on what an oracle is given."""

@@ -148,8 +148,8 @@ def test_a_run_folder_is_read_as_the_config_in_it(tmp_path):
 
 
 def test_an_invalid_setting_in_a_file_is_named_with_the_file(tmp_path):
-    (tmp_path / "mine.toml").write_text("robotz = 3", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"mine\.toml: there is no setting robotz; did you mean 'robots'\?"):
+    (tmp_path / "mine.toml").write_text("robbots = 3", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"mine\.toml: there is no setting robbots; did you mean 'robots'\?"):
         load(tmp_path / "mine.toml")
 
 

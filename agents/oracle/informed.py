@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, shared_config
 from twc_env.datasets.buildings.map_export import grid_of
 from twc_env.planning import FREE, UNKNOWN, WALL, Disc, PathFinder, Plan, Terrain, ViewGain
 from twc_env.records.geometry import compose, inverse, transform_points
@@ -41,7 +41,7 @@ class Informed(Explorer):
     """An oracle: `give_truth` must be called after `reset`."""
 
     def __init__(self, config: EnvConfig):
-        self._range_m, self._is_peer = config.lidar.range_max_m, config.link.topology == "peer"
+        self._range_m, self._is_peer = shared_config(config).lidar.range_max_m, config.link.topology == "peer"
         self._ways = PathFinder()
         super().__init__(config)
 
@@ -49,7 +49,7 @@ class Informed(Explorer):
         """The true floor plan, and a function that returns the true poses first (`ExplorationEnv.state`)."""
         self._poses = lambda: state().reshape(-1, 6)[:, :3].astype(float)
         self._grid = grid_of(plan, 0.1)
-        self._floor = Terrain(self._grid, self.dynamics.robot_radius_m)
+        self._floor = Terrain(self._grid, max(own.robot_radius_m for own in self._own))
         self._walls = copy.copy(self._floor)  # all floor is unseen; what is no floor cannot be seen through
         self._walls.kind = np.where(self._floor.kind == FREE, UNKNOWN, WALL).astype(np.int8)
         self._seen = {agent: ViewGain(self._walls, self._range_m) for agent in self.robots}

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, robot_configs
 from twc_env.planning import Driver, PathFinder, Terrain, WalkGraph, as_action, covering_walk, walk_graph
 from twc_env.records.geometry import travelled_m
 from twc_env.records.messages import Belief
@@ -45,13 +45,13 @@ class RadioWalk:
     """Each robot on its own: nearest frontiers until a transmitter is found, then the most informative walk."""
 
     def __init__(self, config: EnvConfig):
-        self._dynamics = config.dynamics
+        self._own = [own.dynamics for own in robot_configs(config)]
         self._finder = PathFinder()
         self.reset(0, ())
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Discard all state."""
-        self._drivers = {agent: Driver(self._dynamics, self._finder) for agent in agents}
+        self._drivers = {agent: Driver(own, self._finder) for agent, own in zip(agents, self._own, strict=False)}
         self._random = {agent: np.random.default_rng([seed, n]) for n, agent in enumerate(agents)}
         self._goals_m: dict[str, Array] = {}
         self._turns_m: dict[str, Array] = {agent: np.zeros((0, 2)) for agent in agents}
@@ -70,6 +70,7 @@ class RadioWalk:
         return bool(beliefs) and all(self._idle[agent] >= IDLE_TICKS for agent in beliefs)
 
     def _drive(self, agent: str, belief: Belief) -> Array:
+        own = self._own[belief.robot]
         driver, here, walked = self._drivers[agent], belief.pose_map_robot[:2], self._walked_m[agent]
         if not walked or math.dist(walked[-1], here) >= SPACING_M / 2:
             walked.append(np.array(here, float))
@@ -82,11 +83,11 @@ class RadioWalk:
             goal = self._choose(agent, belief)
             self._idle[agent] = 0 if goal is not None else self._idle[agent] + 1
             if goal is None:
-                return as_action(0.0, 0.6 * self._dynamics.turn_rate_max_rad_s, self._dynamics)
+                return as_action(0.0, 0.6 * own.turn_rate_max_rad_s, own)
             self._goals_m[agent], self._nearest[agent] = goal, (math.inf, 0)
             driver.start(goal, belief, arrival_m=ARRIVAL_M)
         speed, turn_rate = driver.command(belief, self._terrain_of)
-        return as_action(min(speed, PACE_M_S), turn_rate, self._dynamics)
+        return as_action(min(speed, PACE_M_S), turn_rate, own)
 
     def _is_held_up(self, agent: str, here: Array) -> bool:
         """Whether the robot, near its goal, makes no progress, as when the wall is closer than in the map."""
@@ -96,7 +97,7 @@ class RadioWalk:
 
     def _terrain_of(self, belief: Belief, squeeze: float) -> Terrain:
         """Terrain without extra cost near walls, where rays cross most floor."""
-        terrain = Terrain.of(belief, squeeze * HUG * self._dynamics.robot_radius_m)
+        terrain = Terrain.of(belief, squeeze * HUG * self._own[belief.robot].robot_radius_m)
         terrain.cost = np.where(terrain.cost > 0, 2, 0).astype(terrain.cost.dtype)
         return terrain
 

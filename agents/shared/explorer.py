@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import DynamicsConfig, EnvConfig
+from twc_env.config import DynamicsConfig, EnvConfig, robot_configs
 from twc_env.planning import (
     Disc,
     Follower,
@@ -37,6 +37,8 @@ class Explorer(ABC):
 
     def __init__(self, config: EnvConfig, explorer: ExplorerConfig | None = None):
         self.dynamics: DynamicsConfig = config.dynamics
+        """Of the team; that of each robot is with its follower."""
+        self._own = [own.dynamics for own in robot_configs(config)]
         self.explorer = explorer or ExplorerConfig()
         self.finder = PathFinder()
         self.reset(0, ())
@@ -44,7 +46,7 @@ class Explorer(ABC):
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Discard all state; the seed is used only by robots that are stuck or on a tour."""
         self.random = np.random.default_rng(seed)
-        self.robots = {agent: ExplorerRobot(Follower(self.dynamics)) for agent in agents}
+        self.robots = {agent: ExplorerRobot(Follower(own)) for agent, own in zip(agents, self._own, strict=False)}
         self._terrains: dict[tuple[float, GridMap], tuple[int, Terrain]] = {}
         self._idle_since: int | None = None
 
@@ -162,15 +164,16 @@ class Explorer(ABC):
             return robot.replan
         if robot.goal_kind == "frontier" and not is_frontier(belief.grid, robot.goal_m, explorer.arrival_m):
             return True
-        return path_is_blocked(belief.grid, robot.follower.ahead(robot.pose, 3.0), self.dynamics.robot_radius_m)
+        return path_is_blocked(belief.grid, robot.follower.ahead(robot.pose, 3.0), robot.radius_m)
 
     def _terrain(self, agent: str, beliefs: dict[str, Belief], squeeze: float = 1.0) -> Terrain:
         """The terrain of the robot's map for `squeeze` times its radius; shared by robots with the same map."""
         belief = beliefs[agent]
-        key = squeeze, belief.grid
+        radius_m = squeeze * self.robots[agent].radius_m
+        key = radius_m, belief.grid
         if key in self._terrains and self._terrains[key][0] == belief.step:
             return self._terrains[key][1]
-        terrain = Terrain.of(belief, squeeze * self.dynamics.robot_radius_m)
+        terrain = Terrain.of(belief, radius_m)
         self._terrains = {k: v for k, v in self._terrains.items() if v[0] == belief.step}
         self._terrains[key] = (belief.step, terrain)
         return terrain
@@ -250,21 +253,22 @@ class Explorer(ABC):
 
     def _command(self, robot: ExplorerRobot, belief: Belief) -> Array:
         """Action: speed and turn rate as shares of the maxima."""
+        own = robot.follower.dynamics
         if belief.step <= robot.escape_until:
             bearing = robot.escape_bearing
-            if abs(bearing) > 2.0 and is_open_behind(belief.ranges_m, self.dynamics.robot_radius_m):
-                speed, turn_rate = -0.4 * self.dynamics.speed_max_m_s, 0.0  # faster than turning around
+            if abs(bearing) > 2.0 and is_open_behind(belief.ranges_m, robot.radius_m):
+                speed, turn_rate = -0.4 * own.speed_max_m_s, 0.0  # faster than turning around
             else:
                 x, y = 0.6 * math.cos(bearing), 0.6 * math.sin(bearing)
-                speed, turn_rate = drive_to(x, y, belief.ranges_m, self.dynamics)
+                speed, turn_rate = drive_to(x, y, belief.ranges_m, own)
             robot.escape_bearing = math.remainder(bearing - turn_rate * self.dynamics.time_step_s, 2 * math.pi)
         elif robot.goal_kind == "wait":
             speed, turn_rate = 0.0, 0.0
         elif robot.arrived_step >= 0 or not robot.goal_kind:
-            speed, turn_rate = 0.0, 0.6 * self.dynamics.turn_rate_max_rad_s  # look around: turning creates keyframes
+            speed, turn_rate = 0.0, 0.6 * own.turn_rate_max_rad_s  # look around: turning creates keyframes
         else:
             speed, turn_rate = robot.follower.command(robot.pose, belief.ranges_m, self._has_to_wait(robot, belief))
-        return as_action(speed, turn_rate, self.dynamics)
+        return as_action(speed, turn_rate, own)
 
     def _has_to_wait(self, robot: ExplorerRobot, belief: Belief) -> bool:
         """Whether a teammate with right of way (a lower number) is close ahead."""

@@ -98,6 +98,11 @@ class ExplorerRobot:
     is_idle: bool = False
     """The last plan found no frontier."""
 
+    @property
+    def radius_m(self) -> float:
+        """Of the robot itself."""
+        return self.follower.dynamics.robot_radius_m
+
     def move_frame(self, pose_new_old: Array) -> None:
         """After a jump of the map: transform all positions to the new frame, and replan."""
 

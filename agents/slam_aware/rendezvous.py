@@ -80,7 +80,7 @@ class Rendezvous(MinPos):
                 plan = self.plan_to_place(terrain, agent, place, discs, 1.0)
                 if plan is not None:
                     way_m = travelled_m(plan.path_m)[-1]
-                    if now_s + way_m / (PACE * self.dynamics.speed_max_m_s) >= due_s:
+                    if now_s + way_m / (PACE * self.robots[agent].follower.dynamics.speed_max_m_s) >= due_s:
                         return (plan, "place") if way_m > THERE_M else (None, "wait")
         return super().best_plan(agent, beliefs, terrain, discs)
 

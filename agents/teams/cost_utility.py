@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, shared_config
 from twc_env.records.messages import Belief
 
 from ..shared.frontier_team import Frontiers, FrontierTeam
@@ -26,7 +26,7 @@ class CostUtility(FrontierTeam):
 
     def __init__(self, config: EnvConfig):
         super().__init__(config)
-        self._sight_m = config.lidar.range_max_m
+        self._sight_m = shared_config(config).lidar.range_max_m
 
     def choose(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> int | None:
         """The frontier assigned to this robot."""

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, shared_config
 from twc_env.planning import Disc, Plan, Terrain, ViewGain
 from twc_env.records.messages import Belief
 
@@ -35,7 +35,7 @@ class InformationGain(FrontierTeam):
 
     def __init__(self, config: EnvConfig):
         super().__init__(config)
-        self._range_m = config.lidar.range_max_m
+        self._range_m = shared_config(config).lidar.range_max_m
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Discard all state."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, robot_configs
 from twc_env.planning import as_action, drive_to
 from twc_env.records.messages import Belief
 
@@ -27,7 +27,7 @@ class WallFollower:
     """Drives straight to a wall, then along it; finished when every robot has completed a round."""
 
     def __init__(self, config: EnvConfig):
-        self._dynamics = config.dynamics
+        self._own = [own.dynamics for own in robot_configs(config)]
         self.reset(0, ())
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
@@ -52,10 +52,9 @@ class WallFollower:
             self._note_round(agent, belief)
             turn = np.clip(GAIN_RAD_M * (STANDOFF_M - distance_m), -TURN_MAX_RAD, TURN_MAX_RAD)
             heading = math.remainder(bearing + math.pi / 2 + float(turn), 2 * math.pi)
-        speed, turn_rate = drive_to(
-            AIM_M * math.cos(heading), AIM_M * math.sin(heading), belief.ranges_m, self._dynamics
-        )
-        return as_action(speed, turn_rate, self._dynamics)
+        own = self._own[belief.robot]
+        speed, turn_rate = drive_to(AIM_M * math.cos(heading), AIM_M * math.sin(heading), belief.ranges_m, own)
+        return as_action(speed, turn_rate, own)
 
     def _note_round(self, agent: str, belief: Belief) -> None:
         """Update the progress of the round, from dead reckoning, which never jumps."""

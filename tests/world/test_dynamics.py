@@ -146,3 +146,13 @@ def test_steps_without_the_rigid_body_world_equal_those_with_it():
             assert mixed.contacts.tolist() == asked.contacts.tolist()
             touched += mixed.contacts.sum()
     assert touched > 20 and 0 < len(calls) < 600
+
+
+def test_robots_of_a_mixed_team_collide_with_their_own_radius_and_drive_at_their_own_speed():
+    kinds = [DynamicsConfig(robot_radius_m=radius, speed_max_m_s=speed) for radius, speed in ((0.1, 0.5), (0.5, 2.0))]
+    dynamics = Dynamics(kinds, index_walls(ROOM, np.ones(len(ROOM))), np.array([[3.0, 2.0, 0.0], [3.0, 4.0, 0.0]]))
+    drive(dynamics, [[9.0, 0.0], [9.0, 0.0]], 10)
+    assert dynamics.poses[:, 0] - 3.0 == pytest.approx([0.5, 1.6], abs=0.05)
+    drive(dynamics, [[9.0, 0.0], [9.0, 0.0]], 90)
+    assert dynamics.poses[:, 0] == pytest.approx([5.9, 5.5], abs=0.02)
+    assert dynamics.contacts.all()

@@ -27,6 +27,7 @@ examples:
   twc-env explore --config twc/ExploreHard-v0 --steps 1500
   twc-env explore --map test/0003 --save monday.npz
   twc-env explore --map test/0003 --seed 1 --prior monday.npz --save tuesday.npz
+  twc-env explore --robots handheld,wheeled,legged      a mixed team (docs/world.md)
 """
 
 

@@ -8,7 +8,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from twc_env.config import EnvConfig, override
+from twc_env.config import ROBOT_PRESETS, TEAM_PRESETS, EnvConfig, override
+from twc_env.errors import ConfigError
 from twc_env.running.command_line import (
     add_allow_code,
     add_config,
@@ -43,7 +44,8 @@ def agent_names() -> str:
 
 def team_config(options: argparse.Namespace, map_name: str | None, steps: int | None) -> EnvConfig:
     """The settings: defaults, then the file or standard task, then the options, then --set."""
-    named = {"map": map_name, "robots": options.robots, "max_cycles": steps}
+    team = "robots" if isinstance(options.robots, int) else "team"
+    named = {"map": map_name, team: options.robots, "max_cycles": steps}
     chosen = {key: value for key, value in named.items() if value is not None}
     base, asked = config_of(options.config), assignments(options.set)
     if not options.allow_code:
@@ -72,6 +74,17 @@ def paragraphs(text: str) -> tuple[str, str]:
     return description, examples
 
 
+def _robots(text: str) -> int | str:
+    """A number of robots, or a mixed team by name or as "handheld,wheeled,legged"."""
+    if not any(letter.isalpha() for letter in text):
+        return count(text)
+    try:
+        override(EnvConfig(), {"team": text})
+    except ConfigError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return text
+
+
 def add_agent(parser: argparse.ArgumentParser) -> None:
     """Options of commands that run one team."""
     names = f"one of {agent_names()}, or FILE.py:CLASS"
@@ -81,7 +94,9 @@ def add_agent(parser: argparse.ArgumentParser) -> None:
 
 def add_team(parser: argparse.ArgumentParser) -> None:
     """Options of all commands of teams: robots, steps, settings, output."""
-    parser.add_argument("--robots", type=count, help="number of robots (default: 3)")
+    teams, kinds = ", ".join(TEAM_PRESETS), ", ".join(ROBOT_PRESETS)
+    what = f"number of robots (default: 3), or a mixed team: {teams}, or a list of {kinds}"
+    parser.add_argument("--robots", type=_robots, metavar="TEAM", help=what)
     parser.add_argument("--steps", type=count, help="maximum number of steps (default: 2000)")
     add_config(parser)
     add_allow_code(parser)

@@ -6,8 +6,11 @@ identifies a config in logs and tables.
 
 from twc_env.config.environment import ActionConfig, EnvConfig, EpisodeConfig, ObservationConfig, RewardConfig
 from twc_env.config.lidar_presets import LIDAR_PRESETS
+from twc_env.config.mixed_teams import has_one_scanner, robot_configs, shared_config
 from twc_env.config.people import PEOPLE_MAX, PeopleConfig
 from twc_env.config.radio_presets import RADIO_PRESETS
+from twc_env.config.robot_presets import ROBOT_PRESETS, TEAM_PRESETS
+from twc_env.config.robots import ROBOT_SETTINGS
 from twc_env.config.slam import (
     CuesConfig,
     KeyframeConfig,
@@ -52,6 +55,9 @@ __all__ = [
     "PEOPLE_MAX",
     "RADIO_PRESETS",
     "ROBOTS_MAX",
+    "ROBOT_PRESETS",
+    "ROBOT_SETTINGS",
+    "TEAM_PRESETS",
     "WORLD_PRESETS",
     "ActionConfig",
     "BuildingConfig",
@@ -83,10 +89,13 @@ __all__ = [
     "code_named_in",
     "digest",
     "from_dict",
+    "has_one_scanner",
     "lidar_preset",
     "load",
     "override",
     "radio_preset",
+    "robot_configs",
+    "shared_config",
     "to_dict",
     "world_preset",
 ]

@@ -10,6 +10,7 @@ import os
 import typing
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import field
+from typing import Any
 
 import numpy as np
 
@@ -30,9 +31,15 @@ def number(default, minimum: float = -math.inf, maximum: float = math.inf, *, is
     return field(default=default, metadata={"minimum": minimum, "maximum": maximum, "is_later": is_later})
 
 
-def later(default: bool | str):
+def later(default: Any):
     """A field added after digests were published: at its default, which changes nothing, the digest leaves it out."""
     return field(default=default, metadata={"is_later": True})
+
+
+KINDS = {
+    int: "a whole number", float: "a number", str: "text", bool: "true or false", dict: "a table of settings",
+}  # fmt: skip
+"""Types of values, for messages."""
 
 
 def plain_value(value):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from twc_env.config.checks import Checked, choice, name_sections, number
+from twc_env.config.checks import Checked, choice, later, name_sections, number
 from twc_env.config.people import PeopleConfig
+from twc_env.config.robots import Overrides, overrides_of, sections_with
 from twc_env.config.slam import SlamConfig
 from twc_env.config.world import (
     ROBOTS_MAX,
@@ -18,6 +19,7 @@ from twc_env.config.world import (
     RadioConfig,
     SignsConfig,
 )
+from twc_env.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +50,9 @@ class ObservationConfig(Checked):
     """How long a reading counts as recent."""
     frontier_period_s: float = number(1.0, 0.01, 60.0)
     """Update interval of `frontiers` while no decision depends on it (an update costs a path search)."""
+    equal_shapes: bool = later(False)
+    """In a team whose scanners have different numbers of beams, fill each `lidar` block with 0, which no scanner
+    measures, up to the longest, so that agents may share a network; false: each agent has a space of its own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,6 +110,11 @@ class EnvConfig(Checked):
     HouseExpo JSON, ROS map_server yaml, png, pgm or GeoJSON. A set of buildings ("gen:office+ward:2000:train") gives
     each episode one of them, drawn by its seed."""
     robots: int = number(3, 1, ROBOTS_MAX)
+    robot: tuple[Overrides, ...] = later(())
+    """For a mixed team a list with an entry for each robot: a preset ("handheld", "legged", "turtlebot-burger", ...) or
+    a table with `preset`, `lidar.preset`, and what else of `dynamics`, `odometry`, `lidar`, `radio`, `signs` and
+    `slam.odometry_filter` is the robot's own (docs/world.md). Empty: all robots are alike. Without `robots`, the list
+    says how many there are. `team` is short for it: "twc-slam", or "handheld, wheeled, legged"."""
     max_cycles: int = number(2000, 1, 10_000_000)
     building: BuildingConfig = field(default_factory=BuildingConfig)
     dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
@@ -120,6 +130,19 @@ class EnvConfig(Checked):
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     action: ActionConfig = field(default_factory=ActionConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
+
+    def __post_init__(self) -> None:
+        Checked.__post_init__(self)
+        if not self.robot:
+            object.__setattr__(self, "robot", ())
+            return
+        object.__setattr__(self, "robot", overrides_of(self.robot))
+        if len(self.robot) != self.robots:
+            raise ConfigError(
+                f"robot lists {len(self.robot)} robots, and robots is {self.robots}: give one entry for each robot"
+            )
+        for k, overrides in enumerate(self.robot):
+            sections_with(self, k, overrides)  # refuses values out of range
 
 
 name_sections(EnvConfig)

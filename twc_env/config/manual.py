@@ -48,14 +48,24 @@ def _text(name: str, values: Any, defaults: Any) -> str:
         if dataclasses.is_dataclass(value):
             continue
         lines += [f"# {line}" for line in textwrap.wrap(docs.get(field.name, ""), _WIDTH)]
-        default_text = "" if value == default else f"; default {json.dumps(default)}"
-        lines.append(f"{field.name} = {json.dumps(value)}".ljust(36) + f"  # {_allowed(field, value)}{default_text}")
+        default_text = "" if value == default else f"; default {_plain(default)}"
+        lines.append(f"{field.name} = {_plain(value)}".ljust(36) + f"  # {_allowed(field, value)}{default_text}")
     return "\n".join(lines)
+
+
+def _plain(value: Any) -> str:
+    """A value in TOML; the tables of robots on one line."""
+    if not isinstance(value, tuple):
+        return json.dumps(value)
+    tables = [", ".join(f"{json.dumps(key)} = {json.dumps(own)}" for key, own in robot) for robot in value]
+    return f"[{', '.join(f'{{ {table} }}' for table in tables)}]"
 
 
 def _allowed(field: dataclasses.Field, value: Any) -> str:
     if "choices" in field.metadata:
         return "one of " + choices_of(field)
+    if isinstance(value, tuple):
+        return "one preset or table for each robot"
     if "minimum" not in field.metadata:
         return "true or false" if isinstance(value, bool) else "text"
     low, high = field.metadata["minimum"], field.metadata["maximum"]

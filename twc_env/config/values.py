@@ -13,10 +13,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from twc_env.config.checks import is_too_great, plain_value
+from twc_env.config.checks import KINDS, is_too_great, plain_value
 from twc_env.config.environment import EnvConfig
 from twc_env.config.lidar_presets import LIDAR_PRESETS
 from twc_env.config.radio_presets import RADIO_PRESETS
+from twc_env.config.robots import overrides_of, team_of
 from twc_env.config.world import LidarConfig, RadioConfig
 from twc_env.config.world_presets import WORLD_PRESETS
 from twc_env.errors import ConfigError, did_you_mean
@@ -80,7 +81,9 @@ def _told(section) -> dict:
 
 def to_dict(config: EnvConfig) -> dict:
     """Nested plain values for JSON; inverse of `from_dict`."""
-    return dataclasses.asdict(config)
+    values = dataclasses.asdict(config)
+    values["robot"] = [dict(own) for own in config.robot]
+    return values
 
 
 def code_named_in(config: Any) -> dict[str, str]:
@@ -95,9 +98,6 @@ def code_named_in(config: Any) -> dict[str, str]:
     return found
 
 
-_KINDS = {int: "a whole number", float: "a number", str: "text", bool: "true or false", dict: "a table of settings"}
-
-
 def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
     """Build a (nested) config from plain values; missing ones keep their default.
 
@@ -108,6 +108,8 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
         raise ConfigError(f"{where or 'a config'} must be a table of settings; got {values!r}")
     types = typing.get_type_hints(cls)
     arguments: dict = {}
+    if cls is EnvConfig and ("robot" in values or "team" in values):
+        values = _with_robots(values, values)
     if cls is EnvConfig and "world" in values:
         values = dict(values)
         preset = to_dict(world_preset(str(values.pop("world"))))
@@ -122,8 +124,20 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
         name = f"{where}.{key}" if where else str(key)
         if key not in types:
             raise ConfigError(f"there is no setting {name}{_near(key, types)}")
-        arguments[key] = _value(types[key], value, name)
+        is_done = cls is EnvConfig and key == "robot"
+        arguments[key] = value if is_done else _value(types[key], value, name)
     return cls(**arguments)
+
+
+def _with_robots(values: dict, given: Mapping[str, object]) -> dict:
+    """The values with `robot` in full, from `team` or `robot` among those given; a list of robots without their number
+    tells it."""
+    values = dict(values)
+    values.pop("team", None)
+    values["robot"] = team_of(given["team"]) if "team" in given else overrides_of(given["robot"])
+    if values["robot"] and "robots" not in given:
+        values["robots"] = len(values["robot"])
+    return values
 
 
 def load(path: str | Path) -> EnvConfig:
@@ -184,7 +198,8 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
     other settings of their section as they are.
 
     Strings are converted to the type of the field, as for command lines. `world` (`world_preset`) is applied first: it
-    changes the settings of its effects only; then `radio.preset` and `lidar.preset`, which leave nothing of what the
+    changes the settings of its effects only; `team` (`robots.team_of`) is short for `robot` and their number; then
+    `radio.preset` and `lidar.preset`, which leave nothing of what the
     world says about their section; then the others.
     Raises ConfigError for an unknown key or an invalid value.
     """
@@ -197,6 +212,9 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
         replaced = tuple(f"{where}." for where, _ in _PRESETS.values() if f"{where}.preset" in assignments)
         effects = {k: v for k, v in WORLD_PRESETS[name].items() if not (replaced and k.startswith(replaced))}
         assignments = effects | assignments
+    if "robot" in assignments or "team" in assignments:
+        values = _with_robots(values, assignments)
+        assignments = {key: value for key, value in assignments.items() if key not in ("robot", "team")}
     for section, (where, _) in _PRESETS.items():
         if f"{where}.preset" in assignments:
             values[where] = dataclasses.asdict(_preset(section, str(assignments.pop(f"{where}.preset"))))
@@ -233,7 +251,7 @@ def _value(kind: type, value, where: str):
     if kind is float and type(value) is int:
         return value if is_too_great(value) else float(value)  # the section refuses it
     if type(value) is not kind:
-        raise ConfigError(f"{where} must be {_KINDS[kind]}; got {value!r}")
+        raise ConfigError(f"{where} must be {KINDS[kind]}; got {value!r}")
     return value
 
 
@@ -258,7 +276,7 @@ def _from_text(value, old, where: str):
     try:
         return type(old)(value)
     except (TypeError, ValueError):
-        raise ConfigError(f"{where} must be {_KINDS[type(old)]}; got {value!r}") from None
+        raise ConfigError(f"{where} must be {KINDS[type(old)]}; got {value!r}") from None
 
 
 RENAMED = {"mask_mates": "mask_teammates", "sightings_check": "mutual_observations_check"}

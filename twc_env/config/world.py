@@ -60,7 +60,7 @@ class LidarConfig(Checked):
 
     Every setting from the field of view on is one error or limit of real scanners, off by default. `preset` in the
     lidar table of a config file, or `lidar.preset`, sets them as the data sheet of a scanner says: `ideal` (the
-    defaults), `lds-01`, `rplidar-a1`, `utm-30lx`, `lms-200` (docs/world.md)."""
+    defaults), `lds-01`, `rplidar-a1`, `utm-30lx`, `lms-200`, `mid-360` (docs/world.md)."""
 
     beam_count: int = number(180, 8, 4096)
     """With fewer than 90 per circle, robots merge later."""
@@ -228,6 +228,8 @@ class RadioConfig(Checked):
     """All addresses of one transmitter (access point and band) share their fading."""
     device_offset_std_db: float = number(0.8, 0.0, 20.0)
     """Constant RSSI offset of a robot's receiver (standard deviation over robots)."""
+    device_offset_db: float = number(0.0, -40.0, 40.0, is_later=True)
+    """Mean of that offset: of all receivers, or in a mixed team of one robot's."""
     device_sensitivity_std_db: float = number(0.0, 0.0, 20.0)
     """Variation of the detection floor between receivers (standard deviation)."""
     noise_std_db: float = number(3.0, 0.0, 20.0)

@@ -49,9 +49,11 @@ def action_array(action: Any) -> Array:
 class Velocities:
     """Converts actions to commands, in one array that each call overwrites."""
 
-    def __init__(self, config: DynamicsConfig, robots: int):
+    def __init__(self, config: DynamicsConfig | Sequence[DynamicsConfig], robots: int):
+        """config: of all robots, or of each."""
         self._arguments = config, robots
-        self._maxima = config.speed_max_m_s, config.turn_rate_max_rad_s
+        own = [config] * robots if isinstance(config, DynamicsConfig) else config
+        self._maxima = [(each.speed_max_m_s, each.turn_rate_max_rad_s) for each in own]
         self._commands = np.empty((robots, 2))
         self._write = partial(Struct(f"{2 * robots}d").pack_into, self._commands.data.cast("B"), 0)
 
@@ -63,12 +65,11 @@ class Velocities:
 
         Raises ActionError for missing or additional agents and for actions other than two finite numbers in [-1, 1].
         """
-        speed_max_m_s, turn_rate_max_rad_s = self._maxima
         commands: list[float] = []
         try:
             if type(actions) is not dict or len(actions) != len(agents):
                 raise TypeError
-            for agent in agents:
+            for agent, (speed_max_m_s, turn_rate_max_rad_s) in zip(agents, self._maxima, strict=True):
                 action = actions[agent]
                 if action.dtype is not _SINGLE and action.dtype.kind not in "fiu":
                     raise TypeError
@@ -78,7 +79,7 @@ class Velocities:
                 commands += (ahead * speed_max_m_s, left * turn_rate_max_rad_s)
             self._write(*commands)
         except Exception:  # arbitrary objects may raise anything; the checks below accept or name the action
-            self._commands[:] = _one_by_one(actions, agents) * self._maxima
+            self._commands[:] = _one_by_one(actions, agents) * np.array(self._maxima)
         return self._commands
 
 

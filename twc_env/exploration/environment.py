@@ -21,7 +21,7 @@ from twc_env.exploration.actions import velocity_space
 from twc_env.exploration.assessment import evaluation, rewards
 from twc_env.exploration.episode import Episode
 from twc_env.exploration.macro_actions import MacroActions, frontier_space, waypoint_space
-from twc_env.exploration.observation.observation_blocks import observation_space
+from twc_env.exploration.observation.observation_blocks import beams_shown, observation_space
 from twc_env.exploration.reset_options import read_options
 from twc_env.exploration.settings import resolve
 from twc_env.exploration.snapshot import Snapshot, restore_snapshot, take_snapshot
@@ -93,7 +93,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `radio` | (2, 64, 64) uint8 | 0, 255 | with `slam.k_visibility.enabled`: probably free, probably wall, estimated |
     | | | | from signal strength alone; egocentric like `map` |
 
-    A robot that has failed measures nothing: its `lidar` and `wifi` are 0.
+    A robot that has failed measures nothing: its `lidar` and `wifi` are 0. In a mixed team (`robot`), `lidar` is as
+    long as the robot's own scan and a share of its own range; with `observation.equal_shapes` shorter ones end in
+    zeros.
 
     With `observation.kind = "flat"` the blocks are concatenated to one float32 vector, images scaled to [0, 1].
 
@@ -167,8 +169,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self.agents: list[str] = []
         self._all_false, self._all_true = (dict.fromkeys(self.possible_agents, each) for each in (False, True))
         self._numbered = tuple(enumerate(self.possible_agents))
-        shared_observation, shared_action = observation_space(self.config), _action_space(self.config)
-        self.observation_spaces = dict.fromkeys(self.possible_agents, shared_observation)
+        beams, shared_action = beams_shown(self.config), _action_space(self.config)
+        known = {length: observation_space(self.config, beams.index(length)) for length in set(beams)}
+        seen = [known[length] for length in beams]
+        self.observation_spaces = dict(zip(self.possible_agents, seen, strict=True))
         self.action_spaces = dict.fromkeys(self.possible_agents, shared_action)
         self.state_space = spaces.Box(-STATE_LIMIT, STATE_LIMIT, (6 * count,), np.float32)
         self._weights = rewards.weights_of(self.config.reward)
@@ -179,7 +183,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         self._alone = OneThread("this environment")
 
     def observation_space(self, agent: str) -> spaces.Space:
-        """The same object for every agent, at every call. Raises ConfigError for an unknown agent."""
+        """The same object at every call, for all agents with equally many beams. Raises ConfigError for an unknown
+        agent."""
         return self._space_of(agent, self.observation_spaces)
 
     def action_space(self, agent: str) -> spaces.Space:

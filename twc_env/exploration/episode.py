@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, robot_configs
 from twc_env.datasets.lasting_maps import prior_of
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration.assessment import evaluation, map_scores, rewards
@@ -60,7 +60,7 @@ class Episode:
         self._loss = FrameLoss(config.failure.frame_loss_probability, count, seed)
         self._link = Link(config.link, count, world.plan.home.wall_index, random_stream(seed, "link"))
         self._builder = ObservationBuilder(config)
-        self._velocities = action_blocks.Velocities(config.dynamics, count)
+        self._velocities = action_blocks.Velocities([own.dynamics for own in robot_configs(config)], count)
         self.macro_actions = (
             None if config.action.kind == "velocity" else MacroActions(config, self._failures.is_alive(0))
         )

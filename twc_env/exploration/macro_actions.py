@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray as Array
 
-from twc_env.config import ActionConfig, EnvConfig
+from twc_env.config import ActionConfig, EnvConfig, robot_configs
 from twc_env.errors import ActionError
 from twc_env.exploration.actions import action_array, check_agents
 from twc_env.exploration.observation.observation_blocks import EXTRA_CHOICES
@@ -38,6 +38,7 @@ class CandidateSearch:
 
     def __init__(self, config: EnvConfig, finder: PathFinder | None = None):
         self._config = config
+        self._radii_m = [own.dynamics.robot_radius_m for own in robot_configs(config)]
         self._period = max(1, round(config.observation.frontier_period_s / config.dynamics.time_step_s))
         self._finder = finder or PathFinder()
         self._looked = [(-self._period, (-1, -1))] * config.robots
@@ -60,7 +61,7 @@ class CandidateSearch:
             is_old = step - looked_step >= self._period or map_id(belief) != looked_map
             if is_old or (len(is_due) and is_due[robot]):
                 self._looked[robot] = step, map_id(belief)
-                terrain = terrain_of(known, belief, self._config.dynamics.robot_radius_m)
+                terrain = terrain_of(known, belief, self._radii_m[robot])
                 slots = self._config.action.frontier_slots
                 self.candidates[robot] = find_candidates(belief, terrain, self._finder, slots)
 
@@ -73,7 +74,9 @@ class MacroActions:
         self._config, self._action = config, config.action
         self._finder = PathFinder()
         count = config.robots
-        self._drivers = [Driver(config.dynamics, self._finder, config.people.count > 0) for _ in range(count)]
+        own = robot_configs(config)
+        self._radii_m = [each.dynamics.robot_radius_m for each in own]
+        self._drivers = [Driver(each.dynamics, self._finder, config.people.count > 0) for each in own]
         self._search = CandidateSearch(config, self._finder)
         self._are_candidates_used = config.action.kind == "frontier" or config.observation.frontiers
         self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()
@@ -172,7 +175,7 @@ class MacroActions:
             self._drivers[robot].start(goal[1], belief, goal[0])
 
     def _terrain(self, belief: Belief, squeeze: float) -> Terrain:
-        return terrain_of(self._terrains, belief, squeeze * self._config.dynamics.robot_radius_m)
+        return terrain_of(self._terrains, belief, squeeze * self._radii_m[belief.robot])
 
 
 def terrain_of(known: dict[tuple[float, GridMap], Terrain], belief: Belief, radius_m: float) -> Terrain:

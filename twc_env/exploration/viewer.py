@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import RadioConfig
+from twc_env.config import RadioConfig, robot_configs
 from twc_env.exploration.assessment.map_scores import GroupScore
 from twc_env.exploration.drawing.layers import HELP, Layers, layered
 from twc_env.exploration.drawing.rendering import ClosureLine, SignalLayer, render, scene_of
@@ -69,7 +69,8 @@ class Viewer:
         if layers.robot is not None:
             scores = [v for v in scores if layers.robot in v.view.viewers] or scores
         people_m = episode.world.people_m
-        scene = scene_of(episode.floorplan, episode.engine, episode.record, scores, lines, signal, people_m)
+        radii_m = tuple(own.dynamics.robot_radius_m for own in robot_configs(episode.config))
+        scene = scene_of(episode.floorplan, episode.engine, episode.record, scores, lines, signal, people_m, radii_m)
         return render(layered(scene, layers))
 
     def _signal_of(self, plan: Floorplan, config: RadioConfig) -> SignalLayer:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig, from_dict
+from twc_env.config import EnvConfig, from_dict, robot_configs
 from twc_env.datasets.logs.arrays_file import read_arrays
 from twc_env.errors import DataError, TwcError
 from twc_env.exploration.drawing.rendering import COLOURS
@@ -67,7 +67,7 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
         layer["cells"] = base64_of(packed[first:end])
     return {
         "robots": config.robots,
-        "robot_radius_m": config.dynamics.robot_radius_m,
+        "robot_radii_m": [own.dynamics.robot_radius_m for own in robot_configs(config)],
         "time_step_s": config.dynamics.time_step_s,
         "subtitle": f"{config.robots} robots, {len(trace['true_poses']) - 1} steps of "
         f"{config.dynamics.time_step_s:g} s, configuration {report['config_digest']}, version {report['version']}. "

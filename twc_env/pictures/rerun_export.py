@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig, from_dict
+from twc_env.config import EnvConfig, from_dict, robot_configs
 from twc_env.errors import ConfigError, DataError
 from twc_env.exploration.drawing.rendering import ACCEPTED, COLOURS, REJECTED
 from twc_env.exploration.trace import UNKNOWN, WALL
@@ -168,8 +168,8 @@ def rectangles(kinds: Array) -> tuple[Array, Array]:
 
 def _log_robots(rerun: Any, trace: dict[str, Array], config: EnvConfig) -> None:
     """True and estimated positions at every step, and both paths."""
-    radius = config.dynamics.robot_radius_m
-    for robot in range(config.robots):
+    for robot, own in enumerate(robot_configs(config)):
+        radius = own.dynamics.robot_radius_m
         colour = COLOURS[robot % len(COLOURS)]
         for where, poses, level in (
             ("building", trace["true_poses"], 7),

@@ -86,8 +86,8 @@ class TeamFrames(_Team[SensorFrame]):
     """The frames of all robots in one step."""
 
     __slots__ = (
-        "_wifi", "has_scan", "may_repeat_readings", "odometry", "ranges_m", "scanner", "scans", "signs", "step",
-        "time_s", "turn_rates_rad_s",
+        "_wifi", "beams", "has_scan", "may_repeat_readings", "odometry", "ranges_m", "scanner", "scans", "signs",
+        "step", "time_s", "turn_rates_rad_s",
     )  # fmt: skip
 
     def __init__(
@@ -99,20 +99,21 @@ class TeamFrames(_Team[SensorFrame]):
         ranges_m: Array,
         wifi: WifiScans | Sequence[WifiScan | None],
         signs: Sequence[tuple[SignReading, ...]],
-        scanner: Scanner | None = None,
+        scanner: Scanner | tuple[Scanner, ...] | None = None,
         has_scan: Array | None = None,
+        beams: tuple[int, ...] | None = None,
     ):
         """One row per robot, as the fields of `SensorFrame`; records hold read-only views of the rows.
 
         Arrays are float64 and contiguous. `scans` are those of `wifi` in arrays; `may_repeat_readings` says whether a
-        scan may hold readings of earlier sweeps (never if `wifi` is given as arrays). scanner: that of all robots.
-        has_scan (robots,) bool: whether each completed a scan in this step, else its row repeats the latest one; None:
-        all did.
+        scan may hold readings of earlier sweeps (never if `wifi` is given as arrays). scanner: that of all robots, or
+        of each. has_scan (robots,) bool: whether each completed a scan in this step, else its row repeats the latest
+        one; None: all did. beams (robots,): how many of each row are of the robot's scan; None: all.
         """
         self._records = None
         self.step, self.time_s = step, time_s
         self.odometry, self.turn_rates_rad_s, self.ranges_m = odometry, turn_rates_rad_s, ranges_m
-        self.signs, self.scanner, self.has_scan = signs, scanner, has_scan
+        self.signs, self.scanner, self.has_scan, self.beams = signs, scanner, has_scan, beams
         self._wifi: Sequence[WifiScan | None] | None
         if isinstance(wifi, WifiScans):
             self.scans, self._wifi, self.may_repeat_readings = wifi, None, False
@@ -134,22 +135,27 @@ class TeamFrames(_Team[SensorFrame]):
 
     @classmethod
     def of(cls, frames: Sequence[SensorFrame]) -> TeamFrames:
-        """Frames of one step, stacked, one row per frame: all scans of one length or none, in one geometry."""
+        """Frames of one step, stacked, one row per frame."""
         if isinstance(frames, TeamFrames):
             return frames
-        beams = [len(frame.ranges_m) for frame in frames]
-        has_scan = None if all(beams) else np.array(beams) > 0
-        unseen = () if has_scan is None else np.full(max(beams), UNSEEN_M)
+        counts = [len(frame.ranges_m) for frame in frames]
+        scanners = tuple(frame.scanner for frame in frames)
+        is_mixed = len({count for count in counts if count}) > 1 or any(each != scanners[0] for each in scanners)
+        has_scan = None if all(counts) else np.array(counts) > 0
+        ranges_m = np.full((len(frames), max(counts)), UNSEEN_M)
+        for row, frame, count in zip(ranges_m, frames, counts, strict=True):
+            row[:count] = frame.ranges_m
         team = cls(
             frames[0].step,
             float(frames[0].time_s),
             np.array([frame.odometry for frame in frames], float),
             np.array([frame.turn_rate_rad_s for frame in frames], float),
-            np.array([frame.ranges_m if len(frame.ranges_m) else unseen for frame in frames], float),
+            ranges_m,
             [frame.wifi for frame in frames],
             [frame.signs for frame in frames],
-            frames[0].scanner,
+            scanners if is_mixed else frames[0].scanner,  # type: ignore[arg-type]
             has_scan,
+            tuple(counts) if is_mixed else None,
         )
         team._records = list(frames)
         return team
@@ -160,11 +166,14 @@ class TeamFrames(_Team[SensorFrame]):
     def _make(self) -> list[SensorFrame]:
         odometry, ranges_m = read_only(self.odometry), self._scans_each()
         rows = zip(odometry, self.turn_rates_rad_s.tolist(), ranges_m, self.wifi, self.signs, strict=True)
-        return [SensorFrame(robot, self.step, self.time_s, *row, self.scanner) for robot, row in enumerate(rows)]
+        scanners = self.scanner if isinstance(self.scanner, tuple) else (self.scanner,) * len(self)
+        return [SensorFrame(robot, self.step, self.time_s, *row, scanners[robot]) for robot, row in enumerate(rows)]
 
     def _scans_each(self) -> Sequence[Array]:
         """The new scan of each robot; (0,) without one."""
-        ranges_m = read_only(self.ranges_m)
+        ranges_m: Sequence[Array] | Array = read_only(self.ranges_m)
+        if self.beams is not None:
+            ranges_m = [row[:count] for row, count in zip(ranges_m, self.beams, strict=True)]
         if self.has_scan is None:
             return list(ranges_m)
         return [row if has_scan else row[:0] for row, has_scan in zip(ranges_m, self.has_scan.tolist(), strict=True)]

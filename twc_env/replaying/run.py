@@ -124,7 +124,7 @@ def run(source: ReplayInput, config: EnvConfig, watch: Callable[[int, Engine], N
     seen = 1 + max(frame.robot for frames in source.steps for frame in frames)
     contacts, steps = source.contacts, source.steps
     robots = contacts[0].heard.shape[1] if contacts else max(seen, 1 if source.is_episode else len(source.names))
-    engine = make_engine(config, robots, prior_of(config))
+    engine = make_engine(config, config.robots if config.robot else robots, prior_of(config))
     first = next(frames[0].step - k for k, frames in enumerate(steps) if frames)
     odom_poses, step, warm = [], first, begun
     for step, frames in enumerate(steps, first):  # steps in the frames may differ between robots

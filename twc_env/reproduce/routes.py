@@ -138,7 +138,8 @@ def walk(config: EnvConfig, plan: Floorplan, way_m: Array, robot: int, seed: int
         pose = world.poses[0]
         readings = list(zip(frame.signs, world.sighted_signs[0], strict=True))
         waiting += [(reading, sign, pose[:2].copy(), frame.time_s) for reading, sign in readings]
-        for keyframe in front_end.update([frame]):
+        frames, _ = front_end.intake.on_circle([frame])
+        for keyframe in front_end.update(frames):
             keyframe = dataclasses.replace(keyframe, robot=robot)
             result.keyframes.append(keyframe)
             result.poses.append(pose.copy())

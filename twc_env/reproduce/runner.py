@@ -76,6 +76,7 @@ TABLES = {
     "reality": Table(
         "what each effect of reality costs: people, carried robots, poor scanners, drifting odometry, weak links"
     ),
+    "mixed": Table("mixed teams, the paper's own (handheld, wheeled, legged) or others, in twins of its two scenes"),
     "sfw-table1": Table(
         "inverse k-visibility Table I: number of walls crossed, and maps of six plans, from signal strength"
     ),

@@ -9,7 +9,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, shared_config
 from twc_env.errors import DataError
 from twc_env.kernels.compiled import BindsAnew, borrowing_kernel, bound
 from twc_env.records.messages import Belief, Contacts, Keyframe, SensorFrame
@@ -27,6 +27,7 @@ class DeadReckoning(BindsAnew):
     """
 
     def __init__(self, config: EnvConfig, robot_count: int):
+        config = shared_config(config)
         self.team = TeamMapper(config, robot_count)
         self.mappers = [self.team]
         self._grid = self.team.grid_of(0)

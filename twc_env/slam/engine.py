@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import CuesConfig, EnvConfig
+from twc_env.config import CuesConfig, EnvConfig, shared_config
 from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, TwcError
 from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of
@@ -99,9 +99,11 @@ class CooperativeSlam(CopiedWhole):
         robot_count = whole_number("robot_count", robot_count, 1)
         if prior is not None or config.slam.prior:
             _check_prior(config, prior)
+        if config.robot and robot_count != config.robots:
+            raise ConfigError(f"robot lists {config.robots} robots, and the engine is for {robot_count}: give as many")
         self._cues = None if config.slam.cues == CuesConfig() else config.slam.cues
         """The enabled cues; None: all."""
-        config = cues.restricted_config(config)
+        config = cues.restricted_config(shared_config(config))
         self._front_ends = FrontEnds(config, robot_count)
         self.poses_odom = self._front_ends.poses_odom
         """(robots, 3) front-end poses, each in the robot's odom frame."""

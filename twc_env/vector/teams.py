@@ -35,7 +35,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig, to_dict
+from twc_env.config import EnvConfig, robot_configs, to_dict
 from twc_env.config.checks import whole_number
 from twc_env.errors import ActionError, ConfigError, TwcError
 from twc_env.exploration.actions import action_array
@@ -79,6 +79,12 @@ class VectorTeams:
         self.config, self.count, self.robots = model.config, count, model.config.robots
         self.agents = tuple(model.possible_agents)
         self.observation_space, self.action_space = model.observation_space("robot_0"), model.action_space("robot_0")
+        if any(model.observation_space(agent) != self.observation_space for agent in self.agents):
+            beams = ", ".join(str(own.lidar.beam_count) for own in robot_configs(self.config))
+            raise ConfigError(
+                f"the robots' scanners have {beams} beams, and one array cannot hold their observations: set "
+                "observation.equal_shapes = true"
+            )
         self.state_space = model.state_space
         names = _building_names(buildings, family_of(self.config.map))
         spaces_of_robot = self.observation_space, self.action_space

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pymunk
@@ -37,9 +37,13 @@ class Dynamics:
     The rigid-body world is used only in steps in which a contact is possible; otherwise the motion is integrated here.
     """
 
-    def __init__(self, config: DynamicsConfig, index: WallIndex, starts: Array):
-        """starts (n, 3): start poses in the frame of the walls; the robots begin at rest."""
-        self._radius_m, self._starts = config.robot_radius_m, np.array(starts, float)
+    def __init__(self, config: DynamicsConfig | Sequence[DynamicsConfig], index: WallIndex, starts: Array):
+        """config: of all robots, or one for each; starts (n, 3): start poses in the frame of the walls; the robots
+        begin at rest."""
+        self._starts = np.array(starts, float)
+        own = [config] * len(self._starts) if isinstance(config, DynamicsConfig) else config
+        self.radii_m: Array = np.array([each.robot_radius_m for each in own])
+        """(n,) radius of each robot."""
         self._space: pymunk.Space | None = None
         """Built before the first possible contact."""
         self._log: list[bytes | frozenset[int]] = []
@@ -49,15 +53,19 @@ class Dynamics:
         self._anchored: set[int] = set()
         self._limits = np.array(
             [
-                config.speed_max_m_s,
-                config.turn_rate_max_rad_s,
-                config.acceleration_max_m_s2 * config.time_step_s,
-                config.turn_acceleration_max_rad_s2 * config.time_step_s,
+                (
+                    each.speed_max_m_s,
+                    each.turn_rate_max_rad_s,
+                    each.acceleration_max_m_s2 * each.time_step_s,
+                    each.turn_acceleration_max_rad_s2 * each.time_step_s,
+                )
+                for each in own
             ]
         )
-        stride_m = config.speed_max_m_s * config.time_step_s
-        self._substeps = max(1, math.ceil(stride_m / (_STRIDE_RADII * config.robot_radius_m)))
-        self._time_step_s, self._reach_m = config.time_step_s, config.robot_radius_m + stride_m + 2 * _TOLERANCE_M
+        self._time_step_s = own[0].time_step_s
+        strides_m = np.array([each.speed_max_m_s * each.time_step_s for each in own])
+        self._substeps = max(1, math.ceil((strides_m / (_STRIDE_RADII * self.radii_m)).max()))
+        self._reaches_m = self.radii_m + strides_m + 2 * _TOLERANCE_M
         self._count = len(self._starts)
         # x, y, heading, velocity x, y and turn rate of each body, in pymunk's order; the last is the body of the walls.
         self._state = np.zeros((self._count + 1, 6))
@@ -90,7 +98,7 @@ class Dynamics:
     def arguments(self) -> tuple:
         """Arguments of `advance` between the walls and the poses."""
         return (
-            self._state, self._limits, self._time_step_s, self._substeps, self._radius_m, self._reach_m, self._gaps,
+            self._state, self._limits, self._time_step_s, self._substeps, self.radii_m, self._reaches_m, self._gaps,
         )  # fmt: skip
 
     def step(self, commands: Array) -> None:
@@ -131,7 +139,7 @@ class Dynamics:
 
     def _make_space(self) -> pymunk.Space:
         """A rigid-body world after all logged events."""
-        space = _space(self._walls[0], self._starts, self._radius_m)
+        space = _space(self._walls[0], self._starts, self.radii_m)
         if not self._log:
             self._log.append(frozenset(self._anchored))
         for event in self._log:
@@ -150,18 +158,18 @@ class Dynamics:
 
     def _measure_gaps(self) -> None:
         self.poses, self.contacts = np.empty((self._count, 3)), np.empty(self._count, _BOOL)
-        _locate(self._state, *self._walls, self._reach_m, self._gaps, self.poses)
-        _touch(self.poses, self._gaps, self._radius_m, self.contacts)
+        _locate(self._state, *self._walls, self._reaches_m, self._gaps, self.poses)
+        _touch(self.poses, self._gaps, self.radii_m, self.contacts)
 
 
-def _space(walls_m: Array, starts: Array, radius_m: float) -> pymunk.Space:
-    """A rigid-body world with the walls (k, 4) and with robots at their start poses (n, 3)."""
+def _space(walls_m: Array, starts: Array, radii_m: Array) -> pymunk.Space:
+    """A rigid-body world with the walls (k, 4) and with robots of these radii (n,) at their start poses (n, 3)."""
     space = pymunk.Space()
     space.collision_slop = _SLOP_M
     space.collision_bias = _PENETRATION_KEPT_PER_S
     space.collision_persistence = 1  # contacts of its last step are no hint: steps are skipped
     space.add(*(pymunk.Segment(space.static_body, a, b, 0.0) for a, b in walls_m.reshape(-1, 2, 2).tolist()))
-    for x, y, heading in starts.tolist():
+    for (x, y, heading), radius_m in zip(starts.tolist(), radii_m.tolist(), strict=True):
         # Infinite moment of inertia, no friction: contacts push a robot but never turn it.
         body = pymunk.Body(_MASS_KG, math.inf)
         body.position, body.angle = (x, y), heading
@@ -176,7 +184,7 @@ def _anchor(space: pymunk.Space, robots: Iterable[int]) -> None:
 
 
 @borrowing_kernel
-def _drive_freely(state, commands, limits, time_step, substeps, gaps, radius):
+def _drive_freely(state, commands, limits, time_step, substeps, gaps, radii):
     """Accelerate towards the commands; then move the robots if no contact is possible in this step. Whether they moved.
 
     The acceleration starts at the speed of the body, which contacts reduce.
@@ -185,11 +193,11 @@ def _drive_freely(state, commands, limits, time_step, substeps, gaps, radius):
     for i in range(robots):
         heading = state[i, 2]
         speed = state[i, 3] * np.cos(heading) + state[i, 4] * np.sin(heading)
-        wanted = min(max(commands[i, 0], -limits[0]), limits[0])
-        speed = min(max(wanted, speed - limits[2]), speed + limits[2])
+        wanted = min(max(commands[i, 0], -limits[i, 0]), limits[i, 0])
+        speed = min(max(wanted, speed - limits[i, 2]), speed + limits[i, 2])
         turn_rate = state[i, 5]
-        wanted = min(max(commands[i, 1], -limits[1]), limits[1])
-        turn_rate = min(max(wanted, turn_rate - limits[3]), turn_rate + limits[3])
+        wanted = min(max(commands[i, 1], -limits[i, 1]), limits[i, 1])
+        turn_rate = min(max(wanted, turn_rate - limits[i, 3]), turn_rate + limits[i, 3])
         # The chord of the arc lies at the midpoint heading.
         chord = heading + 0.5 * turn_rate * time_step
         state[i, 3] = speed * np.cos(chord)
@@ -197,10 +205,12 @@ def _drive_freely(state, commands, limits, time_step, substeps, gaps, radius):
         state[i, 5] = turn_rate
     for i in range(robots):
         stride = np.sqrt(state[i, 3] ** 2 + state[i, 4] ** 2) * time_step
-        if gaps[i] <= radius + stride + _TOLERANCE_M:
+        if gaps[i] <= radii[i] + stride + _TOLERANCE_M:
             return False
         for j in range(i):
-            reach = 2.0 * radius + stride + np.sqrt(state[j, 3] ** 2 + state[j, 4] ** 2) * time_step + _TOLERANCE_M
+            reach = (
+                radii[i] + radii[j] + stride + np.sqrt(state[j, 3] ** 2 + state[j, 4] ** 2) * time_step + _TOLERANCE_M
+            )
             if (state[i, 0] - state[j, 0]) ** 2 + (state[i, 1] - state[j, 1]) ** 2 <= reach * reach:
                 return False
     for i in range(robots):
@@ -211,32 +221,33 @@ def _drive_freely(state, commands, limits, time_step, substeps, gaps, radius):
 
 
 @borrowing_kernel
-def _locate(state, walls, origin, bucket, rows, columns, first, members, reach, gaps, poses):
-    """Fill poses (n, 3), heading in [-pi, pi), and gaps (n,), distances to the nearest wall of at most `reach`."""
+def _locate(state, walls, origin, bucket, rows, columns, first, members, reaches, gaps, poses):
+    """Fill poses (n, 3), heading in [-pi, pi), and gaps (n,), distances to the nearest wall of at most reaches (n,)."""
     for i in range(poses.shape[0]):
         poses[i, 0], poses[i, 1] = state[i, 0], state[i, 1]
         poses[i, 2] = (state[i, 2] + np.pi) % (2.0 * np.pi) - np.pi
-        gaps[i] = gap(walls, origin, bucket, rows, columns, first, members, state[i, 0], state[i, 1], reach)
+        gaps[i] = gap(walls, origin, bucket, rows, columns, first, members, state[i, 0], state[i, 1], reaches[i])
 
 
 @borrowing_kernel
-def _touch(poses, gaps, radius, contacts):
+def _touch(poses, gaps, radii, contacts):
     """Fill contacts (n,): whether each robot touches a wall or another robot."""
     for i in range(poses.shape[0]):
-        contacts[i] = gaps[i] < radius
+        contacts[i] = gaps[i] < radii[i]
         for j in range(i):
             dx, dy = poses[i, 0] - poses[j, 0], poses[i, 1] - poses[j, 1]
-            if dx * dx + dy * dy < 4.0 * radius * radius:
+            apart = radii[i] + radii[j]
+            if dx * dx + dy * dy < apart * apart:
                 contacts[i] = contacts[j] = True
 
 
 @borrowing_kernel
 def advance(
-    commands, walls, origin, bucket, rows, columns, first, members, state, limits, time_step, substeps, radius, reach,
+    commands, walls, origin, bucket, rows, columns, first, members, state, limits, time_step, substeps, radii, reaches,
     gaps, poses,
 ):  # fmt: skip
     """Advance one step and fill poses (n, 3) if no contact is possible; otherwise False, and only speeds change."""
-    is_free = _drive_freely(state, commands, limits, time_step, substeps, gaps, radius)
+    is_free = _drive_freely(state, commands, limits, time_step, substeps, gaps, radii)
     if is_free:
-        _locate(state, walls, origin, bucket, rows, columns, first, members, reach, gaps, poses)
+        _locate(state, walls, origin, bucket, rows, columns, first, members, reaches, gaps, poses)
     return is_free

@@ -78,6 +78,7 @@ def silenced(frames: TeamFrames, is_alive: Array) -> TeamFrames:
         [signs if lives else () for signs, lives in zip(frames.signs, alive, strict=True)],
         frames.scanner,
         frames.has_scan,
+        frames.beams,
     )
 
 

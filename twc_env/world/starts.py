@@ -30,12 +30,13 @@ _TRIES = 20
 """Number of spacings tried."""
 
 
-def start_poses(plan: Floorplan, robots: int, radius_m: float, seed: int, starts: str | Array) -> Array:
-    """(robots, 3) start poses in the home frame; starts: see `World.reset`.
+def start_poses(plan: Floorplan, robots: int, radius_m: float | Array, seed: int, starts: str | Array) -> Array:
+    """(robots, 3) start poses in the home frame; radius_m: of all robots, or of each (robots,); starts: see
+    `World.reset`.
 
     Raises MapError if the robots do not fit, ConfigError for invalid starts.
     """
-    home = plan.home
+    home, radii_m = plan.home, np.full(robots, radius_m, float)
     if not isinstance(starts, str):
         try:
             poses = np.array(starts, float)
@@ -44,18 +45,18 @@ def start_poses(plan: Floorplan, robots: int, radius_m: float, seed: int, starts
             raise ConfigError(f"starts must be {wanted}; got {starts!r}") from None
         _check_poses(plan, robots, poses)
         poses_home = compose(inverse(plan.pose_building_home), poses)
-        if fault := _overlap(home, radius_m, poses_home, poses):
+        if fault := _overlap(home, radii_m, poses_home, poses):
             raise ConfigError(fault)
         return poses_home
     if starts in ("random", "entrance"):
-        return _random_starts(home, robots, radius_m, random_stream(seed, "starts"), starts == "entrance")
+        return _random_starts(home, robots, float(radii_m.max()), random_stream(seed, "starts"), starts == "entrance")
     if starts == "map":
         if len(home.starts) < robots:
             raise MapError(
                 f"map {home.name!r} has {len(home.starts)} starts for {robots} robots; add some, or draw them at random"
             )
         poses_home = np.array(home.starts[:robots])
-        if fault := _overlap(home, radius_m, poses_home, compose(plan.pose_building_home, poses_home)):
+        if fault := _overlap(home, radii_m, poses_home, compose(plan.pose_building_home, poses_home)):
             raise MapError(f"map {home.name!r}: {fault}")
         return poses_home
     raise ConfigError(f"starts must be 'random', 'entrance', 'map' or poses; got {starts!r}")
@@ -74,24 +75,31 @@ def _check_poses(plan: Floorplan, robots: int, poses: Array) -> None:
             raise ConfigError(f"{_named(i, pose)} is not on the free floor of map {plan.home.name!r}; move it inside")
 
 
-def _overlap(home: Floorplan, radius_m: float, poses_home: Array, poses: Array) -> str | None:
+def _overlap(home: Floorplan, radii_m: Array, poses_home: Array, poses: Array) -> str | None:
     """What is wrong with the first robot that overlaps a wall or a robot before it; poses (n, 3) name its place."""
-    gaps_m = home.wall_index.distance_m(poses_home[:, :2], radius_m)
+    gaps_m = home.wall_index.distance_m(poses_home[:, :2], float(radii_m.max()))
     for i, (here, gap_m) in enumerate(zip(poses_home, gaps_m.tolist(), strict=True)):
-        at = _named(i, poses[i])
+        at, radius_m = _named(i, poses[i]), float(radii_m[i])
         if gap_m < radius_m - _TOLERANCE_M:
             return (
-                f"{at} is {gap_m:.3f} m from a wall, and robots have a radius of {radius_m:g} m; move it at least "
+                f"{at} is {gap_m:.3f} m from a wall, and {_size_of(i, radii_m)}; move it at least "
                 f"{radius_m - gap_m:.3f} m away, or reduce dynamics.robot_radius_m"
             )
         away_m = np.hypot(*(poses_home[:i, :2] - here[:2]).T)
-        if i and away_m.min() < 2 * radius_m - _TOLERANCE_M:
-            other = int(np.argmin(away_m))
+        apart_m = radii_m[:i] + radius_m
+        if i and (away_m - apart_m).min() < -_TOLERANCE_M:
+            other = int(np.argmin(away_m - apart_m))
             return (
-                f"{at} is {away_m[other]:.3f} m from that of robot {other}, and robots have a radius of {radius_m:g} "
-                f"m; keep them {2 * radius_m:g} m apart, or reduce dynamics.robot_radius_m"
+                f"{at} is {away_m[other]:.3f} m from that of robot {other}, and {_size_of(i, radii_m)}; "
+                f"keep them {apart_m[other]:g} m apart, or reduce dynamics.robot_radius_m"
             )
     return None
+
+
+def _size_of(robot: int, radii_m: Array) -> str:
+    if (radii_m == radii_m[0]).all():
+        return f"robots have a radius of {radii_m[0]:g} m"
+    return f"this robot has a radius of {radii_m[robot]:g} m"
 
 
 def _named(robot: int, pose: Array) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache, partial
 from itertools import islice, repeat
 from typing import NoReturn
@@ -11,7 +11,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, has_one_scanner, robot_configs
 from twc_env.config.checks import whole_number
 from twc_env.errors import ActionError, TwcError
 from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of, rebound
@@ -29,7 +29,7 @@ from twc_env.world.sensors.noise import STEPS
 from twc_env.world.sensors.odometry import Odometry, measure
 from twc_env.world.sensors.radio import Bodies, RadioModel
 from twc_env.world.sensors.reception import WifiReceiver, WifiReceivers, hear
-from twc_env.world.sensors.scanners import Scanners, needs_scanners
+from twc_env.world.sensors.scanners import MixedScanners, Scanners, needs_scanners
 from twc_env.world.sensors.sign_cameras import SignCameras
 from twc_env.world.sensors.signs import look
 from twc_env.world.starts import start_poses
@@ -67,8 +67,14 @@ class World:
         self._home = plan.home
         self._is_moved = bool(plan.pose_building_home.any())
         self._radio = _radio_model(config.radio, self._home)
-        self._wifi_period = _period_steps(config.radio.scan_period_s, config)
+        self._own = robot_configs(config)
+        """Settings of each robot."""
+        self._wifi_periods = [_period_steps(own.radio.scan_period_s, config) for own in self._own]
+        self._wifi_period = min(self._wifi_periods)
+        self._is_regular = len(set(self._wifi_periods)) == 1
+        """Whether all robots scan at one rate."""
         self._scanning_robots = _turns(self._wifi_period, config.robots)
+        """For each step of a WiFi period, the robots that complete a scan; see `_turn`."""
         self._run: Callable[..., int] | None = None
         """`_move_and_sense` with its constant arguments, valid while the crossing table's arrays are
         `_bound_crossings`."""
@@ -81,35 +87,42 @@ class World:
         """
         seed = whole_number("seed", seed, 0)
         config, robots = self.config, self.config.robots
-        radius = config.dynamics.robot_radius_m
+        own, radius = self._own, np.array([each.dynamics.robot_radius_m for each in self._own])
         starts_home = start_poses(self.plan, robots, radius, seed, starts)
         self._walls = self._home.wall_index.buckets()
-        dynamics = self._dynamics = Dynamics(config.dynamics, self._home.wall_index, starts_home)
+        dynamics = self._dynamics = Dynamics([each.dynamics for each in own], self._home.wall_index, starts_home)
         self.contacts = dynamics.contacts
         """(n,) bool: whether each robot touches a wall or a robot."""
-        self._odometry = Odometry(config.odometry, config.dynamics.time_step_s, robots, seed)
-        self._lidar = Lidar(config.lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
+        self._odometry = Odometry([each.odometry for each in own], config.dynamics.time_step_s, robots, seed)
+        lidar, kind = own[0].lidar, Scanners if has_one_scanner(config) else MixedScanners
+        self._lidar = Lidar(lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
         self.crowd = None
         if config.people.count:
             self.crowd = Crowd(config.people, self._home, starts_home, radius, config.dynamics.time_step_s, seed)
         legs = None if self.crowd is None else self.crowd.discs
-        self._scanners = Scanners(config, self._home, seed, legs) if needs_scanners(config.lidar) else None
-        """Simulates scanners with limits and errors; None: `_lidar` does all."""
+        is_usual = kind is Scanners and not needs_scanners(lidar)
+        self._scanners = None if is_usual else kind(config, self._home, seed, legs)
+        """Simulates scanners with limits and errors, or of several kinds; None: `_lidar` does all."""
         offsets_db = [0.0] * (robots - 1) + [config.failure.device_offset_db]
         self._receivers = [
-            WifiReceiver(config.radio, self._radio, robot, seed, offset_db)
+            WifiReceiver(own[robot].radio, self._radio, robot, seed, offset_db)
             for robot, offset_db in enumerate(offsets_db)
         ]
         self._wifi = WifiReceivers(self._radio, self._receivers)
         self._scans_compiled = self._receivers[0].is_plain
+        self._turn_numbers: dict[tuple[int, ...], int] = {}
+        """Numbers in `_scanning_robots` of turns of robots that scan at different rates, as they occur."""
+        if not self._is_regular:
+            self._scanning_robots = []
         self._listeners = [np.array(turn if self._scans_compiled else (), np.int64) for turn in self._scanning_robots]
         """For each step of a WiFi period, the robots whose scans are computed by `_move_and_sense`."""
         self._buffers: list[Iterator[tuple]] = [iter(()) for _ in self._scanning_robots]
         """For each step of a WiFi period, output arrays: poses, odometry, turn rates, ranges, scans."""
         self._is_laser_compiled = self._lidar.is_plain and self._scanners is None
-        laser = (robots, config.lidar.beam_count) if self._is_laser_compiled else (0, 0)
-        self._shapes = [_step_shapes(robots, laser, len(own), len(self._radio.macs)) for own in self._listeners]
-        self._cameras = SignCameras(config, self._home, seed, _period_steps(config.signs.period_s, config))
+        laser = (robots, lidar.beam_count) if self._is_laser_compiled else (0, 0)
+        self._laser_shape = laser
+        self._shapes = [_step_shapes(robots, laser, len(turn), len(self._radio.macs)) for turn in self._listeners]
+        self._cameras = SignCameras(config, self._home, seed)
         self._bound_crossings = None
         self._kidnapping = Kidnapping(config.failure, self._home, robots, config.dynamics.time_step_s, seed)
         self._sensed_poses = dynamics.poses.copy()
@@ -186,7 +199,7 @@ class World:
         step, dynamics = self._step, self._dynamics or _raise_not_reset()
         if step // STEPS != self._noise_block:
             self._draw_noise()
-        turn = step % self._wifi_period
+        turn = step % self._wifi_period if self._is_regular else self._turn(step)
         poses, odometry, turn_rates, ranges, heard = next(self._buffers[turn], None) or self._allocate_steps(turn)
         if commands is None:
             commands, poses = _NO_COMMANDS, dynamics.poses
@@ -208,20 +221,32 @@ class World:
                     run = self._bind(arguments)
             sighted = run(_NO_COMMANDS, *arguments)
         self.contacts = dynamics.contacts
-        scanner = has_scan = None
+        scanner = has_scan = beams = None
         if self._scanners is not None:
-            scanner = self._scanners.scanner
+            scanner, beams = self._scanners.scanner, self._scanners.beams
             ranges, has_scan = self._scanners.scan(step, poses)
         elif not self._lidar.is_plain:
             ranges = self._lidar.scan(poses)
         if step == 0:
             odometry[:], turn_rates[:] = 0.0, 0.0
         time_s = step * self.config.dynamics.time_step_s
-        wifi: WifiScans | list[WifiScan | None] = heard if self._scans_compiled else self._scan_each(time_s)
+        wifi: WifiScans | list[WifiScan | None] = heard if self._scans_compiled else self._scan_each(turn, time_s)
         if self.crowd is not None:
             self._show_people(self.crowd, step, poses, ranges, bool(sighted))
         signs, self.sighted_signs = self._cameras.read(step) if sighted else self._cameras.nothing
-        return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, signs, scanner, has_scan)
+        return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, signs, scanner, has_scan, beams)
+
+    def _turn(self, step: int) -> int:
+        """Number in `_scanning_robots` of the robots that complete a WiFi scan in a step, each at its own rate."""
+        robots = tuple([i for i, period in enumerate(self._wifi_periods) if (step + i) % period == 0])
+        if robots not in self._turn_numbers:
+            self._turn_numbers[robots] = len(self._scanning_robots)
+            self._scanning_robots.append(robots)
+            self._listeners.append(np.array(robots if self._scans_compiled else (), np.int64))
+            self._buffers.append(iter(()))
+            listeners = len(self._listeners[-1])
+            self._shapes.append(_step_shapes(self.config.robots, self._laser_shape, listeners, len(self._radio.macs)))
+        return self._turn_numbers[robots]
 
     def _carry(self) -> None:
         """Put down elsewhere the robots that are carried before this step; their odometry does not see it."""
@@ -236,7 +261,7 @@ class World:
 
     def _show_people(self, crowd: Crowd, step: int, poses: Array, ranges: Array, has_signs: bool) -> None:
         """Let scanners and cameras at poses (n, 3) see the people, and note who is touched."""
-        lidar = self.config.lidar
+        lidar = self._own[0].lidar
         crowd.meet(poses)
         self.contacts = self.contacts | crowd.is_touched
         if self._scanners is None:  # it has cast its beams at the legs itself
@@ -261,9 +286,9 @@ class World:
         self._buffers[turn] = islice(zip(*team, scans, strict=True), _STEPS_AT_ONCE)
         return next(self._buffers[turn])
 
-    def _scan_each(self, time_s: float) -> list[WifiScan | None]:
+    def _scan_each(self, turn: int, time_s: float) -> list[WifiScan | None]:
         wifi: list[WifiScan | None] = [None] * self.config.robots
-        for robot in self._scanning_robots[self._step % self._wifi_period]:
+        for robot in self._scanning_robots[turn]:
             wifi[robot] = self._receivers[robot].scan(self.poses_home[robot], time_s, self._bodies)
         return wifi
 
@@ -295,7 +320,7 @@ def _period_steps(period_s: float, config: EnvConfig) -> int:
     return max(1, round(period_s / config.dynamics.time_step_s))
 
 
-def _turns(period: int, robots: int) -> list[range]:
+def _turns(period: int, robots: int) -> list[Sequence[int]]:
     """For each step of a period, the robots whose sensor measures in it; staggered."""
     return [range(-step % period, robots, period) for step in range(period)]
 
@@ -321,19 +346,19 @@ def _move_and_sense(
     laser measurement.
     """
     (
-        walls, origin, bucket, rows, columns, first, members, state, motion_limits, move_s, substeps, body_radius,
-        reach, gaps,
+        walls, origin, bucket, rows, columns, first, members, state, motion_limits, move_s, substeps, radii,
+        reaches, gaps,
         biases, white, slips_per_m, time_step, odometry_noise,
-        directions, radius, far, near, near_counts, anchors, projected, stamps, deviates, quantiles, range_std, words,
-        loss, points, low, numbers, certain_counts, certain_losses, first_uncertain, uncertain_walls,
+        directions, disc_radii, far, near, near_counts, anchors, projected, stamps, deviates, quantiles, range_std,
+        words, loss, points, low, numbers, certain_counts, certain_losses, first_uncertain, uncertain_walls,
         pose_home_building, boxes, waves, radios, parts, radio_limits, scratch,
         floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
         draws, bodies, width_m, body_loss_db, signs, lengths, optics, does_hide, sights, hidden, sight_counts,
-        camera_period, before, wifi_period,
+        camera_periods, before, wifi_period,
     ) = parts_of(apparatus)  # fmt: skip
     if commands.shape[0] > 0 and not advance(
         commands, walls, origin, bucket, rows, columns, first, members, state, motion_limits, move_s, substeps,
-        body_radius, reach, gaps, now,
+        radii, reaches, gaps, now,
     ):  # fmt: skip
         return _CONTACT
     robots = now.shape[0]
@@ -345,7 +370,7 @@ def _move_and_sense(
     measure(before, now, biases, white, slips_per_m, time_step, noise, odometry, turn_rates)
     if ranges.shape[0] == robots:
         sweep(
-            walls, origin, bucket, rows, columns, first, members, now, directions, radius, far, near, near_counts,
+            walls, origin, bucket, rows, columns, first, members, now, directions, disc_radii, far, near, near_counts,
             anchors, projected, stamps, deviates, quantiles, range_std, words[step % words.shape[0]], ranges,
         )  # fmt: skip
     scan = step // wifi_period % draws.shape[0]
@@ -359,10 +384,12 @@ def _move_and_sense(
             readings[k],
         )  # fmt: skip
     sighted = 0
-    for i in range(-step % camera_period, robots, camera_period):
+    for i in range(robots):
+        if (step + i) % camera_periods[i] != 0:
+            continue
         sight_counts[i] = look(
-            walls, origin, bucket, rows, columns, first, members, signs, lengths, optics, now[i], before[i],
-            now if does_hide else now[:0], sights[i], hidden[i],
+            walls, origin, bucket, rows, columns, first, members, signs, lengths, optics[i], now[i], before[i],
+            now if does_hide else now[:0], radii, sights[i], hidden[i],
         )  # fmt: skip
         sighted += sight_counts[i]
     for i in range(robots):

@@ -10,7 +10,9 @@ RANGE_MAX_M, RADIUS_M = 10.0, 0.2
 def marked(ranges: np.ndarray, radius_m: float = RADIUS_M) -> np.ndarray:
     out = np.empty_like(ranges)
     room = np.empty(len(ranges), bool), np.empty(len(ranges) + 1, np.int64)
-    mark_teammates(ranges, RANGE_MAX_M, radius_m, beam_directions(len(ranges)), *room, out, np.zeros((DISCS_MAX, 4)))
+    mark_teammates(
+        ranges, RANGE_MAX_M, np.array([radius_m]), beam_directions(len(ranges)), *room, out, np.zeros((DISCS_MAX, 4))
+    )
     return out
 
 

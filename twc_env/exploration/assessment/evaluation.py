@@ -12,7 +12,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env import metrics
 from twc_env._version import __version__
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, shared_config
 from twc_env.config import digest as config_digest
 from twc_env.exploration.assessment.episode_record import EpisodeRecord
 from twc_env.exploration.assessment.map_scores import GroupScore, floor_m2
@@ -211,7 +211,8 @@ def _taken(engine: Engine, robots: int) -> tuple[list[Array], Array]:
 
 def _drawn_at(poses: Array, steps: list[Array], scans: Array, config: EnvConfig) -> GridMap:
     """The map of scans (keyframes, beams) drawn at poses (steps + 1, robots, 3); steps: of each robot's keyframes."""
-    grid = OccupancyGrid(config.slam.resolution_m, config.lidar.range_max_m, config.lidar.circle_beam_count)
+    lidar = shared_config(config).lidar
+    grid = OccupancyGrid(config.slam.resolution_m, lidar.range_max_m, lidar.circle_beam_count)
     grid.integrate(_poses_of(poses, steps), scans)
     return grid.snapshot()
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, shared_config
 from twc_env.kernels.compiled import kernel
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid
 from twc_env.slam.scans.scan_integration import WORD_CELLS, folding_room, look_through
@@ -22,11 +22,12 @@ def seen_share(true_poses: Array, scans: Array, config: EnvConfig, cells: Cells)
     """
     if len(scans) == 0:
         return 0.0
-    cell_m, far_m = config.slam.resolution_m, config.lidar.range_max_m
+    lidar = shared_config(config).lidar
+    cell_m, far_m = config.slam.resolution_m, lidar.range_max_m
     reach_m = min(float(np.abs(scans).max()), far_m) + OccupancyGrid.PADDING_M
     first = np.floor((true_poses[:, :2].min(axis=0) - reach_m) / cell_m)
     columns, rows = (np.ceil((true_poses[:, :2].max(axis=0) + reach_m) / cell_m) - first).astype(int).tolist()
-    sparse = SparseScans(config.lidar.circle_beam_count, far_m)
+    sparse = SparseScans(lidar.circle_beam_count, far_m)
     seen = np.zeros((columns // WORD_CELLS + 2, rows), np.uint64)
     marks, is_inside, _, *room = folding_room(sparse.beam_count, int(2 * far_m / cell_m) + 8)
     x, y = (first * cell_m).tolist()

@@ -42,6 +42,7 @@ _TINT = 0.16
 TRAIL_STEPS = 150
 ACCEPTED, REJECTED = np.array([0, 158, 115], np.float64), np.array([204, 51, 17], np.float64)
 PERSON, PERSON_RADIUS_M = np.array([250, 210, 90], np.float64), 0.2
+_ROBOT_RADIUS_M = 0.2
 FRESH_S = 5.0
 """Time for which a closure is drawn as new."""
 _OLD_ACCEPTED = 0.3
@@ -93,7 +94,8 @@ class Scene:
     """Robots of each group; a group's floor is tinted like its first robot. Empty: one map, no tint."""
     trails_m: tuple[Array, ...] = ()
     """Per robot (k, 2) its latest true positions, oldest first."""
-    robot_radius_m: float = 0.2
+    robot_radii_m: tuple[float, ...] = ()
+    """Of each robot; empty: 0.2 m."""
     closures: tuple[ClosureLine, ...] = ()
     signal: SignalLayer | None = None
     people_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
@@ -200,6 +202,7 @@ def scene_of(
     closures: tuple[ClosureLine, ...] = (),
     signal: SignalLayer | None = None,
     people_m: Array | None = None,
+    robot_radii_m: tuple[float, ...] = (),
 ) -> Scene:
     """The present state of an episode; each group's map is aligned with the building by one rigid motion."""
     cells = floorplan.cells()
@@ -221,6 +224,7 @@ def scene_of(
         closures=closures,
         signal=signal,
         people_m=np.zeros((0, 2)) if people_m is None else people_m,
+        robot_radii_m=robot_radii_m,
     )
 
 
@@ -287,19 +291,21 @@ def _paint_people(image: Array, view: tuple, scene: Scene) -> None:
 
 
 def _paint_robots(image: Array, view: tuple, scene: Scene) -> None:
-    radius = max(scene.robot_radius_m / view[2], 3.5)
+    sizes_m = scene.robot_radii_m or (_ROBOT_RADIUS_M,) * len(scene.true_poses)
+    radii = [max(size_m / view[2], 3.5) for size_m in sizes_m]
     for robot, trail in enumerate(scene.trails_m):
         if len(trail) > 1:
-            _draw_path(image, _to_pixels(trail, view), max(0.9, 0.28 * radius), _colour(robot), 0.15)
+            _draw_path(image, _to_pixels(trail, view), max(0.9, 0.28 * radii[robot]), _colour(robot), 0.15)
     for robot, pose in enumerate(np.asarray(scene.estimated_poses, float).reshape(-1, 3)):
         if np.isnan(pose[0]):
             continue
+        radius = radii[robot]
         (u, v), ahead = _to_pixels(pose[None, :2], view)[0], 1.9 * radius
         tip_u, tip_v = u + ahead * math.cos(pose[2]), v - ahead * math.sin(pose[2])
         _draw_ring(image, u, v, 1.25 * radius, 0.8, _colour(robot))
         _draw_line(image, u, v, tip_u, tip_v, 0.8, _colour(robot), 1.0)
     for robot, pose in enumerate(np.asarray(scene.true_poses, float).reshape(-1, 3)):
-        u, v = _to_pixels(pose[None, :2], view)[0]
+        radius, (u, v) = radii[robot], _to_pixels(pose[None, :2], view)[0]
         _draw_line(image, u, v, u, v, radius, _colour(robot), 1.0)
         tip_u, tip_v = u + 0.75 * radius * math.cos(pose[2]), v - 0.75 * radius * math.sin(pose[2])
         _draw_line(image, u, v, tip_u, tip_v, max(0.6, 0.16 * radius), _FLOOR, 1.0)

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, robot_configs
 from twc_env.exploration.observation import map_view
 
 POSE_LIMITS = np.array([1000.0, 1000.0, 1.0, 1.0, 100.0, 100.0, math.pi, 10_000.0], np.float32)
@@ -17,13 +17,19 @@ EXTRA_CHOICES = ("sign", "teammate", "stay")
 """Choices that follow the frontiers in the action space, in this order."""
 
 
-def block_spaces(config: EnvConfig) -> dict[str, spaces.Space]:
-    """Spaces of the blocks that the config enables, in the order of the observation."""
+def beams_shown(config: EnvConfig) -> tuple[int, ...]:
+    """(robots,) length of the block `lidar` of each robot."""
+    beams = [own.lidar.beam_count for own in robot_configs(config)]
+    return (max(beams),) * len(beams) if config.observation.equal_shapes else tuple(beams)
+
+
+def block_spaces(config: EnvConfig, robot: int = 0) -> dict[str, spaces.Space]:
+    """Spaces of the blocks that the config enables for a robot, in the order of the observation."""
     shape, teammates = config.observation, max(config.robots - 1, 1)
     chooses = config.action.kind == "frontier"
     slots = config.action.frontier_slots
     blocks: dict[str, spaces.Space] = {
-        "lidar": spaces.Box(0.0, 1.0, (config.lidar.beam_count,), np.float32),
+        "lidar": spaces.Box(0.0, 1.0, (beams_shown(config)[robot],), np.float32),
         "map": spaces.Box(0, 255, (map_view.CHANNELS, shape.map_cells, shape.map_cells), np.uint8),
         "overview": spaces.Box(
             0, 255, (map_view.OVERVIEW_CHANNELS, shape.overview_cells, shape.overview_cells), np.uint8
@@ -44,9 +50,9 @@ def block_spaces(config: EnvConfig) -> dict[str, spaces.Space]:
     return wanted
 
 
-def observation_space(config: EnvConfig) -> spaces.Dict | spaces.Box:
-    """The space of one agent's observation; see `ExplorationEnv` for the meaning of each block."""
-    blocks = block_spaces(config)
+def observation_space(config: EnvConfig, robot: int = 0) -> spaces.Dict | spaces.Box:
+    """The space of one robot's observation; see `ExplorationEnv` for the meaning of each block."""
+    blocks = block_spaces(config, robot)
     if config.observation.kind == "dict":
         return spaces.Dict(blocks)
     low, high = (joined({name: getattr(space, end) for name, space in blocks.items()}) for end in ("low", "high"))

@@ -12,8 +12,8 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
-from twc_env.exploration.observation.observation_blocks import POSE_LIMITS
+from twc_env.config import EnvConfig, robot_configs
+from twc_env.exploration.observation.observation_blocks import POSE_LIMITS, beams_shown
 from twc_env.exploration.observation.recent_signs import RecentSigns
 from twc_env.exploration.observation.wifi_slots import slots_for, take_scans
 from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of
@@ -36,7 +36,8 @@ class SmallBlocks:
     """Remembers the WiFi slots and the path of each robot; a block of all robots is one new array."""
 
     def __init__(self, config: EnvConfig, signs: RecentSigns):
-        robots, shape = config.robots, config.observation
+        robots, shape, scanners = config.robots, config.observation, [own.lidar for own in robot_configs(config)]
+        beams = np.array([lidar.beam_count for lidar in scanners])
         teammates = max(robots - 1, 1)
         self.paths_odom = np.full((robots, 3, int(shape.path_m / PATH_SPACING_M) + 3), math.nan)
         """(robots, 3, k) rings of the latest places of each robot, and of how far each was from the one before; NaN for
@@ -45,11 +46,11 @@ class SmallBlocks:
         self.teammate_places = np.full((robots, 3, teammates), math.nan)
         """Pose, in the robot's frame, of each teammate of the group, then NaN; as of the last `build`."""
         self._shapes = (
-            (config.lidar.beam_count,), (len(POSE_LIMITS),), (shape.wifi_slots,), (shape.sign_slots, 5), (teammates, 5),
+            (int(beams.max()),), (len(POSE_LIMITS),), (shape.wifi_slots,), (shape.sign_slots, 5), (teammates, 5),
         )  # fmt: skip
         rule = (
-            1.0 / config.lidar.range_max_m, float(shape.sign_memory_s), float(config.dynamics.time_step_s),
-            float(shape.path_m),
+            np.array([1.0 / lidar.range_max_m for lidar in scanners]), beams, float(shape.sign_memory_s),
+            float(config.dynamics.time_step_s), float(shape.path_m),
         )  # fmt: skip
         path_tails = np.zeros((robots, 2))
         """(robots, 2) how many places are left behind, and how long the path is that is shown."""
@@ -66,7 +67,10 @@ class SmallBlocks:
         self._frames: TeamFrames | None = None
         """What was noticed last; taken in once it is shown, or once there is more."""
         self._is_taken_in = True
-        self._scans = np.zeros((robots, config.lidar.beam_count))
+        shown = beams_shown(config)
+        self._lengths = shown if min(shown) < int(beams.max()) else None
+        """(robots,) how much is shown of each robot's block `lidar`; None: all."""
+        self._scans = np.zeros((robots, int(beams.max())))
         """Latest scans, of scanners that do not complete one in each step."""
 
     def notice(self, frames: TeamFrames, beliefs: TeamBeliefs) -> None:
@@ -93,6 +97,8 @@ class SmallBlocks:
         self._fill(first, blocks, True)
         rows = list(islice(self._rows, self._robots))
         self._next_row = first + self._robots
+        if self._lengths is not None:
+            rows = [(lidar[:length], *others) for length, (lidar, *others) in zip(self._lengths, rows, strict=True)]
         return rows
 
     def _blocks_of(self, steps: int) -> tuple[Array, ...]:
@@ -204,7 +210,7 @@ def _fill_small(
     poses (robots, 3, 3): in the map, its spread, in odom; contact_steps, teammates, teammate_poses as in `TeamBeliefs`.
     """
     (
-        path_counts, path_tails, paths, wifi_slots, levels, room, readings, teammate_places, per_metre, memory_s,
+        path_counts, path_tails, paths, wifi_slots, levels, room, readings, teammate_places, per_metre, beams, memory_s,
         time_step_s, path_m,
     ) = parts_of(kept)  # fmt: skip
     if is_new:
@@ -215,7 +221,9 @@ def _fill_small(
     for i in range(ranges.shape[0]):
         row = first + i
         for b in range(ranges.shape[1]):
-            lidar[row, b] = min(max(ranges[i, b] * per_metre, 0.0), 1.0)
+            lidar[row, b] = min(max(ranges[i, b] * per_metre[i], 0.0), 1.0)
+        for b in range(beams[i], lidar.shape[1]):
+            lidar[row, b] = 0.0
         for k in range(wifi.shape[1]):
             wifi[row, k] = levels[i, k]
         _fill_pose(poses[i, 0], poses[i, 1], since_m[i], pose[row])

@@ -24,7 +24,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twc_env.config import EnvConfig, override
+from twc_env.config import TEAM_PRESETS, EnvConfig, override, robot_configs
 from twc_env.maps import load_map
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.routes import RoutePlanner, Walk, room_tour, walk
@@ -49,6 +49,12 @@ def scene_config(scene: str) -> EnvConfig:
     """The default settings with the map and number of robots of a scene."""
     map_name, orders = SCENES[scene]
     return EnvConfig(map=map_name, robots=len(orders))
+
+
+def mixed_config(scene: str) -> EnvConfig:
+    """The same for the paper's own team, as many of its robots as the scene has: handheld, wheeled, legged."""
+    config = scene_config(scene)
+    return override(config, {"robot": list(TEAM_PRESETS["twc-slam"][: config.robots])})
 
 
 def scene_plan(scene: str, signs: str) -> Floorplan:
@@ -107,5 +113,5 @@ def walk_scene(config: EnvConfig, scene: str, signs: str, seed: int) -> list[Wal
         start = np.array([ends[robot % 3], middle_y])
         stops = [stop for n, k in enumerate(order) for stop in room_tour(plan.rooms[k], (n + robot) % 2 == 1)]
         jittered = [stop + random.normal(0.0, STOP_SPREAD_M, 2) for stop in stops]
-        walks.append(walk(config, plan, planner.route([start, *jittered, start]), robot, seed))
+        walks.append(walk(robot_configs(config)[robot], plan, planner.route([start, *jittered, start]), robot, seed))
     return walks

@@ -1,9 +1,10 @@
 """Table II of TWC-SLAM: map errors in its two scenes, by place recogniser and back end.
 
 The walks of Table I are mapped by every recogniser with every back end of `offline_mapping`; `fused` also by the engine
-itself, keyframe by keyframe as in an episode (back end `live`); and the paper's four methods also as published (back
-end `literal`): point-to-point ICP from the recogniser's guess, with every match accepted. The recognisers have the
-paper's settings: text at alpha 1.0, WiFi at beta = gamma = 1.0, twc at 0.8, lidar and fused at their defaults.
+itself, keyframe by keyframe as in an episode (back end `live`), on the same routes also with the paper's own robots
+(`live, mixed team`: handheld, wheeled, legged, each with a Mid-360); and the paper's four methods also as published
+(back end `literal`): point-to-point ICP from the recogniser's guess, with every match accepted. The recognisers have
+the paper's settings: text at alpha 1.0, WiFi at beta = gamma = 1.0, twc at 0.8, lidar and fused at their defaults.
 `odometry` closes no loops: its rows show the front end alone, each robot in its own frame.
 
 `epe_m` is the paper's metric: the error of the end of each path relative to its start, averaged over robots. It is
@@ -28,7 +29,7 @@ from pathlib import Path
 import numpy as np
 
 from twc_env import metrics
-from twc_env.config import EnvConfig, override
+from twc_env.config import EnvConfig, override, shared_config
 from twc_env.maps import load_map
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.routes import Walk
@@ -46,7 +47,7 @@ from twc_env.reproduce.twc.offline_mapping import (
 )
 from twc_env.reproduce.twc.published import PRINT as PRINT_TABLE1
 from twc_env.reproduce.twc.published import over_known
-from twc_env.reproduce.twc.twc_scenes import SCENES, SIGNS, scene_config, walk_scene
+from twc_env.reproduce.twc.twc_scenes import SCENES, SIGNS, mixed_config, scene_config, walk_scene
 from twc_env.slam.team import TeamMapper
 
 CHOOSES = ("seeds", "scenes")
@@ -61,6 +62,7 @@ METHODS: dict[str, dict[str, object]] = {
 }
 """Settings of place recognition; the name is that of the recogniser."""
 LIVE, LITERAL = "live", "literal"
+LIVE_MIXED = "live, mixed team"
 SHARES_RIGHT = (1.0, 0.99, 0.98, 0.95, 0.9, 0.78)
 """Shares of correct closures of text; the last is the published precision of Table I on #01."""
 LIDAR = EnvConfig().lidar
@@ -94,8 +96,17 @@ def map_scene(scene: str, signs: str, seed: int) -> list[dict]:
             for share, some in with_few_false(matched, seed):
                 few = build(walks, some, "plain")
                 figures.append({"method": method, "backend": f"{LITERAL} {share:g}", **_score(scene, walks, some, few)})
-    live = map_live(scene, walks)
-    return [*figures, {"method": "fused", "backend": LIVE, **_score(scene, walks, [], live)}]
+    live = map_live(scene_config(scene), walks)
+    figures.append({"method": "fused", "backend": LIVE, **_score(scene, walks, [], live)})
+    return [*figures, map_mixed(scene, signs, seed)]
+
+
+def map_mixed(scene: str, signs: str, seed: int) -> dict:
+    """The paper's own team on the same routes, mapped by the engine."""
+    config = mixed_config(scene)
+    walks = walk_scene(config, scene, signs, seed)
+    live = map_live(shared_config(config), walks)
+    return {"method": "fused", "backend": LIVE_MIXED, **_score(scene, walks, [], live)}
 
 
 def maps_of(scene: str, walks: Sequence[Walk]) -> list[tuple[str, str, list[Matched], OfflineMap]]:
@@ -128,11 +139,9 @@ def with_few_false(matched: list[Matched], seed: int) -> list[tuple[float, list[
     return chosen
 
 
-def map_live(scene: str, walks: Sequence[Walk]) -> OfflineMap:
+def map_live(config: EnvConfig, walks: Sequence[Walk]) -> OfflineMap:
     """The map of the engine's mapper, which receives the keyframes one by one."""
-    config = override(
-        scene_config(scene), {"slam.place_recognition.recogniser": "fused", "slam.pose_graph.robust": "ours"}
-    )
+    config = override(config, {"slam.place_recognition.recogniser": "fused", "slam.pose_graph.robust": "ours"})
     team = TeamMapper(config, len(walks))
     for keyframe in in_time([w.keyframes for w in walks]):
         team.update(keyframe.step, [keyframe])

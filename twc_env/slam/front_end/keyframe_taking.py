@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, robot_configs
 from twc_env.kernels.compiled import BindsAnew, Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.records.geometry import beam_directions
 from twc_env.records.messages import Keyframe, SignObservation
@@ -58,7 +58,7 @@ def _take(apparatus, k, time, poses, rings, scan, pose, motion, covariance):
         covariance[:] = 0.0
     else:
         length = travels[k] - last_travels[k]
-        _measure_motion(last_poses[k], here, steps[k], length, variances, information[k], motion, covariance)
+        _measure_motion(last_poses[k], here, steps[k], length, variances[k], information[k], motion, covariance)
     for axis in range(3):
         pose[axis] = last_poses[k, axis] = here[axis]
     last_travels[k], steps[k] = travels[k], 0
@@ -78,15 +78,17 @@ class KeyframeTaker(BindsAnew):
 
     def __init__(self, config: EnvConfig, tracker: Tracker):
         self._tracker, self._beams = tracker, config.lidar.circle_beam_count
-        count, noise, rule = len(tracker.poses_odom), config.slam.odometry_filter, config.slam.keyframe
+        count, rule = len(tracker.poses_odom), config.slam.keyframe
         self._discs_seen, self._following = np.full((count, MEMORY, 4), np.inf), np.zeros(count, np.int64)
         """Memory of static discs of each robot, see `unmark`."""
         self._last_travels_m = np.zeros(count)
         self.centres_m = np.zeros((count, 2))
         """(robots, 2) centre of each robot's local map."""
         self._reach_m = max(0.5 * config.slam.local_map.size_m - config.lidar.range_max_m - 1.0, 1.0)
-        self._variances = np.square([noise.position_std_m, noise.position_std_per_m, noise.turn_std_rad])
-        """Odometry variances: position per step [m2], position per metre [m2], turn per step [rad2]."""
+        assumed = [own.slam.odometry_filter for own in robot_configs(config)] if config.robot else None
+        noises = assumed or [config.slam.odometry_filter] * count
+        self._variances = np.square([[n.position_std_m, n.position_std_per_m, n.turn_std_rad] for n in noises])
+        """(robots, 3) odometry variances: position per step [m2], position per metre [m2], turn per step [rad2]."""
         self._window = np.array([rule.fingerprint_window_s, rule.fingerprint_age_max_s, rule.fingerprint_detection_min])
         self._std_mode = STD_MODES[rule.std_mode]
         self._run: Callable[..., tuple[int, float, bool]] | None = None

@@ -77,6 +77,8 @@ class ScanIntake(BindsAnew):
         Frames must have passed `check_frames` or come from the simulated world.
         """
         if isinstance(frames, TeamFrames):
+            if isinstance(frames.scanner, tuple):
+                return self._each(frames)
             return (frames, frames.ranges_m) if frames.scanner is None else self._together(frames, frames.scanner)
         self._run = None
         circles = [self._taken_in(frame) for frame in frames]
@@ -100,6 +102,17 @@ class ScanIntake(BindsAnew):
         )  # fmt: skip
         return together, circles
 
+    def _each(self, frames: TeamFrames) -> tuple[TeamFrames, Array]:
+        """The same for the whole team, in which each robot has a scanner of its own."""
+        self._run = None
+        circles = np.array([self._taken_in(frame) for frame in frames])
+        new = circles if frames.has_scan is None else np.where(frames.has_scan[:, None], circles, UNSEEN_M)
+        together = TeamFrames(
+            frames.step, frames.time_s, frames.odometry, frames.turn_rates_rad_s, new, frames.raw_wifi, frames.signs,
+            None, frames.has_scan,
+        )  # fmt: skip
+        return together, circles
+
     def _packed(self, ranges_m: Array, scanner: Scanner) -> Lent:
         """The constant arguments of `_take_in`."""
         scans = np.full(ranges_m.shape, UNSEEN_M)
@@ -108,7 +121,7 @@ class ScanIntake(BindsAnew):
                 scans[robot] = held
             else:
                 self._ends_s[robot] = np.nan
-        self._scans, self._scanners, self.free_m[:] = list(scans), [scanner] * len(scans), scanner.free_m
+        self._scans, self._scanners, self.free_m[:] = list(scans), [scanner] * len(scans), self._free_m(scanner)
         work = np.empty((5, ranges_m.shape[1]))
         return Lent((
             scans, self._ends_s, self._tracks, self._latest, self._numbers(scanner), self._undoes_motion,
@@ -127,7 +140,7 @@ class ScanIntake(BindsAnew):
             return frame.ranges_m
         if len(frame.ranges_m):
             self._scans[robot], self._scanners[robot] = np.array(frame.ranges_m, float), frame.scanner
-            self._ends_s[robot], self.free_m[robot] = now_s, frame.scanner.free_m
+            self._ends_s[robot], self.free_m[robot] = now_s, self._free_m(frame.scanner)
         held, scanner = self._scans[robot], self._scanners[robot]
         out = np.full(self._beam_count, UNSEEN_M)
         if held is not None and scanner is not None and math.isfinite(self._ends_s[robot]):
@@ -137,11 +150,16 @@ class ScanIntake(BindsAnew):
             deskew(held, numbers, end_s, track, latest, *self._limits, self._rays, work, out, is_soft)
         return out
 
+    def _free_m(self, scanner: Scanner) -> float:
+        """Range up to which a beam without return tells that the floor is free: no further than it could have
+        measured, of a scanner with a shorter range than the engine's."""
+        return min(scanner.free_m, scanner.range_max_m) if scanner.range_max_m < self._limits[0] else scanner.free_m
+
     def _numbers(self, scanner: Scanner) -> Array:
         """What `deskew` needs to know of a scanner."""
         return np.array([
             scanner.first_rad, scanner.step_rad, *scanner.mount, scanner.range_min_m, scanner.range_max_m,
-            scanner.free_m, scanner.sweep_s if self._undoes_motion else 0.0,
+            self._free_m(scanner), scanner.sweep_s if self._undoes_motion else 0.0,
         ])  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, robot_configs
 from twc_env.kernels.compiled import BindsAnew, Lent, borrowing_kernel, bound, parts_of
 from twc_env.records.geometry import beam_directions
 from twc_env.records.messages import UNSEEN_M
@@ -35,7 +35,7 @@ from twc_env.slam.scans.teammate_detection import DISCS_MAX, mark_teammates
 
 @borrowing_kernel
 def _see(
-    robots, ranges, has_scan, states, directions, opening, free, is_soft, mask_radius, marked, discs, disc_counts,
+    robots, ranges, has_scan, states, directions, opening, free, is_soft, mask_radii, marked, discs, disc_counts,
     cells, lines, origins, rule, has_lidar, room, matched, information, is_matched, is_clear, explained,
 ):  # fmt: skip
     """Mark lost beams and teammates in the scans and match the rest to the fields, near the robots' states.
@@ -52,7 +52,7 @@ def _see(
         scan, has_lost = ranges[a], False
         if opening > 1:
             scan, has_lost = bridged, bridge(ranges[a], rule[0], opening, is_lost, bridged)
-        disc_counts[k] = mark_teammates(scan, rule[0], mask_radius, directions, is_jump, jumps, marked[k], discs[k])
+        disc_counts[k] = mark_teammates(scan, rule[0], mask_radii, directions, is_jump, jumps, marked[k], discs[k])
         if has_lost:
             mark_lost(is_lost, marked[k])
         mark_lost(is_soft[k], marked[k])
@@ -112,7 +112,7 @@ def _track(
     keyframe."""
     (
         scans_before, poses_before, moved, range_max, is_carried, motion,
-        states, covariances, noise, believes_scans, directions, opening, free, is_soft, mask_radius, marked, discs,
+        states, covariances, noise, believes_scans, directions, opening, free, is_soft, mask_radii, marked, discs,
         disc_counts, cells, lines, origins, match_rule, has_lidar, room, information, keyframe_rule, keyframe_poses,
         times, travels, steps, is_new, by_odometry, dts, matched, is_matched, is_clear, explained, before, kept_scans,
     ) = parts_of(apparatus)  # fmt: skip
@@ -128,9 +128,9 @@ def _track(
                 is_carried[k] = not continues(scans_before[k], ranges[a], moved[k], range_max, directions)
         before[k, 0], before[k, 1] = states[k, 0], states[k, 1]
         if dts[a] > 0.0:
-            predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise)
+            predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise[k])
     _see(
-        robots, ranges, has_scan, states, directions, opening, free, is_soft, mask_radius, marked, discs, disc_counts,
+        robots, ranges, has_scan, states, directions, opening, free, is_soft, mask_radii, marked, discs, disc_counts,
         cells, lines, origins, match_rule, has_lidar, room, matched, information, is_matched, is_clear, explained,
     )  # fmt: skip
     for a in range(robots.shape[0]):
@@ -148,7 +148,9 @@ def _track(
             is_matched[k] = False
             information[k, :, :] = 0.0
         if is_matched[k] and believes_scans:
-            is_matched[k] = believe_match(states[k], covariances[k], matched[k], information[k], noise[5], is_clear[k])
+            is_matched[k] = believe_match(
+                states[k], covariances[k], matched[k], information[k], noise[k, 5], is_clear[k]
+            )
             if not is_matched[k]:
                 information[k, :, :] = 0.0
     if has_lidar:
@@ -193,7 +195,8 @@ class Tracker(BindsAnew):
         self.radio = ScanWindows(count, config.slam.keyframe.fingerprint_scans_max)
         """Recent WiFi scans of each robot."""
         noise, beams, rule = config.slam.odometry_filter, config.lidar.circle_beam_count, config.slam.keyframe
-        self._filters = make_filters(noise, count, config.slam.oracle != "poses")
+        assumed = [own.slam.odometry_filter for own in robot_configs(config)] if config.robot else noise
+        self._filters = make_filters(assumed, count, config.slam.oracle != "poses")
         variance_m2 = noise.match_std_m**2 * noise.match_correlation
         robot_radius_m = config.dynamics.robot_radius_m
         fields = LineFields(count, config.slam.local_map, config.lidar, variance_m2, robot_radius_m)
@@ -227,12 +230,12 @@ class Tracker(BindsAnew):
         self._has_been_alone = [False] * count
         """Whether each robot ever moved by odometry alone."""
         masks = rule.mask_teammates and config.robots > 1
-        mask_radius_m = robot_radius_m if masks else 0.0
+        radii_m = {own.dynamics.robot_radius_m for own in robot_configs(config)} if masks else set()
         opening = opening_beams(beams, config.lidar.dropout_probability)
         intake = intake or ScanIntake(config, count)
         self._marking = (
-            beam_directions(beams), opening, intake.free_m, intake.is_soft, mask_radius_m, self.marked_m, self.discs,
-            self.disc_counts,
+            beam_directions(beams), opening, intake.free_m, intake.is_soft, np.array(sorted(radii_m)), self.marked_m,
+            self.discs, self.disc_counts,
         )  # fmt: skip
         self._all_scanned = np.ones(count, bool)
         for_teammates = np.empty(beams, bool), np.empty(beams + 1, np.int64)

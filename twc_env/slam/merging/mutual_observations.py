@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, robot_configs
 from twc_env.kernels.compiled import kernel
 from twc_env.records.geometry import compose
 from twc_env.slam.mapping.group_maps import GroupMaps
@@ -143,7 +143,11 @@ class MutualObservations:
     """Counts the mutual observations that a merge hypothesis predicts, with the scans that this mapper has."""
 
     def __init__(self, config: EnvConfig, graph: TeamGraph, maps: GroupMaps):
-        self._graph, self._maps, self._radius_m = graph, maps, config.dynamics.robot_radius_m
+        self._graph, self._maps = graph, maps
+        self._radius_m = config.dynamics.robot_radius_m
+        """Of the largest robot ..."""
+        self._radii_m = [own.dynamics.robot_radius_m for own in robot_configs(config)] if config.robot else []
+        """... and in a mixed team of each."""
         self._reach_m = config.lidar.range_max_m - 2 * self._radius_m - TOLERANCE_M
         slam = config.slam
         self.are_known = slam.merging.mutual_observations_check and slam.keyframe.mask_teammates and slam.cues.lidar
@@ -170,4 +174,5 @@ class MutualObservations:
         steps, other_steps = (np.array([k.team_step for k in graph.keyframes[r]], np.int64) for r in (watcher, other))
         chosen, places, stood = _predict(poses, steps, other_poses, other_steps, self._reach_m)
         is_here = self._maps.have_scans(nodes[chosen])
-        return _count(graph.rows_of(nodes[chosen][is_here])[1], places[is_here], stood[is_here], self._radius_m)
+        radius_m = self._radii_m[graph.keyframes[other][0].robot] if self._radii_m else self._radius_m
+        return _count(graph.rows_of(nodes[chosen][is_here])[1], places[is_here], stood[is_here], radius_m)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
@@ -23,14 +24,15 @@ from twc_env.slam.odometry.odometry_filter import (
 class FilterpyFilters:
     """One filter per robot; interface of `CompiledFilters`."""
 
-    def __init__(self, config: OdometryFilterConfig, count: int):
-        self._config = config
-        self._values = process_values(config)
+    def __init__(self, config: OdometryFilterConfig | Sequence[OdometryFilterConfig], count: int):
+        own = [config] * count if isinstance(config, OdometryFilterConfig) else config
+        self._gate = own[0].match_gate
+        self._values = [process_values(each) for each in own]
         self._filters = [ExtendedKalmanFilter(dim_x=5, dim_z=3) for _ in range(count)]
         self._readings = np.zeros((count, 2))
-        for ekf in self._filters:
+        for ekf, each in zip(self._filters, own, strict=True):
             ekf.x = np.zeros(5)
-            ekf.P = first_covariance(config)
+            ekf.P = first_covariance(each)
 
     @property
     def states(self) -> Array:
@@ -48,7 +50,8 @@ class FilterpyFilters:
             if dt_s > 0.0:
                 before = self._readings[k].copy()
                 self._readings[k] += LATEST_SHARE * (motion[:2] - before)
-                self._predict(self._filters[k], motion, float(turn_rate), float(dt_s), before, self._readings[k])
+                ways = before, self._readings[k]
+                self._predict(self._filters[k], self._values[k], motion, float(turn_rate), float(dt_s), *ways)
 
     def update(self, robots: Array, poses: Array, information: Array, is_matched: Array, is_clear: Array) -> None:
         """See `CompiledFilters`."""
@@ -58,7 +61,7 @@ class FilterpyFilters:
             ekf, noise = self._filters[k], np.linalg.inv(information[k] + INFORMATION_MIN * np.eye(3))
             part_from_untold(ekf.P, information[k])
             away = _pose_difference(poses[k], ekf.x[:3])
-            is_matched[k] = away @ np.linalg.inv(ekf.P[:3, :3] + noise) @ away <= self._config.match_gate
+            is_matched[k] = away @ np.linalg.inv(ekf.P[:3, :3] + noise) @ away <= self._gate
             if is_clear[k] and not is_matched[k]:
                 ekf.P[:3, :3] += np.outer(away, away)
                 is_matched[k] = True
@@ -76,17 +79,19 @@ class FilterpyFilters:
         for k in robots[is_new[robots]]:
             self._filters[k].P[:3] = self._filters[k].P[:, :3] = 0.0
 
-    def _predict(self, ekf, odometry: Array, turn_rate_rad_s: float, dt_s: float, before: Array, now: Array) -> None:
+    def _predict(
+        self, ekf, values: Array, odometry: Array, turn_rate_rad_s: float, dt_s: float, before: Array, now: Array
+    ) -> None:
         dx, dy, turn_odometry = odometry
         turn = (turn_rate_rad_s - ekf.x[3]) * dt_s
         c, s = math.cos(ekf.x[2]), math.sin(ekf.x[2])
         read_x, read_y = c * dx - s * dy, s * dx + c * dy
         mx, my = (1.0 - ekf.x[4]) * read_x, (1.0 - ekf.x[4]) * read_y
         went_x, went_y = c * before[0] - s * before[1], s * before[0] + c * before[1]
-        moved_variance, turn_variance = motion_noise(*now, self._values)
+        moved_variance, turn_variance = motion_noise(*now, values)
         ekf.F = np.eye(5)
         ekf.F[:3, 2:] += np.array([[-my, 0.0, -went_x], [mx, 0.0, -went_y], [0.0, -dt_s, 0.0]])
-        bias_variance = self._config.gyro_bias_walk_rad_s**2 * dt_s
+        bias_variance = values[4] ** 2 * dt_s
         ekf.Q = np.diag([moved_variance, moved_variance, turn_variance, bias_variance, 0.0])
         moved = ekf.x + np.array([mx, my, turn, 0.0, 0.0])
         ekf.predict()
@@ -95,7 +100,7 @@ class FilterpyFilters:
             np.array([turn_odometry - turn_rate_rad_s * dt_s]),
             HJacobian=lambda _x: np.array([[0.0, 0.0, 0.0, -dt_s, 0.0]]),
             Hx=lambda x: np.array([-x[3] * dt_s]),
-            R=np.array([[self._config.odometry_turn_std_rad**2 + self._config.turn_std_rad**2]]),
+            R=np.array([[values[3] ** 2 + values[2] ** 2]]),
         )
 
 

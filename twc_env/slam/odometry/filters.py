@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from twc_env.config import OdometryFilterConfig
@@ -12,12 +13,13 @@ if TYPE_CHECKING:
 
 
 def make_filters(
-    config: OdometryFilterConfig, count: int, believes_scans: bool = True
+    config: OdometryFilterConfig | Sequence[OdometryFilterConfig], count: int, believes_scans: bool = True
 ) -> CompiledFilters | FilterpyFilters:
-    """One filter per robot, of the type that `config.backend` names."""
+    """One filter per robot, of the type that `config.backend` names; config: of all robots, or of each."""
+    backend = (config if isinstance(config, OdometryFilterConfig) else config[0]).backend
     if not believes_scans:
         return OdometryAlone(config, count)
-    if config.backend == "filterpy":
+    if backend == "filterpy":
         from twc_env.slam.odometry.filterpy_filter import FilterpyFilters
 
         return FilterpyFilters(config, count)

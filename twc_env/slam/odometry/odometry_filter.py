@@ -11,6 +11,7 @@ the scale (errors in variables).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -214,19 +215,19 @@ def motion_covariance(variance, heading, matched, std_min, out):
 
 
 @borrowing_kernel
-def _predict_all(states, covariances, robots, odometry, turn_rates, dts, config):
+def _predict_all(states, covariances, robots, odometry, turn_rates, dts, noise):
     for a in range(robots.shape[0]):
         k = robots[a]
         if dts[a] > 0.0:
-            predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], config)
+            predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise[k])
 
 
 @kernel
-def _update_all(states, covariances, robots, poses, information, is_matched, is_clear, gate):
+def _update_all(states, covariances, robots, poses, information, is_matched, is_clear, noise):
     for a in range(robots.shape[0]):
         k = robots[a]
         if is_matched[k]:
-            is_matched[k] = believe_match(states[k], covariances[k], poses[k], information[k], gate, is_clear[k])
+            is_matched[k] = believe_match(states[k], covariances[k], poses[k], information[k], noise[k, 5], is_clear[k])
 
 
 @borrowing_kernel
@@ -253,12 +254,15 @@ class CompiledFilters:
 
     believes_scans = True
 
-    def __init__(self, config: OdometryFilterConfig, count: int):
-        self.noise = process_values(config)
+    def __init__(self, config: OdometryFilterConfig | Sequence[OdometryFilterConfig], count: int):
+        """config: assumptions of all robots, or of each."""
+        own = [config] * count if isinstance(config, OdometryFilterConfig) else config
+        self.noise = np.array([process_values(each) for each in own])
+        """(n, 6) see `process_values`."""
         self.states = np.zeros((count, 7))
         """(n, 7) x [m], y [m], heading [rad] (not wrapped), gyro bias [rad/s] in the odom frame, odometry scale error
         (share), and the running mean of the forward and left readings [m]."""
-        self.covariances = np.tile(first_covariance(config), (count, 1, 1))
+        self.covariances = np.array([first_covariance(each) for each in own])
         """(n, 5, 5)."""
 
     def predict(self, robots: Array, odometry: Array, turn_rates_rad_s: Array, dts_s: Array) -> None:
@@ -272,7 +276,7 @@ class CompiledFilters:
         poses (n, 3) by scan matching with information (n, 3, 3), which may be singular. is_matched is cleared for
         robots whose match exceeds the gate and is not clear (n,).
         """
-        _update_all(self.states, self.covariances, robots, poses, information, is_matched, is_clear, self.noise[5])
+        _update_all(self.states, self.covariances, robots, poses, information, is_matched, is_clear, self.noise)
 
     def anchor(self, robots: Array, is_new: Array) -> None:
         """See the kernel of this name."""

@@ -43,11 +43,12 @@ def _is_disc(ranges, directions, first, count, cx, cy, radius):
 
 
 @borrowing_kernel
-def mark_teammates(ranges, range_max, radius, directions, is_jump, jumps, out, discs):
+def mark_teammates(ranges, range_max, radii, directions, is_jump, jumps, out, discs):
     """Copy the scan to `out` with beams on discs negated, write (x, y, first beam, beams) per disc; returns their
     number.
 
-    radius: of a robot [m]; 0 marks nothing. is_jump (beams,) bool and jumps (beams + 1,) int64 are work arrays.
+    radii (k,): of robots [m], ascending; without any, nothing is marked. is_jump (beams,) bool and jumps
+    (beams + 1,) int64 are work arrays.
     """
     beams = ranges.shape[0]
     step = 2 * math.pi / beams
@@ -60,7 +61,7 @@ def mark_teammates(ranges, range_max, radius, directions, is_jump, jumps, out, d
     for i in range(beams):
         jumps[count] = i
         count += is_jump[i]
-    if radius <= 0.0 or count == 0:
+    if radii.shape[0] == 0 or count == 0:
         return 0
     jumps[count] = jumps[0] + beams
     found = 0
@@ -76,17 +77,19 @@ def mark_teammates(ranges, range_max, radius, directions, is_jump, jumps, out, d
             nearest = min(nearest, ranges[k % beams])
         if nearest >= range_max or nearest <= 0.0:
             continue
-        if end - first > 2 * math.asin(min(radius / (nearest + radius), 1.0)) / step + 2:
-            continue
-        middle = 0.5 * (first + end - 1) * step
-        cx, cy = (nearest + radius) * math.cos(middle), (nearest + radius) * math.sin(middle)
-        if end - first >= FEW_BEAMS and not _is_disc(ranges, directions, first, end - first, cx, cy, radius):
-            continue
-        for k in range(first, end):
-            out[k % beams] = -ranges[k % beams]
-        if found < discs.shape[0]:
-            discs[found, 0], discs[found, 1], discs[found, 2], discs[found, 3] = cx, cy, first, end - first
-            found += 1
+        for radius in radii:
+            if end - first > 2 * math.asin(min(radius / (nearest + radius), 1.0)) / step + 2:
+                continue
+            middle = 0.5 * (first + end - 1) * step
+            cx, cy = (nearest + radius) * math.cos(middle), (nearest + radius) * math.sin(middle)
+            if end - first >= FEW_BEAMS and not _is_disc(ranges, directions, first, end - first, cx, cy, radius):
+                continue
+            for k in range(first, end):
+                out[k % beams] = -ranges[k % beams]
+            if found < discs.shape[0]:
+                discs[found, 0], discs[found, 1], discs[found, 2], discs[found, 3] = cx, cy, first, end - first
+                found += 1
+            break
     return found
 
 

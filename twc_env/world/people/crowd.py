@@ -65,14 +65,18 @@ class Crowd(BindsAnew):
         config: PeopleConfig,
         home: Floorplan,
         robots: Array,
-        robot_radius_m: float,
+        robot_radius_m: float | Array,
         time_step_s: float,
         seed: int,
     ):
-        """robots (r, 3): start poses. Raises MapError if the people do not fit into the building."""
+        """robots (r, 3): start poses; robot_radius_m: of all robots, or of each (r,).
+
+        Raises MapError if the people do not fit into the building.
+        """
         random, count = random_stream(seed, "people"), config.count
+        radii_m = np.full(len(robots), robot_radius_m, float)
         ways = destinations_of(home)
-        self._state, self._kinds = _placed(config, home, robots, robot_radius_m, random)
+        self._state, self._kinds = _placed(config, home, robots, radii_m, random)
         trips = random.integers(0, max(len(ways.places_m), 1), (count, _TRIPS))
         pauses = random.exponential(config.pause_mean_s, (count, _TRIPS))
         # Some are on their way when the episode begins, the others still pause.
@@ -92,7 +96,7 @@ class Crowd(BindsAnew):
         self._arrays = (
             self._state, self._kinds, trips, np.zeros(count, np.int64), pauses, ways.distances_m, ways.origin_m,
             ways.cell_m, home.wall_index.buckets(), np.column_stack([robots[:, :2], np.zeros((len(robots), 2))]),
-            robot_radius_m, time_step_s, self.discs, np.zeros(shape, np.bool_), self.collisions,
+            radii_m, time_step_s, self.discs, np.zeros(shape, np.bool_), self.collisions,
         )  # fmt: skip
         self._noise = NormalPools([random_stream(seed, "people-lidar", robot) for robot in range(len(robots))], 4096)
         place_legs(self._state, self._kinds, self.discs)
@@ -146,7 +150,7 @@ class Crowd(BindsAnew):
 
 
 def _placed(
-    config: PeopleConfig, home: Floorplan, robots: Array, robot_radius_m: float, random: np.random.Generator
+    config: PeopleConfig, home: Floorplan, robots: Array, radii_m: Array, random: np.random.Generator
 ) -> tuple[Array, Array]:
     """State (people, columns) and kind (people,) of the people at the start of an episode."""
     count = config.count
@@ -158,8 +162,8 @@ def _placed(
     near_wall = home.wall_index.distance_m(places, _SEAT_CLEARANCE_M) < _SEAT_CLEARANCE_M
     away = np.full(len(places), np.inf)
     """Distance of each place to what is already there."""
-    for robot in robots:
-        away = np.minimum(away, np.hypot(*(places - robot[:2]).T) - (_FROM_ROBOTS_M + robot_radius_m - _APART_M))
+    for robot, radius_m in zip(robots, radii_m.tolist(), strict=True):
+        away = np.minimum(away, np.hypot(*(places - robot[:2]).T) - (_FROM_ROBOTS_M + radius_m - _APART_M))
     state = np.zeros((count, COLUMNS))
     state[:, FACING] = random.uniform(-math.pi, math.pi, count)
     state[:, GAIT] = random.uniform(0.0, 2.0 * math.pi, count)

@@ -95,7 +95,7 @@ def _wanted(i, state, kinds, trips, trip, pauses, fields, origin, cell, robots, 
 
 
 @borrowing_kernel
-def _accelerate(i, state, kinds, robots, robot_radius, wanted_x, wanted_y, walls):
+def _accelerate(i, state, kinds, robots, radii, wanted_x, wanted_y, walls):
     """Acceleration of person i by the speed wanted and by everybody near; robots (r, 4): positions and velocities."""
     x, y, vx, vy = state[i, X], state[i, Y], state[i, VX], state[i, VY]
     ax, ay = (wanted_x - vx) / RELAXATION_S, (wanted_y - vy) / RELAXATION_S
@@ -108,7 +108,7 @@ def _accelerate(i, state, kinds, robots, robot_radius, wanted_x, wanted_y, walls
         else:
             m = k - state.shape[0]
             ox, oy, ovx, ovy = robots[m, 0], robots[m, 1], robots[m, 2], robots[m, 3]
-            margin = robot_radius - BODY_RADIUS_M
+            margin = radii[m] - BODY_RADIUS_M
         dx, dy = ox - x, oy - y
         distance = math.sqrt(dx * dx + dy * dy)
         if distance > 4.0:
@@ -128,7 +128,7 @@ def _accelerate(i, state, kinds, robots, robot_radius, wanted_x, wanted_y, walls
 
 
 @borrowing_kernel
-def _keep_apart(i, state, kinds, robots, robot_radius, walls):
+def _keep_apart(i, state, kinds, robots, radii, walls):
     """Move person i out of robots, people and, last, walls."""
     bucket_walls, origin, bucket, rows, columns, first, members = walls
     for k in range(state.shape[0] + robots.shape[0]):
@@ -137,7 +137,7 @@ def _keep_apart(i, state, kinds, robots, robot_radius, walls):
         is_robot = k >= state.shape[0]
         ox = robots[k - state.shape[0], 0] if is_robot else state[k, X]
         oy = robots[k - state.shape[0], 1] if is_robot else state[k, Y]
-        needed = BODY_RADIUS_M + (robot_radius if is_robot else BODY_RADIUS_M)
+        needed = BODY_RADIUS_M + (radii[k - state.shape[0]] if is_robot else BODY_RADIUS_M)
         dx, dy = state[i, X] - ox, state[i, Y] - oy
         distance = math.sqrt(dx * dx + dy * dy)
         if 1e-9 < distance < needed:
@@ -174,7 +174,7 @@ def walk(crowd, poses, commands):
     """Advance all people by one time step, away from robots at poses (r, 3), and take back the speed of commands (r, 2)
     of robots that push a person: a bumper stops them."""
     (
-        state, kinds, trips, trip, pauses, fields, origin, cell, walls, robots, robot_radius, dt, discs, _touching,
+        state, kinds, trips, trip, pauses, fields, origin, cell, walls, robots, radii, dt, discs, _touching,
         _counts,
     ) = parts_of(crowd)  # fmt: skip
     for k in range(poses.shape[0]):
@@ -186,14 +186,14 @@ def walk(crowd, poses, commands):
         if kinds[i] == SITTING:
             continue
         wanted_x, wanted_y = _wanted(i, state, kinds, trips, trip, pauses, fields, origin, cell, robots, dt)
-        ax, ay = _accelerate(i, state, kinds, robots, robot_radius, wanted_x, wanted_y, walls)
+        ax, ay = _accelerate(i, state, kinds, robots, radii, wanted_x, wanted_y, walls)
         vx, vy = state[i, VX] + ax * dt, state[i, VY] + ay * dt
         speed, limit = math.sqrt(vx * vx + vy * vy), SPEED_EXCESS * state[i, SPEED]
         if speed > limit:
             vx, vy, speed = vx * limit / speed, vy * limit / speed, limit
         before_x, before_y = state[i, X], state[i, Y]
         state[i, X], state[i, Y] = before_x + vx * dt, before_y + vy * dt
-        _keep_apart(i, state, kinds, robots, robot_radius, walls)
+        _keep_apart(i, state, kinds, robots, radii, walls)
         state[i, VX], state[i, VY] = vx, vy
         if kinds[i] == WALKING and speed > 0.2:
             state[i, FACING] = math.atan2(vy, vx)
@@ -203,7 +203,7 @@ def walk(crowd, poses, commands):
         for i in range(state.shape[0]):
             dx, dy = state[i, X] - poses[k, 0], state[i, Y] - poses[k, 1]
             distance = math.sqrt(dx * dx + dy * dy)
-            if distance < robot_radius + BODY_RADIUS_M:
+            if distance < radii[k] + BODY_RADIUS_M:
                 forward = (dx * math.cos(poses[k, 2]) + dy * math.sin(poses[k, 2])) / max(distance, 1e-9)
                 if abs(forward) > _PUSHING_COS and forward * commands[k, 0] > 0.0:
                     commands[k, 0] = 0.0
@@ -213,11 +213,11 @@ def walk(crowd, poses, commands):
 def touch(crowd, poses, is_touched):
     """Note which robots, now at poses (r, 3), touch a person (r,); counts contacts that robots begin by driving."""
     (
-        state, _kinds, _trips, _trip, _pauses, _fields, _origin, _cell, _walls, robots, robot_radius, dt, _discs,
+        state, _kinds, _trips, _trip, _pauses, _fields, _origin, _cell, _walls, robots, radii, dt, _discs,
         touching, counts,
     ) = parts_of(crowd)  # fmt: skip
-    reach = robot_radius + BODY_RADIUS_M
     for k in range(poses.shape[0]):
+        reach = radii[k] + BODY_RADIUS_M
         vx, vy = (poses[k, 0] - robots[k, 0]) / dt, (poses[k, 1] - robots[k, 1]) / dt
         is_touched[k] = False
         for i in range(state.shape[0]):

@@ -34,12 +34,12 @@ class Lidar:
         self,
         config: LidarConfig,
         index: WallIndex,
-        robot_radius_m: float,
+        robot_radius_m: float | Array,
         robots: int,
         seed: int,
         glass: tuple[int, ...] = (),
     ):
-        """glass: numbers of the walls that a beam may pass."""
+        """robot_radius_m: of all robots, or of each (robots,); glass: numbers of the walls that a beam may pass."""
         self._config = config
         self._solid = index.buckets()
         self._glass_m = index.walls_m[:0]
@@ -54,7 +54,8 @@ class Lidar:
         self._deviates = np.empty(words * _QUANTILES_PER_WORD)
         self.noise = StepNoise([random_stream(seed, "lidar", robot) for robot in range(robots)], words, "bits")
         self._fixed = (
-            self._directions, robot_radius_m, config.range_max_m, *_near_wall_buffers(robots, len(index.walls_m)),
+            self._directions, np.full(robots, robot_radius_m, float), config.range_max_m,
+            *_near_wall_buffers(robots, len(index.walls_m)),
             self._deviates, self._quantiles, 0.0 if self._sees_through else config.range_noise_std_m,
         )  # fmt: skip
         self.is_plain = not self._sees_through and not config.dropout_probability
@@ -181,7 +182,7 @@ def _draw_span(low, high, gx, gy, directions, buffer):
 
 @borrowing_kernel
 def sweep(
-    walls, origin, bucket, rows, columns, first, members, poses, directions, radius, range_max, near, near_counts,
+    walls, origin, bucket, rows, columns, first, members, poses, directions, radii, range_max, near, near_counts,
     anchors, projected, stamps, deviates, quantiles, std, words, ranges,
 ):  # fmt: skip
     """Fill ranges (n, beams) by an angular z-buffer: each wall near a robot is drawn into the beams that it covers.
@@ -222,7 +223,7 @@ def sweep(
         for j in range(poses.shape[0]):
             if j != i:
                 wx, wy = poses[j, 0] - x, poses[j, 1] - y
-                _draw_disc(c * wx + s * wy, c * wy - s * wx, radius, directions, range_max, buffer)
+                _draw_disc(c * wx + s * wy, c * wy - s * wx, radii[j], directions, range_max, buffer)
     if std > 0.0:
         _add_noise(ranges, words, quantiles, std, range_max, deviates)
 

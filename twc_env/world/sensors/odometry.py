@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,26 +64,26 @@ PRESETS = {
 class Odometry:
     """The odometers and gyros of all robots for one episode."""
 
-    def __init__(self, config: OdometryConfig, time_step_s: float, robots: int, seed: int):
-        preset, drift = PRESETS[config.platform], config.drift
+    def __init__(self, config: OdometryConfig | Sequence[OdometryConfig], time_step_s: float, robots: int, seed: int):
+        """config: of all robots, or one for each."""
+        own = [config] * robots if isinstance(config, OdometryConfig) else config
+        presets, drift = [PRESETS[each.platform] for each in own], np.array([[each.drift] for each in own])
         self._time_step_s = time_step_s
         streams = [random_stream(seed, "odometry", robot) for robot in range(robots)]
         gyro_streams = [random_stream(seed, "gyro", robot) for robot in range(robots)]
         slip_streams = [random_stream(seed, "slip", robot) for robot in range(robots)]
         draws = np.array([stream.standard_normal(3) for stream in streams])
         gyro = np.array([stream.standard_normal() for stream in gyro_streams])
-        spreads = (preset.scale_std, preset.heading_bias_std_rad_per_m, preset.turn_scale_std)
-        means = (preset.scale_mean, preset.heading_bias_mean_rad_per_m, preset.turn_scale_mean, 0.0)
-        biases = np.column_stack([draws * spreads, gyro * preset.gyro_bias_std_rad_s])  # (robots, 4)
-        self._biases = drift * (biases + means)
-        self._slips_per_m = preset.slips_per_m if drift > 0 else 0.0
-        white = (
-            preset.position_std_m,
-            preset.heading_std_rad,
-            preset.turn_std_rad,
-            preset.slip_share,
-            preset.gyro_std_rad,
-        )
+        spreads = [(each.scale_std, each.heading_bias_std_rad_per_m, each.turn_scale_std) for each in presets]
+        means = [(each.scale_mean, each.heading_bias_mean_rad_per_m, each.turn_scale_mean, 0.0) for each in presets]
+        gyro_spreads = np.array([each.gyro_bias_std_rad_s for each in presets])
+        biases = np.column_stack([draws * np.array(spreads), gyro * gyro_spreads])  # (robots, 4)
+        self._biases = drift * (biases + np.array(means))
+        self._slips_per_m = np.array([each.slips_per_m for each in presets]) * (drift[:, 0] > 0)
+        white = [
+            (each.position_std_m, each.heading_std_rad, each.turn_std_rad, each.slip_share, each.gyro_std_rad)
+            for each in presets
+        ]
         self._white = drift * np.array(white)
         self.noise = StepNoise(streams, 3).beside(gyro_streams, 1).beside(slip_streams, 2, "random")
 
@@ -103,7 +104,8 @@ class Odometry:
 def measure(before, now, biases, white, slips_per_m, time_step, noise, odometry, turn_rates):
     """Fill odometry (n, 3) and turn_rates (n,) from true poses (n, 3) before and now.
 
-    Columns of noise (n, 6): three standard normal for odometry, one for the gyro, and two uniform for slips.
+    Rows of biases (n, 4), white (n, 5) and slips_per_m (n,) are of one robot. Columns of noise (n, 6): three standard
+    normal for odometry, one for the gyro, and two uniform for slips.
     """
     for i in range(now.shape[0]):
         c, s = np.cos(before[i, 2]), np.sin(before[i, 2])
@@ -112,11 +114,11 @@ def measure(before, now, biases, white, slips_per_m, time_step, noise, odometry,
         turn = (now[i, 2] - before[i, 2] + np.pi) % (2.0 * np.pi) - np.pi
         distance = np.sqrt(dx * dx + dy * dy)
         scale = 1.0 + biases[i, 0]
-        if noise[i, 4] < slips_per_m * distance:
-            scale += white[3] * noise[i, 5]
-        position_std = white[0] * np.sqrt(distance)
+        if noise[i, 4] < slips_per_m[i] * distance:
+            scale += white[i, 3] * noise[i, 5]
+        position_std = white[i, 0] * np.sqrt(distance)
         odometry[i, 0] = scale * dx + position_std * noise[i, 0]
         odometry[i, 1] = scale * dy + 0.5 * position_std * noise[i, 1]
-        heading_std = np.sqrt(white[1] * white[1] * distance + white[2] * white[2] * abs(turn))
+        heading_std = np.sqrt(white[i, 1] * white[i, 1] * distance + white[i, 2] * white[i, 2] * abs(turn))
         odometry[i, 2] = turn * (1.0 + biases[i, 2]) + biases[i, 1] * distance + heading_std * noise[i, 2]
-        turn_rates[i] = (turn + white[4] * noise[i, 3]) / time_step + biases[i, 3]
+        turn_rates[i] = (turn + white[i, 4] * noise[i, 3]) / time_step + biases[i, 3]

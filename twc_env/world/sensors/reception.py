@@ -47,7 +47,9 @@ class WifiReceiver:
         self.is_plain = model.is_indoor and not self._is_partial and not config.stale_age_max_s
         """Whether `hear` computes the same as `scan`: no cells, no partial sweeps, no stale readings."""
         device = random_stream(seed, "wifi-device", robot)
-        device_offset_db = config.device_offset_std_db * device.standard_normal() + offset_db
+        device_offset_db = config.device_offset_std_db * device.standard_normal() + (
+            config.device_offset_db + offset_db
+        )
         floors_dbm = model.detection_floors_dbm + config.device_sensitivity_std_db * device.standard_normal()
         self.detection = np.stack([floors_dbm, model.detection_slopes_db, 1.0 - model.miss_probabilities])
         """(3, transmitters) floor [dBm], slope [dB] and maximum of the detection probability."""

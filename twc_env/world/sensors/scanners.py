@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig, LidarConfig
+from twc_env.config import EnvConfig, LidarConfig, robot_configs
 from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of
+from twc_env.records.messages import UNSEEN_M
 from twc_env.records.random_streams import random_stream
 from twc_env.records.scanner import Scanner
 from twc_env.world.building.floorplan import Floorplan
@@ -39,15 +40,29 @@ _NOT_OCCLUDED_M = 1e3
 
 
 class Scanners:
-    """The scanners of all robots in one building for one episode."""
+    """The scanners, of one kind, of all robots or some in one building for one episode."""
 
-    def __init__(self, config: EnvConfig, plan: Floorplan, seed: int, discs: Array | None = None):
-        """plan: in the home frame; discs (k, 3): x, y and radius [m] of what else moves, updated in place."""
-        lidar, robots = config.lidar, config.robots
+    def __init__(
+        self,
+        config: EnvConfig,
+        plan: Floorplan,
+        seed: int,
+        discs: Array | None = None,
+        members: Sequence[int] | None = None,
+    ):
+        """plan: in the home frame; discs (k, 3): x, y and radius [m] of what else moves, updated in place; members: the
+        robots, in order (None: all)."""
+        robots, own = config.robots, robot_configs(config)
+        members = range(robots) if members is None else members
+        self.members = np.array(members, np.int64)
+        """(m,) the robots that have this scanner."""
+        lidar, count = own[members[0]].lidar, len(self.members)
         self._config = lidar
         scanner = lidar.scanner
         self.scanner = scanner or Scanner(0.0, 2 * math.pi / lidar.beam_count, range_max_m=lidar.range_max_m)
         """Geometry of the scans."""
+        self.beams: tuple[int, ...] | None = None
+        """As of `MixedScanners`: all have the same number."""
         step_s = config.dynamics.time_step_s
         self.period_steps = max(1, round(1.0 / (lidar.rate_hz * step_s))) if lidar.rate_hz else 1
         """Time steps from one scan to the next."""
@@ -59,28 +74,29 @@ class Scanners:
         solid, self._panes, self._mirrors = _split(plan, lidar)
         self._walls, walls = solid.buckets(), len(solid.walls_m)
         mount = np.array(self.scanner.mount)
-        reach_m = config.dynamics.speed_max_m_s * self.scanner.sweep_s + 2.0 * math.hypot(*mount[:2]) + 0.05
+        speed_max_m_s = max(own[robot].dynamics.speed_max_m_s for robot in members)
+        reach_m = speed_max_m_s * self.scanner.sweep_s + 2.0 * math.hypot(*mount[:2]) + 0.05
         # A mirror shows walls that the robot itself does not see.
         margin_m = _NOT_OCCLUDED_M if len(self._mirrors) else _LOOK_UP_MARGIN_M + reach_m
-        self._near = np.empty((robots, 4, walls)), np.zeros(robots, np.int64), np.full((robots, 2), np.nan)
+        self._near = np.empty((count, 4, walls)), np.zeros(count, np.int64), np.full((count, 2), np.nan)
         self._room = (
             np.empty((8, walls)), np.empty(walls, np.bool_), np.empty(lidar.beam_count),
             np.empty((4, lidar.beam_count)), np.empty(lidar.beam_count, np.int64),
         )  # fmt: skip
         self._geometry = taus, mount, self.scanner.first_rad, self.scanner.step_rad, lidar.range_max_m, margin_m
-        self._radii = np.concatenate([np.full(robots, config.dynamics.robot_radius_m), self._discs[:, 2]])
-        self._draws = {name: StepNoise(*draw) for name, draw in _draws(lidar, robots, seed)}
+        self._radii = np.concatenate([[each.dynamics.robot_radius_m for each in own], self._discs[:, 2]])
+        self._draws = {name: StepNoise(*draw) for name, draw in _draws(lidar, members, seed)}
         dark = np.random.default_rng([int(plan.digest, 16), zlib.crc32(b"dark")])
         self._dark = lidar.dark_share, dark.random(2), int(dark.integers(2**62))
-        self._none = np.zeros((robots, 0))
+        self._none = np.zeros((count, 0))
         self._run: Callable[..., None] | None = None
         """`_scan` with what does not change."""
-        self._ranges = np.full((robots, lidar.beam_count), lidar.range_max_m)
+        self._ranges = np.full((count, lidar.beam_count), lidar.range_max_m)
 
     def scan(self, step: int, poses: Array) -> tuple[Array, Array | None]:
-        """Latest ranges (robots, beams) [m] and whether each robot completed a scan in this step (None: all did).
+        """Latest ranges (members, beams) [m] and whether each completed a scan in this step (None: all did).
 
-        poses: true ones (robots, 3), in each step once. No return is the maximum range.
+        poses: true ones (robots, 3) of all robots, in each step once. No return is the maximum range.
         """
         paths = self._paths
         now = self._paths[0].copy()
@@ -89,7 +105,7 @@ class Scanners:
         paths[1:] = paths[:-1] if self._is_begun else now
         paths[0], self._is_begun = now, True
         if step % self.period_steps:
-            return self._ranges, np.zeros(len(poses), np.bool_)
+            return self._ranges, np.zeros(len(self.members), np.bool_)
         draws = {name: draw.next() for name, draw in self._draws.items()}
         ranges, none = np.empty_like(self._ranges), self._none
         arguments = paths, *[draws.get(name, none) for name in _NAMES], ranges
@@ -97,13 +113,13 @@ class Scanners:
             self._run = bound(_scan, self._packed(), *arguments)
         self._run(*arguments)
         self._ranges = ranges
-        return ranges, None if self.period_steps == 1 else np.ones(len(poses), np.bool_)
+        return ranges, None if self.period_steps == 1 else np.ones(len(self.members), np.bool_)
 
     def _packed(self) -> Lent:
         """The constant arguments of `_scan`."""
         lidar = self._config
         return Lent((
-            self._walls, self._near, self._geometry, self._room, self._radii, self._panes, self._mirrors,
+            self.members, self._walls, self._near, self._geometry, self._room, self._radii, self._panes, self._mirrors,
             (lidar.glass_return_probability, lidar.glass_incidence_max_rad, lidar.mirror_probability),
             (lidar.detection_range_m, *self._dark),
             (lidar.beam_divergence_rad, lidar.is_full_circle),
@@ -112,6 +128,32 @@ class Scanners:
 
     def __getstate__(self) -> dict:
         return self.__dict__ | {"_run": None}
+
+
+class MixedScanners:
+    """The scanners of a team with scanners of several kinds, each as `Scanners` simulates it."""
+
+    def __init__(self, config: EnvConfig, plan: Floorplan, seed: int, discs: Array | None = None):
+        """As of `Scanners`."""
+        kinds = [own.lidar for own in robot_configs(config)]
+        members = {kind: [robot for robot, own in enumerate(kinds) if own == kind] for kind in kinds}
+        groups = {kind: Scanners(config, plan, seed, discs, members[kind]) for kind in members}
+        self._groups = list(groups.values())
+        self.scanner = tuple(groups[kind].scanner for kind in kinds)
+        """Geometry of each robot's scans ..."""
+        self.beams = tuple(kind.beam_count for kind in kinds)
+        """... and how many beams they have."""
+
+    def scan(self, step: int, poses: Array) -> tuple[Array, Array]:
+        """As `Scanners.scan`, of all robots; rows of fewer beams than the longest end in `UNSEEN_M`."""
+        ranges = np.full((len(self.beams), max(self.beams)), UNSEEN_M)
+        has_scan = np.ones(len(self.beams), np.bool_)
+        for group in self._groups:
+            own, is_new = group.scan(step, poses)
+            ranges[group.members, : own.shape[1]] = own
+            if is_new is not None:
+                has_scan[group.members] = is_new
+        return ranges, has_scan
 
 
 _NAMES = "lidar-glass", "lidar-mirror", "lidar-loss", "lidar-edge", "lidar", "lidar-dropout"
@@ -124,7 +166,7 @@ def needs_scanners(lidar: LidarConfig) -> bool:
     return lidar.scanner is not None or any(getattr(lidar, name) > 0.0 for name in known)
 
 
-def _draws(lidar: LidarConfig, robots: int, seed: int):
+def _draws(lidar: LidarConfig, members: Sequence[int], seed: int):
     """Name, streams, count and kind of the random numbers that this scanner needs for a scan."""
     beams = lidar.beam_count
     needed = {
@@ -137,7 +179,7 @@ def _draws(lidar: LidarConfig, robots: int, seed: int):
     }
     for name, (amount, count, kind) in needed.items():
         if amount > 0.0:
-            yield name, ([random_stream(seed, name, robot) for robot in range(robots)], count, kind)
+            yield name, ([random_stream(seed, name, robot) for robot in members], count, kind)
 
 
 def _split(plan: Floorplan, lidar: LidarConfig) -> tuple[WallIndex, Array, Array]:
@@ -159,9 +201,9 @@ def _split(plan: Floorplan, lidar: LidarConfig) -> tuple[WallIndex, Array, Array
 def _scan(
     apparatus, paths, glass_chance, mirror_chance, loss_chance, edge_chance, deviates, drop_chance, ranges
 ):  # fmt: skip
-    """Fill ranges (robots, beams); random numbers with a row per robot, without columns where an error is off."""
-    index, looked_up, geometry, room, radii, panes, mirrors, shiny, loss, edges, limits = parts_of(apparatus)
-    walls, origin, bucket, rows, columns, first_member, members = index
+    """Fill ranges (members, beams); random numbers with a row per member, without columns where an error is off."""
+    members, index, looked_up, geometry, room, radii, panes, mirrors, shiny, loss, edges, limits = parts_of(apparatus)
+    walls, origin, bucket, rows, columns, first_member, wall_members = index
     near, near_counts, anchors = looked_up
     taus, mount, first, step, range_max, margin = geometry
     scratch, stamps, work, beams, hit = room
@@ -171,13 +213,13 @@ def _scan(
     std, std_per_m, range_min, drop_probability = limits
     count = ranges.shape[1]
     for i in range(ranges.shape[0]):
-        begin, mean_step, spread = place_beams(paths[:, i], taus, mount, first, step, work, beams)
+        begin, mean_step, spread = place_beams(paths[:, members[i]], taus, mount, first, step, work, beams)
         x, y = beams[0, count - 1], beams[1, count - 1]
         if not (x - anchors[i, 0]) ** 2 + (y - anchors[i, 1]) ** 2 < _LOOK_UP_MARGIN_M * _LOOK_UP_MARGIN_M:
             anchors[i, 0], anchors[i, 1] = x, y
             near_counts[i] = gather_near(
-                walls, origin, bucket, rows, columns, first_member, members, x, y, range_max, margin, stamps, scratch,
-                near[i],
+                walls, origin, bucket, rows, columns, first_member, wall_members, x, y, range_max, margin, stamps,
+                scratch, near[i],
             )  # fmt: skip
         reach = 0.0
         for b in range(count):
@@ -185,7 +227,7 @@ def _scan(
             reach = max(reach, math.hypot(beams[0, b] - x, beams[1, b] - y))
         row, centre = ranges[i], beams[:2, count - 1]
         cast(near[i], near_counts[i], beams, centre, begin, mean_step, spread, reach, range_max, row, hit)
-        cast_discs(paths, taus, radii, i, beams, centre, reach, range_max, row, hit)
+        cast_discs(paths, taus, radii, members[i], beams, centre, reach, range_max, row, hit)
         if panes.shape[0] > 0:
             reflect_glass(panes, beams, glass_chance[i], glass_probability, incidence_max, row, hit)
         if mirrors.shape[0] > 0:

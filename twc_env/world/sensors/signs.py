@@ -34,17 +34,7 @@ class SignCamera:
         self._lengths = np.array([len(text) for text in texts], np.int64)
         self._sights = np.empty((len(texts), _SIGHT_COLUMNS))
         self._hidden = np.zeros((len(texts), max(map(len, texts), default=0)), np.bool_)
-        self._constants = np.array(
-            [
-                min(config.range_max_m, config.focal_length_px * config.character_height_m / config.height_min_px),
-                0.5 * config.field_of_view_rad,
-                math.cos(config.incidence_max_rad),
-                config.exposure_s * config.focal_length_px / dynamics.time_step_s,
-                config.focal_length_px * config.character_height_m,
-                dynamics.robot_radius_m,
-                CHARACTER_PITCH * config.character_height_m,
-            ]
-        )
+        self._constants, self._radius_m = optics_of(config, dynamics.time_step_s), dynamics.robot_radius_m
         self._noise = bearing_stream(seed, robot)
         self._reader = make_reader(config, texts, robot, seed)
 
@@ -60,7 +50,7 @@ class SignCamera:
         hiding = robots if self._config.robots_hide and robots is not None else _NO_ROBOTS
         count = look(
             *self._walls, self._signs, self._lengths, self._constants, pose, pose if previous is None else previous,
-            hiding, self._sights, self._hidden,
+            hiding, np.full(len(hiding), self._radius_m), self._sights, self._hidden,
         )  # fmt: skip
         return self.read_sights(self._sights[:count], self._hidden) if count else ((), ())
 
@@ -80,13 +70,27 @@ class SignCamera:
         return tuple(readings), tuple(sources)
 
     @property
-    def arguments(self) -> tuple[Array, Array, Array, bool]:
-        """Arguments of `look` between the walls and the poses, and whether robots occlude; equal for all robots."""
-        return self._signs, self._lengths, self._constants, self._config.robots_hide
+    def seen(self) -> tuple[Array, Array]:
+        """The signs (k, 4) and lengths (k,) of their texts, as `look` takes them; equal for all robots."""
+        return self._signs, self._lengths
 
     def allocate(self, robots: int) -> tuple[Array, Array]:
         """Outputs of `look` for each robot: sights (robots, signs, 6), hidden (robots, signs, characters)."""
         return np.empty((robots, *self._sights.shape)), np.zeros((robots, *self._hidden.shape), np.bool_)
+
+
+def optics_of(config: SignsConfig, time_step_s: float) -> Array:
+    """(6,) what `look` needs to know of a camera."""
+    return np.array(
+        [
+            min(config.range_max_m, config.focal_length_px * config.character_height_m / config.height_min_px),
+            0.5 * config.field_of_view_rad,
+            math.cos(config.incidence_max_rad),
+            config.exposure_s * config.focal_length_px / time_step_s,
+            config.focal_length_px * config.character_height_m,
+            CHARACTER_PITCH * config.character_height_m,
+        ]
+    )
 
 
 def bearing_stream(seed: int, robot: int) -> np.random.Generator:
@@ -96,10 +100,13 @@ def bearing_stream(seed: int, robot: int) -> np.random.Generator:
 
 @borrowing_kernel
 def look(
-    walls, origin, bucket, rows, columns, first, members, signs, lengths, constants, pose, previous, robots, sights,
-    hidden,
+    walls, origin, bucket, rows, columns, first, members, signs, lengths, constants, pose, previous, robots, radii,
+    sights, hidden,
 ):  # fmt: skip
-    """Fill one row of sights (see `SignReader.read`) and hidden for each sign in view; returns their count."""
+    """Fill one row of sights (see `SignReader.read`) and hidden for each sign in view; returns their count.
+
+    robots (k, 3): poses of robots of these radii (k,), which may hide characters.
+    """
     range_max, half_view, cos_incidence = constants[0], constants[1], constants[2]
     x, y, heading, count = pose[0], pose[1], pose[2], 0
     moved_x, moved_y = x - previous[0], y - previous[1]
@@ -124,14 +131,15 @@ def look(
         sights[count, 5] = abs(swing) * constants[3]
         for m in range(lengths[i]):
             hidden[count, m] = False
-        mark_hidden(signs[i], x, y, robots, constants[5], constants[6], hidden[count, : lengths[i]])
+        mark_hidden(signs[i], x, y, robots, radii, constants[5], hidden[count, : lengths[i]])
         count += 1
     return count
 
 
 @borrowing_kernel
-def mark_hidden(sign, x, y, robots, radius, pitch, is_hidden):
-    """Set is_hidden (characters,) for the characters, from left to right, behind a robot other than the observer."""
+def mark_hidden(sign, x, y, robots, radii, pitch, is_hidden):
+    """Set is_hidden (characters,) for the characters, from left to right, behind a robot other than the observer;
+    robots (k, 2 or more): places, of radii (k,)."""
     count = is_hidden.shape[0]
     for m in range(count):
         along = (m + 0.5 - 0.5 * count) * pitch
@@ -140,6 +148,6 @@ def mark_hidden(sign, x, y, robots, radius, pitch, is_hidden):
         for k in range(robots.shape[0]):
             ox, oy = robots[k, 0] - x, robots[k, 1] - y
             share = (ox * dx + oy * dy) / distance2
-            if 0.0 < share < 1.0 and (ox - share * dx) ** 2 + (oy - share * dy) ** 2 < radius * radius:
+            if 0.0 < share < 1.0 and (ox - share * dx) ** 2 + (oy - share * dy) ** 2 < radii[k] * radii[k]:
                 is_hidden[m] = True
                 break
