@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from twc_env.config.checks import Checked, choice, name_sections, number
+from twc_env.config.checks import Checked, choice, later, name_sections, number
 from twc_env.config.people import PeopleConfig
 from twc_env.config.slam import SlamConfig
 from twc_env.config.world import (
@@ -48,6 +48,8 @@ class ObservationConfig(Checked):
     """How long a reading counts as recent."""
     frontier_period_s: float = number(1.0, 0.01, 60.0)
     """Update interval of `frontiers` while no decision depends on it (an update costs a path search)."""
+    gains: bool = later(False)
+    """The unknown area that each of `frontiers` would show; needs that block."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
