@@ -76,11 +76,13 @@ def test_teammates_that_were_never_heard_are_as_if_there_were_none(actor, torch)
 
 def test_the_first_policy_prefers_near_frontiers_that_show_much(actor, torch):
     seen = sample(space_for(3))
-    seen["frontiers"][0, :, 3], seen["gains"][0] = 0.5, 0.5
+    seen["frontiers"][0, :, 3], seen["gains"][0], seen["goals"][0] = 0.5, 0.5, 0.0
     seen["frontiers"][0, 2, 3] = 0.1
     assert actor(seen).argmax().item() == 2
     seen["frontiers"][0, 2, 3], seen["gains"][0, 6] = 0.5, 0.9
     assert actor(seen).argmax().item() == 6
+    seen["goals"][0, 6] = 1.0
+    assert actor(seen).argmax().item() != 6, "it or a teammate has just gone there"
 
 
 def test_the_return_so_far_affects_the_value_of_ppo_but_not_its_policy(torch):
