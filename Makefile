@@ -4,7 +4,7 @@ PY := .venv/bin/python
 INSTALL := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
 PINS := pyproject.toml constraints.txt
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test docs test-bounds test-ray soak check clean
+.PHONY: help setup demo test docs test-bounds test-ray train-torchrl soak check clean
 
 help: ## list the commands
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1 \t/' | expand -t 20
@@ -70,6 +70,9 @@ test-ray: .venv-ray/installed ## RLlib plays a team, Ray plays a benchmark (in .
 	.venv-ray/bin/python -c 'import ray.rllib'
 	.venv-ray/bin/python -m pytest -q -k "rllib or RLlib" tests/vector/test_tools.py tests/docs/test_snippets.py
 	.venv-ray/bin/python -m pytest -q tests/suite/test_ray.py
+
+train-torchrl: .venv/installed-test ## TorchRL trains MAPPO on a task v1 for a few iterations
+	$(PY) training/torchrl_mappo.py --task ExploreQuick-v1 --iterations 3
 
 clean: ## delete caches and runs, keep .venv
 	rm -rf runs build dist .numba_bounds .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -50,6 +50,8 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     Raises ConfigError for an unknown name, and unless `action.kind` is `velocity`.
     """
     if name not in TEAMS and not is_in_file(str(name)):
+        if name == "learned":
+            raise ConfigError("learned chooses among frontiers: play it with benchmark --suite v1 --agents learned")
         known = f"choose one of {', '.join(policy_names())}, or FILE.py:CLASS"
         begun = [team for team in TEAMS if team.startswith(str(name))]
         raise ConfigError(f"unknown agent {name!r}; {known}{did_you_mean(name, begun or TEAMS)}")

@@ -9,18 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from twc_env.agents.policy import make_policy
+from twc_env.agents.policy import begin, make_policy
 
 import twc_env
 from twc_env.config import override
 from twc_env.pictures.video import RecordEpisodes
+from twc_env.records.random_streams import random_stream
 from twc_env.running.command_line import refuse_code
 
-from .model_file import load_policy
-from .ppo import ChoicePolicy
+from .checkpoint import below, load
+from .encoder import USED, Actor
 from .progress import progress_bar
 from .run_folder import Task, model_in, read_settings, task_of
 from .team_notes import TeamNotes
+from .weights import fill
 
 Choose = Callable[[dict, int], dict]
 """Observations and time steps gone by -> actions."""
@@ -114,36 +116,42 @@ def evaluate(
     task = task_of(read_settings(model_path.parent))
     if not allow_code:
         refuse_code(task.config, model_path.parent / "config.json")
-    env = twc_env.parallel_env(config=task.config)
-    model = load_policy(
-        model_path, ChoicePolicy, TeamNotes.space(env.observation_space("robot_0")), env.action_space("robot_0")
-    )
+    actor = load_actor(model_path, _team(task))
     episodes: dict[str, list[Episode]] = {name: [] for name in POLICIES}
     filmed = None
     if films is not None:
         filmed = RecordEpisodes(_team(task, "rgb_array"), films)
     for seed in progress_bar(seeds, unit=" buildings", disable=not show_progress):
-        choosers = {"trained": _trained(model, task.config, seed), "random": _random(seed), "nearest": _nearest}
+        choosers = {"trained": _trained(actor, task.config, seed), "random": _random(seed), "nearest": _nearest}
         for name, choose in choosers.items():
             env = (filmed if name == "trained" else None) or _team(task)
             episodes[name].append(_played(task, seed, env, choose))
-        episodes["nearest-frontier"].append(_scripted(task, seed))
+        episodes["nearest-frontier"].append(scripted(task, "nearest-frontier", seed))
     return Evaluation(tuple(seeds), {name: tuple(values) for name, values in episodes.items()})
 
 
-def chooser_of(model_path: Path, env: twc_env.ExplorationEnv, seed: int) -> Choose:
-    """What a trained model does in an environment that has the actions and observations of its training.
+def load_actor(model_path: Path, env: twc_env.ExplorationEnv) -> Actor:
+    """The policy of a model for the observations of an environment, of any number of robots and candidates.
 
-    Raises DataError for a model that cannot be read or was trained with others.
+    Raises DataError for a model that cannot be read, or was trained with other observations.
     """
+    record, (arrays, _) = read_settings(model_path.parent), load(model_path)
+    space = TeamNotes.space(env.observation_space("robot_0"))
+    actor = Actor(space, int(record["settings"].get("hidden_size", 64)))
+    own = below(arrays, "actor.") or below(arrays, "policy.mlp_extractor.actor.")
+    fill(actor, own, model_path)
+    return actor
+
+
+def chooser_of(model_path: Path, env: twc_env.ExplorationEnv, seed: int) -> Choose:
+    """What a trained model does in an environment; raises DataError as `load_actor`."""
     torch.set_num_threads(1)
-    seen, chosen = TeamNotes.space(env.observation_space("robot_0")), env.action_space("robot_0")
-    return _trained(load_policy(model_path, ChoicePolicy, seen, chosen), env.config, seed)
+    return _trained(load_actor(model_path, env), env.config, seed)
 
 
-def _trained(model: ChoicePolicy, config: twc_env.EnvConfig, seed: int) -> Choose:
+def _trained(actor: Actor, config: twc_env.EnvConfig, seed: int) -> Choose:
     """Samples as in training: two robots that always take their most likely choice may wait for each other forever."""
-    torch.manual_seed(seed)
+    random = random_stream(seed, "choices")
     notes = TeamNotes(1, config.robots, config.max_cycles)
     elapsed_before = 0
 
@@ -152,7 +160,10 @@ def _trained(model: ChoicePolicy, config: twc_env.EnvConfig, seed: int) -> Choos
         rows = {name: np.stack([o[name] for o in seen.values()]) for name in next(iter(seen.values()))}
         notes.note_outcome(elapsed - elapsed_before)
         elapsed_before = elapsed
-        actions = model.predict(notes.beside(rows), deterministic=False)[0]
+        noted = {k: torch.from_numpy(np.asarray(v, np.float32)) for k, v in notes.beside(rows).items() if k in USED}
+        with torch.inference_mode():
+            reached = torch.softmax(actor(noted), 1).cumsum(1).numpy()
+        actions = (random.random((len(reached), 1)) * reached[:, -1:] >= reached).sum(1)
         notes.note_choices(rows, actions)
         return dict(zip(seen, actions.tolist(), strict=True))
 
@@ -173,17 +184,27 @@ def _team(task: Task, render_mode: str | None = None) -> twc_env.ExplorationEnv:
     return twc_env.parallel_env(config=override(task.config, _EVALUATED), render_mode=render_mode)
 
 
-def _scripted(task: Task, seed: int) -> Episode:
-    """The scripted team of `agents` with velocity commands; its advantage is that it decides at every time step."""
-    config = override(task.config, {"action.kind": "velocity", **_EVALUATED})
-    env, policy = twc_env.parallel_env(config=config), make_policy("nearest-frontier", config)
-    policy.reset(seed, env.possible_agents)
-    return _played(task, seed, env, lambda _seen, _: policy.act({agent: env.belief(agent) for agent in env.agents}))
+def scripted(task: Task, team: str, seed: int, split: str = "test") -> Episode:
+    """A scripted team of `agents` with velocity commands; its advantage is that it decides at every time step."""
+    config = override(task.config, {"action.kind": "velocity", "observation.gains": False, **_EVALUATED})
+    env, policy = twc_env.parallel_env(config=config), make_policy(team, config)
+    is_fresh = True
+
+    def act(_seen: dict, _: int) -> dict:
+        nonlocal is_fresh
+        if is_fresh:
+            begin(policy, team, env, seed)
+            is_fresh = False
+        return policy.act({agent: env.belief(agent) for agent in env.agents})
+
+    return _played(task, seed, env, act, split)
 
 
-def _played(task: Task, seed: int, env: RecordEpisodes | twc_env.ExplorationEnv, choose: Choose) -> Episode:
-    observations, _ = env.reset(seed, {"map": task.held_out_map(seed)})
-    reached, total, elapsed = 0.0, 0.0, 0
+def _played(
+    task: Task, seed: int, env: RecordEpisodes | twc_env.ExplorationEnv, choose: Choose, split: str = "test"
+) -> Episode:
+    observations, _ = env.reset(seed, task.held_out(seed, split))
+    reached, total, elapsed, budget = 0.0, 0.0, 0, task.config.max_cycles
     while env.agents:
         observations, _, _, _, infos = env.step(choose(observations, elapsed))
         info = infos["robot_0"]
@@ -191,4 +212,5 @@ def _played(task: Task, seed: int, env: RecordEpisodes | twc_env.ExplorationEnv,
         elapsed += took
         total += took * reached  # what a step gains is known at its end
         reached += info["reward_terms"]["coverage"]
-    return Episode(info["coverage_correct"], total / task.max_cycles, info["merged_robots"], info["wrong_merges"])
+    total += (budget - elapsed) * reached  # an episode that has ended early keeps its last value
+    return Episode(info["coverage_correct"], total / budget, info["merged_robots"], info["wrong_merges"])

@@ -1,17 +1,16 @@
 """Proximal policy optimisation (stable-baselines3): one policy shared by all robots of all teams. Runnable alone.
 
-Each robot chooses between the frontiers of its map, a sign, a teammate, or staying. One small network scores every
-choice from its features, so weights are shared between choices. Masked choices have probability 0.
+Each robot chooses between the frontiers of its map, a sign, a teammate, or staying; `encoder` scores the choices.
+Masked choices have probability 0. Unlike `mappo`, this is the standard algorithm: a busy robot counts as one that
+decides to go on, and the discount counts decisions.
 """
 
 from __future__ import annotations
 
-import csv
-import math
-import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,22 +19,21 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import MultiInputActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.common.vec_env import VecEnv
-from torch import nn
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from torch import Tensor, nn
+from twc_env.training.checkpoint import FILE_NAME, below, load, save
+from twc_env.training.encoder import Actor, Encoder
+from twc_env.training.learning_curve import LearningCurve
+from twc_env.training.run_folder import Task, check_choices, check_same_run, write_settings
+from twc_env.training.team_notes import TeamNotes
+from twc_env.training.weights import arrays_of, arrays_of_adam, fill, fill_adam
 
 from twc_env.errors import DataError, WorkerError
-from twc_env.records.whole_file import whole_file
 from twc_env.running.command_line import alone_in
 from twc_env.vector.sb3 import TeamVecEnv
 
-from .model_file import load_into, save_model
-from .progress import progress_bar
-from .run_folder import Task, read_settings, write_settings
-from .team_notes import NotedTeams
-
-COLUMNS = ("steps", "episodes", "mean_return", "mean_length", "steps_per_s")
-EPISODES_SHOWN = 100
-"""Number of most recent episode rows over which mean return and length are computed."""
+ACTOR = "policy.mlp_extractor.actor."
+"""Prefix of the policy's own weights in a checkpoint."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +42,8 @@ class Settings:
 
     seed: int = 0
     """Seed of the policy's weights, its sampling and the episodes."""
+    steps: int = 181_000
+    """Total decisions of all robots, rounded up to whole updates; a busy robot counts as one per step."""
     environments: int = 8
     """Number of parallel teams."""
     workers: int = 2
@@ -55,109 +55,64 @@ class Settings:
     """Samples per gradient step (stable-baselines3: 64)."""
     epochs: int = 10
     """Passes over each rollout."""
-    learning_rate: float = 1e-3
+    learning_rate: float = 7e-4
     """Initial Adam step size (stable-baselines3: 3e-4), annealed linearly to 0 so that the result does not depend on
     the noise of the last few rollouts (stable-baselines3: constant)."""
     discount: float = 1.0
     """Discount per decision (stable-baselines3: 0.99). Decisions have different durations, so discounting would favour
     long ones, of which fewer are needed to reach the end."""
+    gae_lambda: float = 0.95
+    clip: float = 0.2
     entropy_weight: float = 0.005
     """Entropy bonus, against premature convergence (stable-baselines3: 0)."""
+    hidden_size: int = 64
+    """Width of the networks."""
 
 
-class ChoiceFeatures(BaseFeaturesExtractor):
-    """One row of features per choice, and the state of the robot and its team, as one vector.
-
-    Rows: the features of a frontier and its distance to goals (zeros for the other choices), then the kind of choice.
-    Images are omitted: frontier features summarise the relevant part of the map and train in minutes.
-    """
+class Seen(BaseFeaturesExtractor):
+    """Passes all blocks on, by name."""
 
     def __init__(self, observation_space: spaces.Dict):
-        shapes = {key: tuple(space.shape or ()) for key, space in observation_space.items()}
-        self.choices = math.prod(shapes.pop("action_mask"))
-        self.slots, figures = shapes.pop("frontiers")
-        figures += shapes.pop("goals")[1]
-        shapes.pop("gained")
-        self.row = figures + 1 + self.choices - self.slots
-        self.others = sorted(key for key, shape in shapes.items() if len(shape) < 3)
-        self.context = sum(math.prod(shapes[key]) for key in self.others)
-        super().__init__(observation_space, self.choices * (self.row + 1) + self.context + 1)
-        kinds = torch.zeros(self.choices, self.row - figures)
-        kinds[: self.slots, 0] = 1.0
-        kinds[self.slots :, 1:] = torch.eye(self.choices - self.slots)
-        self.register_buffer("kinds", kinds)
+        super().__init__(observation_space, 1)
 
-    def forward(self, seen: dict[str, torch.Tensor]) -> torch.Tensor:
-        """(batch, choices * row), (batch, choices) mask, (batch, context) and (batch, 1) gain, side by side."""
-        frontiers = torch.cat([seen["frontiers"], seen["goals"]], 2)
-        count = len(frontiers)
-        rows = torch.cat([frontiers, frontiers.new_zeros(count, self.choices - self.slots, frontiers.shape[2])], 1)
-        rows = torch.cat([rows, self.kinds.expand(count, -1, -1)], 2)
-        parts = [rows.reshape(count, -1), seen["action_mask"].reshape(count, -1).float()]
-        for key in self.others:
-            block = seen[key].reshape(count, -1).float()
-            parts.append(torch.sign(block) * torch.log1p(torch.abs(block)))  # compresses metres
-        return torch.cat([*parts, seen["gained"]], 1)
+    def forward(self, seen: dict[str, Tensor]) -> dict[str, Tensor]:
+        """The blocks."""
+        return seen
 
 
-class Look(nn.Module):
-    """Encodes every choice with one network and the robot's situation with another."""
+class ChoiceNetworks(nn.Module):
+    """Logits of the choices, and features of the value, which has its own encoder and also sees the return so far."""
 
-    def __init__(self, features: ChoiceFeatures, width: int):
+    def __init__(self, space: spaces.Dict, width: int):
         super().__init__()
-        self.sizes = [features.choices * features.row, features.choices, features.context, 1]
-        self.row = features.row
-        self.choice = nn.Sequential(nn.Linear(features.row, width), nn.Tanh())
-        self.situation = nn.Sequential(nn.Linear(features.context, width), nn.Tanh())
+        self.latent_dim_pi, self.latent_dim_vf = (space["frontiers"].shape or (0,))[0], width
+        self.actor, self.judge = Actor(space, width), Encoder(space, width)
+        self.worth = nn.Sequential(nn.Linear(width + 1, width), nn.Tanh())
 
-    def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """(batch, choices, width), their maximum over valid choices, the situation, the mask and the return so far."""
-        rows, mask, context, gained = torch.split(features, self.sizes, 1)
-        allowed = mask > 0
-        choices = self.choice(rows.reshape(len(rows), -1, self.row))
-        best = choices.masked_fill(~allowed[..., None], -1.0).amax(1)
-        return choices, best, self.situation(context), allowed, gained
+    def forward(self, seen: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Logits, and the features of the value."""
+        return self.forward_actor(seen), self.forward_critic(seen)
 
+    def forward_actor(self, seen: dict[str, Tensor]) -> Tensor:
+        """(batch, choices) logits."""
+        logits: Tensor = self.actor(seen)
+        return logits
 
-class ChoiceScorer(nn.Module):
-    """Scores every choice with one network, given the maximum over all choices and the robot's situation.
-
-    The value function has its own network, which also receives the team's gain so far and so predicts the remaining
-    return better. The policy does not use it, and it is not needed for inference.
-    """
-
-    def __init__(self, features: ChoiceFeatures, width: int = 64):
-        super().__init__()
-        self.latent_dim_pi, self.latent_dim_vf = features.choices, width
-        self.look, self.judge = Look(features, width), Look(features, width)
-        self.score = nn.Sequential(nn.Linear(3 * width, width), nn.Tanh(), nn.Linear(width, 1))
-        self.worth = nn.Sequential(nn.Linear(2 * width + 1, width), nn.Tanh())
-
-    def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Logits of the choices, and the features of the value."""
-        return self.forward_actor(features), self.forward_critic(features)
-
-    def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """(batch, choices) logits; masked choices have probability 0."""
-        choices, best, situation, allowed, _ = self.look(features)
-        around = torch.cat([best, situation], 1)[:, None].expand(-1, choices.shape[1], -1)
-        logits = self.score(torch.cat([choices, around], 2))[..., 0]
-        return logits.masked_fill(~allowed, -1e9)
-
-    def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
+    def forward_critic(self, seen: dict[str, Tensor]) -> Tensor:
         """(batch, width)."""
-        _, best, situation, _, gained = self.judge(features)
-        return self.worth(torch.cat([best, situation, gained], 1))
+        worth: Tensor = self.worth(torch.cat([self.judge(seen)[1], seen["gained"]], 1))
+        return worth
 
 
 class ChoicePolicy(MultiInputActorCriticPolicy):
-    """The standard actor-critic over `ChoiceScorer`, whose output is the logits."""
+    """The standard actor-critic over `ChoiceNetworks`, whose first output is the logits."""
 
-    def __init__(self, *arguments, **options):
-        super().__init__(*arguments, **{**options, "features_extractor_class": ChoiceFeatures})
+    def __init__(self, *arguments, width: int = 64, **options):
+        self._width = width
+        super().__init__(*arguments, **{**options, "features_extractor_class": Seen})
 
     def _build_mlp_extractor(self) -> None:
-        self.mlp_extractor = ChoiceScorer(self.features_extractor)
+        self.mlp_extractor = ChoiceNetworks(self.observation_space, self._width)
 
     def _build(self, lr_schedule) -> None:
         super()._build(lr_schedule)
@@ -165,68 +120,105 @@ class ChoicePolicy(MultiInputActorCriticPolicy):
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
-def train(
-    task: Task, settings: Settings, steps: int, folder: Path, resume: bool = False, show_progress: bool = True
-) -> Path:
-    """Train until a total of `steps` decisions; returns the path of the saved model.
+class NotedTeams(VecEnvWrapper):
+    """Adds the observations of `TeamNotes`, and rewards the mean over time: what is mapped when a share of the time is
+    left pays that share.
+
+    The time limit is the end of the episode, as the clock is seen and there is no return after it.
+    """
+
+    def __init__(self, teams: TeamVecEnv, max_cycles: int):
+        super().__init__(teams, TeamNotes.space(teams.observation_space))
+        self._teams, self._robots = teams.num_envs // teams.robots, teams.robots
+        self._new_notes = partial(TeamNotes, self._teams, teams.robots, max_cycles)
+
+    def reset(self):
+        """Reset the teams and the added observations."""
+        self.notes, self.seen = self._new_notes(), self.venv.reset()
+        self._earned: list[dict[str, float]] = [{} for _ in range(self._teams)]
+        return self.notes.beside(self.seen)
+
+    def step_async(self, actions):
+        """Send actions to the teams, and record the goals."""
+        self.notes.note_choices(self.seen, actions)
+        self.venv.step_async(actions)
+
+    def step_wait(self):
+        """Results of the teams, without `TimeLimit.truncated`, so that no value is added at the time limit. The first
+        info of a team whose episode has ended has `told`, what it was like."""
+        self.seen, rewards, dones, infos = self.venv.step_wait()
+        took = np.array([info["time_steps"] for info in infos])
+        self.notes.note_outcome(took)
+        paid = rewards * self.notes.time_left()
+        self.notes.note_outcome(0, rewards, dones)
+        for info in infos:
+            info.pop("TimeLimit.truncated", None)
+        for k, earned in enumerate(self._earned):
+            rows = slice(k * self._robots, (k + 1) * self._robots)
+            own = {"score": paid[rows].mean(), "return": rewards[rows].mean(), "steps": took[rows.start]}
+            terms = [info["reward_terms"] for info in infos[rows]]
+            own |= {f"terms/{name}": np.mean([each[name] for each in terms]) for name in terms[0]}
+            for name, value in own.items():
+                earned[name] = earned.get(name, 0.0) + float(value)
+            if dones[rows.start]:
+                ends = "coverage_correct", "merged_robots", "wrong_merges", "team_ate_m"
+                infos[rows.start]["told"] = {**earned, **{name: infos[rows.start][name] for name in ends}}
+                self._earned[k] = {}
+        return self.notes.beside(self.seen), paid.astype(np.float32), dones, infos
+
+
+def train(task: Task, settings: Settings, folder: Path, resume: bool = False, show_progress: bool = True) -> Path:
+    """Train until a total of `settings.steps` decisions; returns the path of the saved model.
 
     `resume` continues from the model in `folder`; task and settings must be the same, except for the workers. Episodes
-    are drawn from the seed and the step count, so a resumed run is reproducible but differs from an uninterrupted one.
-    Raises DataError if there is nothing to resume, if the folder holds a run and `resume` is not given, or if another
-    process trains in it.
+    are drawn from the seed and the step count, so a resumed run is reproducible but differs from an uninterrupted one
+    (that of `mappo` does not). Raises DataError if there is nothing to resume, if the folder holds a run and `resume`
+    is not given, or if another process trains in it.
     """
     torch.set_num_threads(1)
-    action, observation = task.config.action, task.config.observation
-    if task.config.slam.mode == "off":
-        raise DataError("this policy chooses between frontiers, and slam.mode=off has none: remove that setting")
-    if (action.kind, observation.kind) != ("frontier", "dict"):
-        raise DataError("this policy chooses between frontiers: keep action.kind=frontier and observation.kind=dict")
-    if not (observation.pose and observation.team):
-        raise DataError("robots share their goals: keep observation.pose=true and observation.team=true")
-    model_path = folder / "model.zip"
+    config, model_path = check_choices(task), folder / FILE_NAME
     if resume:
-        _check_same_run(folder, task, settings)
+        check_same_run(folder, "ppo", task, settings)
     elif model_path.exists():
         raise DataError(f"{folder} already holds a model; continue with --resume or name another folder with --out")
-    raw = TeamVecEnv(settings.environments, task.config, settings.workers, task.training_maps, settings.seed)
-    teams = NotedTeams(raw, task.max_cycles)
+    raw = TeamVecEnv(settings.environments, config, settings.workers, task.training_maps, settings.seed)
+    teams = NotedTeams(raw, config.max_cycles)
     try:
         with alone_in(folder, patience_s=0.0):
-            model = _new_model(teams, settings, folder)
+            model, told = _new_model(teams, settings), {}
             if resume:
-                load_into(model, model_path)
+                told = load_into(model, model_path)
                 teams.seed(settings.seed + model.num_timesteps)
                 model.set_random_seed(settings.seed + model.num_timesteps)
             else:
                 write_settings(folder, "ppo", task, asdict(settings))
-            if steps > model.num_timesteps:
-                progress = Progress(folder, steps, model.num_timesteps, show_progress)
-                try:
-                    model.learn(steps - model.num_timesteps, progress, tb_log_name="ppo", reset_num_timesteps=False)
-                except WorkerError as error:
-                    remedy = "--resume continues from the last saved model, if any"
-                    raise DataError(f"a worker process has died (out of memory or killed); {remedy}") from error
-                finally:
-                    progress.bar.close()
-                save_model(model, model_path)
+            if settings.steps > model.num_timesteps:
+                with LearningCurve(folder, settings.steps, model.num_timesteps, told, show_progress) as curve:
+                    saving = Saving(curve, model_path)
+                    model.learn(settings.steps - model.num_timesteps, saving, reset_num_timesteps=False)
+                    save_model(model, model_path, curve.values())
+    except WorkerError as error:
+        remedy = "--resume continues from the last saved model, if any"
+        raise DataError(f"a worker process has died (out of memory or killed); {remedy}") from error
     finally:
         teams.close()
     return model_path
 
 
-def _new_model(teams: VecEnv, settings: Settings, folder: Path) -> PPO:
+def _new_model(teams: VecEnv, settings: Settings) -> PPO:
     return PPO(
         ChoicePolicy,
         teams,
         seed=settings.seed,
         n_steps=settings.rollout_steps,
-        batch_size=settings.batch_size,
+        batch_size=min(settings.batch_size, settings.rollout_steps * teams.num_envs),
         n_epochs=settings.epochs,
         learning_rate=partial(falling, settings.learning_rate),
         gamma=settings.discount,
+        gae_lambda=settings.gae_lambda,
+        clip_range=settings.clip,
         ent_coef=settings.entropy_weight,
-        tensorboard_log=str(folder / "tensorboard"),
-        stats_window_size=EPISODES_SHOWN,
+        policy_kwargs={"width": settings.hidden_size},
         device="cpu",
     )
 
@@ -236,68 +228,53 @@ def falling(first: float, left: float) -> float:
     return first * max(left, 0.0)
 
 
-def _check_same_run(folder: Path, task: Task, settings: Settings) -> None:
-    record = read_settings(folder)
-    if not (folder / "model.zip").exists():
-        raise DataError(f"{folder} has no model.zip to resume from; start without --resume")
-    # The number of processes does not change the results.
-    settings = replace(settings, workers=record["settings"].get("workers", settings.workers))
-    asked = {"task": {**asdict(task), "kinds": list(task.kinds)}, "settings": asdict(settings)}
-    changed = [
-        f"{name}={record[part].get(name)!r} instead of {value!r}"
-        for part, values in asked.items()
-        for name, value in values.items()
-        if record[part].get(name) != value
-    ]
-    if changed:
-        raise DataError(f"{folder} was trained with {', '.join(changed)}; use the same settings, or name another --out")
+class Saving(BaseCallback):
+    """After each rollout: note it on the learning curve, and save the model as of the update before."""
 
-
-def _rows_until(decisions: int, path: Path) -> list[list[str]]:
-    """Whole rows of metrics.csv; without later ones, whose model a killed run may lack."""
-    if not path.exists():
-        return []
-    lines = path.read_bytes().decode(errors="replace").split("\n")
-    rows = [row for row in csv.reader(lines[:-1]) if len(row) == len(COLUMNS) and all(map(str.isdecimal, row[:2]))]
-    return [row for row in rows if int(row[0]) <= decisions]
-
-
-class Progress(BaseCallback):
-    """After each rollout: append to metrics.csv, save the model, update the progress bar."""
-
-    def __init__(self, folder: Path, steps: int, taken: int, show: bool):
+    def __init__(self, curve: LearningCurve, path: Path):
         super().__init__()
-        self.folder = folder
-        self.episodes = 0
-        self.bar = progress_bar(total=steps, initial=taken, unit=" decisions", disable=not show)
+        self._curve, self._path = curve, path
+        self._ended: list[dict] = []
 
     def _on_training_start(self) -> None:
-        self.started, self.steps_before = time.perf_counter(), self.num_timesteps
-        self.path = self.folder / "metrics.csv"
-        rows = _rows_until(self.num_timesteps, self.path) if self.num_timesteps > 0 else []
-        self.episodes = int(rows[-1][1]) if rows else 0
-        with whole_file(self.path) as beside, beside.open("w", newline="") as file:
-            csv.writer(file).writerows([COLUMNS, *rows])
+        self._before = self.num_timesteps
 
     def _on_rollout_start(self) -> None:
-        self.logger.dump(self.num_timesteps)  # losses of the last update, at its number of decisions
+        self._began_s, self._from = self._curve.now_s(), self.num_timesteps
 
     def _on_step(self) -> bool:
-        self.bar.update(self.training_env.num_envs)
-        self.episodes += int(np.sum(self.locals["dones"])) // self.training_env.get_attr("robots")[0]
+        self._ended += [info["told"] for info in self.locals["infos"] if "told" in info]
         return True
 
     def _on_rollout_end(self) -> None:
-        episodes = self.model.ep_info_buffer or []
-        mean_return = float(np.mean([episode["r"] for episode in episodes])) if episodes else float("nan")
-        mean_length = float(np.mean([episode["l"] for episode in episodes])) if episodes else float("nan")
-        rate = (self.num_timesteps - self.steps_before) / (time.perf_counter() - self.started)
-        with self.path.open("a", newline="") as file:  # in one write; what a kill leaves of it is dropped on resuming
-            row = (self.num_timesteps, self.episodes, f"{mean_return:.4f}", f"{mean_length:.1f}", f"{rate:.1f}")
-            csv.writer(file).writerow(row)
-        self.bar.set_postfix_str(f"mean return {mean_return:.3f}", refresh=False)
-        if self.num_timesteps > self.steps_before:
-            save_model(self.model, self.folder / "model.zip")
+        new = self.num_timesteps - self._from
+        figures: dict[str, Any] = {k: v for k, v in self.logger.name_to_value.items() if k.startswith("train/")}
+        figures["speed/decisions_per_s"] = new / (self._curve.now_s() - self._began_s)
+        self._curve.note(self.num_timesteps, new, self._ended, figures)
+        self._ended = []
+        if self._from > self._before:
+            save_model(self.model, self._path, self._curve.values())
 
-    def _on_training_end(self) -> None:
-        self.logger.dump(self.num_timesteps)
+
+def save_model(model: PPO, path: Path, told: dict[str, Any]) -> None:
+    """Save whole or not at all."""
+    arrays = {**arrays_of(model.policy, "policy."), **arrays_of_adam(model.policy.optimizer, "optimizer.")}
+    save(path, arrays, {"decisions": model.num_timesteps, "updates": model._n_updates, "curve": told})
+
+
+def load_into(model: PPO, path: Path) -> dict[str, Any]:
+    """Continue a file's training in a new model of the same settings; returns what its learning curve told."""
+    arrays, values = load(path)
+    fill(model.policy, below(arrays, "policy."), path)
+    fill_adam(model.policy.optimizer, below(arrays, "optimizer."), path)
+    model.num_timesteps, model._n_updates = int(values["decisions"]), int(values["updates"])
+    told: dict[str, Any] = values["curve"]
+    return told
+
+
+if __name__ == "__main__":
+    import runpy
+    import sys
+
+    sys.argv[1:1] = ["train", "ppo"]
+    runpy.run_module("twc_env", run_name="__main__")

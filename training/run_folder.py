@@ -3,32 +3,43 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import twc_env
+from twc_env import TASKS, task_config
 from twc_env import config as configuration
-from twc_env.errors import DataError, TwcError
-from twc_env.records.json_values import write_json
+from twc_env.errors import ConfigError, DataError, TwcError, did_you_mean
+from twc_env.records.json_values import table_of, write_json
+
+from .checkpoint import FILE_NAME
 
 HELD_OUT_SEED = 100_000
 """Generated buildings with this seed or a larger one are not used for training."""
-SMALL_VIEW = {
-    "action.kind": "frontier",
-    "action.timing": "asynchronous",
+CHOICES: dict[str, object] = {"action.kind": "frontier", "action.timing": "asynchronous"}
+"""Default actions in training, unless the task has choices of its own."""
+SMALL_VIEW: dict[str, object] = {
     "observation.lidar": False,
     "observation.map": False,
     "observation.overview": False,
     "observation.wifi": False,
-    "reward.period_steps": 20,
+    "observation.gains": True,
+    "observation.frontier_period_s": 60.0,
 }
-"""Default actions and observations in training: frontier candidates, pose, team and recent signs."""
+"""Default observations in training: frontier candidates and what they would show, pose, team and recent signs. The
+candidates of busy robots, which nobody uses, are rarely updated."""
+SMALL_TEAM = {"robots": 2, "max_cycles": 500}
+"""Of tasks without an id."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A training task: exploration of unseen small buildings by a team, or of one map."""
+    """A training task: a registered one, or exploration of unseen small buildings by a team, or of one map."""
 
+    id: str | None = None
+    """A registered task, as in "twc/ExploreQuick-v1", in its training buildings; None: what follows."""
     map: str | None = None
     """A bundled map or map file for training and evaluation; None: generated buildings."""
     kinds: tuple[str, ...] = ("office", "ring", "ward")
@@ -36,17 +47,27 @@ class Task:
     area_m2: float = 250.0
     buildings: int = 300
     """Number of generated buildings for training."""
-    robots: int = 2
-    max_cycles: int = 500
-    """Time steps per episode."""
+    robots: int | None = None
+    """None: as the task says, else 2."""
+    max_cycles: int | None = None
+    """Time steps per episode; None: as the task says, else 500."""
     overrides: dict[str, object] = field(default_factory=dict)
     """Dotted settings of the environment, as in {"lidar.beam_count": 90}."""
 
     @property
     def config(self) -> configuration.EnvConfig:
         """The whole configuration of the environment."""
-        fixed = {"map": self.map or self.names(0, 1)[0], "robots": self.robots, "max_cycles": self.max_cycles}
-        return configuration.override(configuration.EnvConfig(), {**SMALL_VIEW, **self.overrides, **fixed})
+        fixed: dict[str, Any] = {"robots": self.robots, "max_cycles": self.max_cycles}
+        if self.id is None:
+            fixed = {name: SMALL_TEAM[name] if value is None else value for name, value in fixed.items()}
+            fixed["map"] = self.map or self.names(0, 1)[0]
+            base = configuration.EnvConfig()
+            view: dict[str, object] = {**CHOICES, **SMALL_VIEW, "reward.period_steps": 20}
+        else:
+            base = task_config(self.id)
+            view = SMALL_VIEW if base.action.kind == "frontier" else {**CHOICES, **SMALL_VIEW}
+        given = {name: value for name, value in fixed.items() if value is not None}
+        return configuration.override(base, {**view, **self.overrides, **given})
 
     def names(self, first: int, count: int) -> list[str]:
         """Names of `count` generated buildings from seed `first` on, or of the one map."""
@@ -55,13 +76,25 @@ class Task:
         return [f"gen:{self.kinds[k % len(self.kinds)]}:{self.area_m2:g}:{k}" for k in range(first, first + count)]
 
     @property
-    def training_maps(self) -> list[str]:
-        """Maps for training."""
-        return self.names(0, self.buildings)
+    def training_maps(self) -> Sequence[str]:
+        """Maps for training; none if the environment draws them by itself."""
+        return () if self.id is not None else self.names(0, self.buildings)
 
-    def held_out_map(self, number: int) -> str:
-        """One of the maps for evaluation."""
-        return self.names(HELD_OUT_SEED + number, 1)[0]
+    def held_out(self, number: int, split: str = "test") -> dict[str, str]:
+        """Options of `reset` for one of the buildings for evaluation, whose number is also the seed."""
+        if self.id is None:
+            return {"map": self.names(HELD_OUT_SEED + number, 1)[0]}
+        name = task_config(self.id).map
+        family, _, is_set = name.rpartition(":")
+        return {"map": f"{family}:{split}/{number:04d}" if is_set == "train" else name}
+
+
+def task_id(name: str) -> str:
+    """The id of a task named with or without `twc/`. Raises ConfigError for an unknown one."""
+    known = {short: each for each in TASKS for short in (each, each.partition("/")[2])}
+    if name not in known:
+        raise ConfigError(f"unknown task {name!r}; known are {', '.join(TASKS)}{did_you_mean(name, known)}")
+    return known[name]
 
 
 def write_settings(folder: Path, algorithm: str, task: Task, settings: dict) -> None:
@@ -81,7 +114,7 @@ def read_settings(folder: Path) -> dict:
     """Read `config.json`; raises DataError when the folder holds no run or one of another version."""
     path = folder / "config.json"
     try:
-        record = json.loads(path.read_text())
+        record = json.loads(path.read_text(), object_pairs_hook=table_of)
     except FileNotFoundError:
         raise DataError(
             f"{folder.resolve()} holds no training run (no config.json); train first or name its folder"
@@ -107,9 +140,39 @@ def read_settings(folder: Path) -> dict:
     return record
 
 
+def check_choices(task: Task) -> configuration.EnvConfig:
+    """The configuration of a task. Raises DataError if the choice policies cannot play it."""
+    config = task.config
+    action, observation = config.action, config.observation
+    if config.slam.mode == "off":
+        raise DataError("this policy chooses between frontiers, and slam.mode=off has none: remove that setting")
+    if (action.kind, observation.kind) != ("frontier", "dict"):
+        raise DataError("this policy chooses between frontiers: keep action.kind=frontier and observation.kind=dict")
+    if not (observation.pose and observation.team):
+        raise DataError("robots share their goals: keep observation.pose=true and observation.team=true")
+    return config
+
+
+def check_same_run(folder: Path, algorithm: str, task: Task, settings: Any) -> None:
+    """Raise DataError unless `folder` holds a run of this task with these settings that can be resumed."""
+    record = read_settings(folder)
+    if not (folder / FILE_NAME).exists():
+        raise DataError(f"{folder} has no {FILE_NAME} to resume from; start without --resume")
+    told: Mapping[str, Any] = record["settings"]
+    free = {name: told.get(name, getattr(settings, name)) for name in ("workers", "steps")}
+    settings = replace(settings, **free)  # how many processes there are, and when training ends
+    own: dict[str, Any] = {
+        "algorithm": algorithm, **{**asdict(task), "kinds": list(task.kinds)}, **asdict(settings)
+    }  # fmt: skip
+    written = {"algorithm": record.get("algorithm"), **record["task"], **told}
+    changed = [f"{k}={written.get(k)!r} instead of {value!r}" for k, value in own.items() if written.get(k) != value]
+    if changed:
+        raise DataError(f"{folder} was trained with {', '.join(changed)}; use the same settings, or name another --out")
+
+
 def model_in(path: Path) -> Path:
     """The model of a run folder, or the given model file."""
-    return path / "model.zip" if path.is_dir() else path
+    return path / FILE_NAME if path.is_dir() else path
 
 
 def task_of(record: dict) -> Task:

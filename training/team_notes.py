@@ -6,14 +6,9 @@ of one group share their goals, as those of the scripted teams do.
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray as Array
-from stable_baselines3.common.vec_env import VecEnvWrapper
-
-from twc_env.vector.sb3 import TeamVecEnv
 
 HALF_WAY_M = 10.0
 """Observations show a distance d as d / (d + this)."""
@@ -27,17 +22,22 @@ class TeamNotes:
     | block | shape | meaning |
     |---|---|---|
     | `clock` | (1,) | share of time steps remaining |
-    | `gained` | (1,) | return since the start of the episode; used by the value function only |
+    | `gained` | (1,) | return since the start of the episode; used by value functions only |
     | `goals` | (slots, 2) | closeness of each frontier to the robot's last goal, and to the nearest goal of its group |
+
+    All methods take the rows of some teams, whose numbers are `teams`; by default of all.
     """
 
     def __init__(self, teams: int, robots: int, max_cycles: int):
-        self._shape, self._max_cycles = (teams, robots), max_cycles
+        self._robots, self._max_cycles = robots, max_cycles
+        self._all = np.arange(teams)
         self._elapsed = np.zeros(teams * robots)
         self._gained = np.zeros(teams * robots)
         self._goals_m = np.full((teams * robots, 2), np.nan)
         """In the map frame of the robot."""
         self._group_sizes = np.zeros(teams * robots)
+        others = [[mate for mate in range(robots) if mate != robot] for robot in range(robots)]
+        self._others = np.array(others, int).reshape(robots, robots - 1)
 
     @staticmethod
     def space(observed: spaces.Space) -> spaces.Dict:
@@ -53,81 +53,67 @@ class TeamNotes:
             }
         )
 
-    def note_choices(self, seen: dict[str, Array], actions: Array) -> None:
+    def time_left(self, teams: Array | None = None) -> Array:
+        """(rows,) share of the time steps remaining."""
+        return 1.0 - self._elapsed[self._rows(teams)] / self._max_cycles
+
+    def note_choices(self, seen: dict[str, Array], actions: Array, teams: Array | None = None) -> None:
         """Record the new goals of the robots; a robot that can only stay is busy and keeps its goal."""
-        slots = seen["frontiers"].shape[1]
+        rows, slots, actions = self._rows(teams), seen["frontiers"].shape[1], np.asarray(actions)
         chosen = np.flatnonzero(seen["action_mask"].sum(axis=1) > 1)
-        self._goals_m[chosen] = np.nan
-        bound = chosen[np.asarray(actions)[chosen] < slots]
-        offsets_m = places_m(seen["frontiers"][bound, np.asarray(actions)[bound]])
+        self._goals_m[rows[chosen]] = np.nan
+        bound = chosen[actions[chosen] < slots]
+        offsets_m = places_m(seen["frontiers"][bound, actions[bound]])
         pose = seen["pose"][bound].astype(float)
-        self._goals_m[bound] = pose[:, :2] + turned(offsets_m, pose[:, 2], pose[:, 3])
+        self._goals_m[rows[bound]] = pose[:, :2] + turned(offsets_m, pose[:, 2], pose[:, 3])
 
-    def note_outcome(self, time_steps: Array | int, rewards: Array | float = 0.0, ended: Array | bool = False) -> None:
+    def note_outcome(
+        self,
+        time_steps: Array | int,
+        rewards: Array | float = 0.0,
+        ended: Array | bool = False,
+        teams: Array | None = None,
+    ) -> None:
         """Record the duration and rewards of a step; the state of ended episodes is reset."""
-        self._elapsed += time_steps
-        self._gained += rewards
-        self._elapsed[ended] = self._gained[ended] = 0.0
-        self._goals_m[ended] = np.nan
-        self._group_sizes[ended] = 0.0
+        rows = self._rows(teams)
+        self._elapsed[rows] += time_steps
+        self._gained[rows] += rewards
+        over = rows[np.broadcast_to(ended, rows.shape)]
+        self._elapsed[over] = self._gained[over] = 0.0
+        self._goals_m[over] = np.nan
+        self._group_sizes[over] = 0.0
 
-    def beside(self, seen: dict[str, Array]) -> dict[str, Array]:
+    def beside(self, seen: dict[str, Array], teams: Array | None = None) -> dict[str, Array]:
         """The observations with these blocks added."""
-        clock = 1.0 - self._elapsed / self._max_cycles
-        blocks = {"clock": clock[:, None].astype(np.float32), "gained": self._gained[:, None].astype(np.float32)}
-        return {**seen, **blocks, "goals": self._nearness(seen)}
+        rows = self._rows(teams)
+        clock, gained = (each[:, None].astype(np.float32) for each in (self.time_left(teams), self._gained[rows]))
+        return {**seen, "clock": clock, "gained": gained, "goals": self._nearness(seen, rows)}
 
-    def _nearness(self, seen: dict[str, Array]) -> Array:
+    def _rows(self, teams: Array | None) -> Array:
+        teams = self._all if teams is None else teams
+        rows: Array = (np.asarray(teams)[:, None] * self._robots + np.arange(self._robots)).ravel()
+        return rows
+
+    def _nearness(self, seen: dict[str, Array], rows: Array) -> Array:
         """The block `goals`."""
         sizes = seen["team"][:, :, 0].sum(axis=1)
-        self._goals_m[sizes != self._group_sizes] = np.nan  # the map frame has changed
-        self._group_sizes = sizes
-        pose, teams, robots = seen["pose"].astype(float), *self._shape
-        own_m = turned(self._goals_m - pose[:, :2], pose[:, 2], -pose[:, 3])  # in each robot's own frame
+        self._goals_m[rows[sizes != self._group_sizes[rows]]] = np.nan  # the map frame has changed
+        self._group_sizes[rows] = sizes
+        pose = seen["pose"].astype(float)
+        own_m = turned(self._goals_m[rows] - pose[:, :2], pose[:, 2], -pose[:, 3])  # in each robot's own frame
         choices_m = places_m(seen["frontiers"])  # (rows, slots, 2)
         present = seen["frontiers"][:, :, 0] > 0
         nearness = np.zeros((*present.shape, 2), np.float32)
         nearness[:, :, 0] = near(choices_m, own_m[:, None])
-        for robot in range(robots):
-            rows = np.arange(teams) * robots + robot
-            for teammate in (teammate for teammate in range(robots) if teammate != robot):
-                told = seen["team"][rows, teammate if teammate < robot else teammate - 1].astype(float)
-                heading = np.pi * told[:, 3]
-                goals_m = places_m(told) + turned(own_m[rows - robot + teammate], np.cos(heading), np.sin(heading))
-                goals_m[told[:, 0] == 0] = np.nan
-                nearness[rows, :, 1] = np.maximum(nearness[rows, :, 1], near(choices_m[rows], goals_m[:, None]))
+        if self._robots > 1:
+            told = seen["team"].astype(float)  # (rows, robots - 1, 5)
+            of_teammates_m = own_m.reshape(-1, self._robots, 2)[:, self._others].reshape(len(rows), -1, 2)
+            heading = np.pi * told[..., 3]
+            goals_m = places_m(told) + turned(of_teammates_m, np.cos(heading), np.sin(heading))
+            goals_m[told[..., 0] == 0] = np.nan
+            nearness[:, :, 1] = near(choices_m[:, :, None], goals_m[:, None]).max(axis=2)
         nearness[~present] = 0.0
         return nearness
-
-
-class NotedTeams(VecEnvWrapper):
-    """Adds the observations of `TeamNotes`, and treats the time limit as the end of the episode.
-
-    The area mapped by then is the score, so there is no return after it. Without the clock, a choice that takes long
-    would seem to cost nothing.
-    """
-
-    def __init__(self, teams: TeamVecEnv, max_cycles: int):
-        super().__init__(teams, TeamNotes.space(teams.observation_space))
-        self._new_notes = partial(TeamNotes, teams.num_envs // teams.robots, teams.robots, max_cycles)
-
-    def reset(self):
-        """Reset the teams and the added observations."""
-        self.notes, self.seen = self._new_notes(), self.venv.reset()
-        return self.notes.beside(self.seen)
-
-    def step_async(self, actions):
-        """Send actions to the teams, and record the goals."""
-        self.notes.note_choices(self.seen, actions)
-        self.venv.step_async(actions)
-
-    def step_wait(self):
-        """Results of the teams, without `TimeLimit.truncated`, so that no value is added at the time limit."""
-        self.seen, rewards, dones, infos = self.venv.step_wait()
-        self.notes.note_outcome(np.array([info["time_steps"] for info in infos]), rewards, dones)
-        for info in infos:
-            info.pop("TimeLimit.truncated", None)
-        return self.notes.beside(self.seen), rewards, dones, infos
 
 
 def places_m(rows: Array) -> Array:
@@ -139,8 +125,8 @@ def places_m(rows: Array) -> Array:
 
 
 def turned(offsets: Array, cosine: Array, sine: Array) -> Array:
-    """(n, 2) offsets, each turned by its own angle."""
-    x, y = offsets[:, 0], offsets[:, 1]
+    """(..., 2) offsets, each turned by its own angle."""
+    x, y = offsets[..., 0], offsets[..., 1]
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
 
 

@@ -101,7 +101,7 @@ def test_a_run_folder_of_training_executes_no_file_that_it_names_unless_it_may(t
     from twc_env.training.run_folder import Task, write_settings
 
     write_settings(tmp_path, "ppo", Task(overrides={PLACES: trap}), {})
-    (tmp_path / "model.zip").write_bytes(b"")
+    (tmp_path / "model.safetensors").write_bytes(b"")
     assert main(["evaluate", "--model", str(tmp_path), "--seeds", "0"]) == 2
     assert "names code to execute" in capsys.readouterr().err
     assert not is_sprung(tmp_path)

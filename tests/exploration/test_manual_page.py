@@ -13,7 +13,8 @@ from twc_env.exploration.assessment import rewards
 PAGE = twc_env.ExplorationEnv.__doc__
 NUMBERS = {"beams": 180, "n-1": 2, "slots + 3": 11}
 EVERYTHING = {
-    "action.kind": "frontier", "observation.overview": True, "slam.k_visibility.enabled": True
+    "action.kind": "frontier", "observation.overview": True, "observation.gains": True,
+    "slam.k_visibility.enabled": True,
 }  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """A short training run shared by several tests, and its task."""
 
 import os
-from functools import partial
+from dataclasses import replace
 
 import pytest
 
@@ -22,7 +22,11 @@ def task(torch):
     from twc_env.training.run_folder import Task
 
     return Task(
-        area_m2=100.0, buildings=2, max_cycles=80, overrides={"lidar.beam_count": 60, "action.decision_max_s": 2.0}
+        area_m2=100.0,
+        buildings=2,
+        robots=2,
+        max_cycles=80,
+        overrides={"lidar.beam_count": 60, "action.decision_max_s": 2.0},
     )
 
 
@@ -37,26 +41,18 @@ def settings(torch):
 def train(torch):
     from twc_env.training import ppo
 
-    return partial(ppo.train, show_progress=False)
+    def run(task, settings, steps, folder, resume=False):
+        return ppo.train(task, replace(settings, steps=steps), folder, resume, show_progress=False)
+
+    return run
 
 
 @pytest.fixture(scope="session")
-def policy_of(torch):
-    """The policy in a run folder."""
+def weights_of(torch):
+    """The arrays in a run folder."""
+    from twc_env.training.checkpoint import load
 
-    def read(folder):
-        from twc_env.training.model_file import load_policy
-        from twc_env.training.ppo import ChoicePolicy
-        from twc_env.training.run_folder import read_settings, task_of
-        from twc_env.training.team_notes import TeamNotes
-
-        import twc_env
-
-        env = twc_env.parallel_env(config=task_of(read_settings(folder)).config)
-        seen = TeamNotes.space(env.observation_space("robot_0"))
-        return load_policy(folder / "model.zip", ChoicePolicy, seen, env.action_space("robot_0"))
-
-    return read
+    return lambda folder: load(folder / "model.safetensors")[0]
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-from functools import partial
 
 import pytest
 
@@ -15,13 +14,16 @@ from twc_env.__main__ import main
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["evaluate", "--model", "nowhere/model.zip"], "nowhere holds no training run"),
+        (["evaluate", "--model", "nowhere/model.safetensors"], "nowhere holds no training run"),
         (["evaluate", "--seeds", "a-b"], "seeds must be numbers and ranges"),
         (["evaluate", "--seeds", "0-99999999999"], "a range holds at most 100000 seeds; got 0-99999999999"),
         (["evaluate", "--seeds", "3,99999999999999999999"], "--seeds must be 0 to 2147483647"),
         (["train", "ppo", "--steps", "0"], "--steps must be at least 1; got 0"),
         (["train", "ppo", "--set", "lidar.beam_count"], "--set takes KEY=VALUE"),
         (["train", "ppo", "--set", "lidar.beam_cuont=9"], "did you mean 'beam_count'?"),
+        (["train", "mappo", "--task", "ExploreQick-v1"], "did you mean 'ExploreQuick-v1'?"),
+        (["train", "mappo", "--task", "ExploreQuick-v1", "--map", "twin-01"], "leave one of them out"),
+        (["train", "mappo", "--hidden-size", "6"], "--hidden-size must be a multiple of the 4 heads"),
         (["train", "ppo", "--resume"], "holds no training run"),
         (["train", "ppo", "--seed", "-1"], "--seed must be 0 to"),
         (["train", "ppo", "--set", "slam.mode=off"], "slam.mode=off has none: remove that setting"),
@@ -102,25 +104,25 @@ def test_an_interrupted_training_reports_it_on_a_new_line(tmp_path, monkeypatch,
 def test_a_training_ended_from_outside_keeps_its_last_model_and_resumes(end, status, tmp_path, monkeypatch, capsys):
     from twc_env.training import ppo
 
-    monkeypatch.setattr(ppo, "Settings", partial(ppo.Settings, environments=2, rollout_steps=16, batch_size=32))
     rollouts, saved = [], ppo.save_model
 
-    def save(model, path):
-        saved(model, path)
+    def save(model, path, told):
+        saved(model, path, told)
         rollouts.append(model.num_timesteps)
         if len(rollouts) == 2:
             assert signal.getsignal(signal.Signals[end]) is not signal.SIG_DFL
             os.kill(os.getpid(), signal.Signals[end])
 
     monkeypatch.setattr(ppo, "save_model", save)
-    train = ["train", "ppo", "--workers", "0", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path)]
+    sizes = ["--environments", "2", "--rollout-steps", "16", "--batch-size", "32", "--references", "0"]
+    train = ["train", "ppo", "--workers", "0", "--area", "100", "--max-cycles", "60", "--out", str(tmp_path), *sizes]
     assert main([*train, "--steps", "100000"]) == status
     assert capsys.readouterr().err.endswith("interrupted; --resume continues from the last saved model, if any\n")
     assert sorted(path.name for path in tmp_path.iterdir() if path.is_file()) == [
-        "config.json", "metrics.csv", "model.zip",
+        "config.json", "metrics.csv", "model.safetensors",
     ]  # fmt: skip
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     rollouts += [0] * 9
     assert main([*train, "--steps", "192", "--resume"]) == 0
     with (tmp_path / "metrics.csv").open() as file:
-        assert [row.split(",")[0] for row in file] == ["steps", "64", "128", "192"]
+        assert [row.split(",")[0] for row in file] == ["decisions", "64", "128", "192"]

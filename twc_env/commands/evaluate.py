@@ -3,43 +3,103 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from twc_env.commands.train import SEEDS, learning_libraries
 from twc_env.errors import DataError
-from twc_env.records.json_values import write_json
-from twc_env.running.command_line import add_allow_code, parse_seeds
+from twc_env.records.json_values import TERMINAL, check_folder, write_json
+from twc_env.running.command_line import add_allow_code, aligned, count, parse_seeds
+from twc_env.tasks import SUITES
+
+SCRIPTED = ("nearest-frontier", "information-gain", "minpos")
+"""Teams beside which models are evaluated: the reference, and those that lead tasks (docs/leaderboard.md)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Fill the command's parser."""
     parser.description = (
         "Run one episode per held-out building with the trained policy, a random one, the nearest frontier "
-        "and the scripted nearest-frontier team; print means with 95 % confidence intervals."
+        "and the scripted nearest-frontier team; print means with 95 % confidence intervals. With --suite: play models "
+        "in the buildings of their tasks beside the teams of the benchmark, and print how much of the gap between the "
+        "best scripted team and the informed one they close."
     )
-    parser.epilog = "example:\n  twc-env evaluate --model runs/ppo/model.zip --seeds 0-4 --films runs/ppo/films"
+    parser.epilog = (
+        "examples:\n  twc-env evaluate --model runs/ppo --seeds 0-4 --films runs/ppo/films\n"
+        "  twc-env evaluate --suite v1 --model runs/quick --buildings 20 --json runs/quick/test.json"
+    )
     parser.add_argument(
         "--model",
         metavar="MODEL",
+        nargs="+",
         type=Path,
-        default=Path("runs/ppo/model.zip"),
-        help="a run folder, or a model file next to its config.json",
+        default=[Path("runs/ppo")],
+        help="a run folder, or a model file next to its config.json; several with --suite (default: runs/ppo)",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all episodes and the means")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all episodes and the means, or the rows")
     parser.add_argument("--seeds", default="0-19", help="seeds of held-out buildings, e.g. 0-4 or 1,5,7")
     parser.add_argument("--films", type=Path, metavar="FOLDER", help="write a GIF of the trained team in each building")
+    group = parser.add_argument_group("with --suite")
+    group.add_argument("--suite", choices=SUITES, help="play the tasks of this suite")
+    group.add_argument("--tasks", nargs="+", metavar="TASK", help="these (default: the one that each model learnt)")
+    group.add_argument(
+        "--agents",
+        nargs="+",
+        metavar="AGENT",
+        default=list(SCRIPTED),
+        help=f"scripted teams to beat (default: {', '.join(SCRIPTED)})",
+    )
+    group.add_argument("--split", choices=("train", "validation", "test"), default="test", help="buildings")
+    group.add_argument("--buildings", type=count, default=10, help="per task, from the start of the split")
+    group.add_argument("--jobs", type=count, default=1, help="worker processes")
+    group.add_argument("--out", type=Path, default=Path("runs/evaluation"), metavar="FOLDER", help="finished episodes")
     add_allow_code(parser)
     parser.set_defaults(run=_evaluate)
 
 
 def _evaluate(options: argparse.Namespace) -> int:
+    if options.suite:
+        return _evaluate_suite(options)
     with learning_libraries():
         from twc_env.training.evaluate import evaluate
 
     seeds = parse_seeds(options.seeds)
     if max(seeds) >= SEEDS:
         raise DataError(f"--seeds must be 0 to {SEEDS - 1}; got {max(seeds)}")
-    found = evaluate(options.model, seeds, films=options.films, allow_code=options.allow_code)
+    if len(options.model) > 1:
+        raise DataError(f"--model {options.model[1]}: several models need --suite v1; name one")
+    found = evaluate(options.model[0], seeds, films=options.films, allow_code=options.allow_code)
     print(found.table)
     write_json(options.json, found.as_json())
+    return 0
+
+
+def _evaluate_suite(options: argparse.Namespace) -> int:
+    with learning_libraries():
+        from twc_env.training.run_folder import model_in, read_settings, task_of
+    from twc_env.suite.entries import REFERENCES, Entry, entries, suite_tasks
+    from twc_env.suite.gaps import rows_of_models
+    from twc_env.suite.runs import play_all
+
+    check_folder(options.out)
+    models = [str(path) for path in options.model]
+    played: dict[str, list[str]] = {}
+    for model in models:
+        own = task_of(read_settings(model_in(Path(model)).parent)).id
+        if options.tasks is None and own not in SUITES[options.suite]:
+            raise DataError(f"{model} was not trained on a task of suite {options.suite}: name tasks with --tasks")
+        for task in suite_tasks(options.suite, options.tasks or [own]):
+            played.setdefault(task, []).append(model)
+    planned: list[Entry] = []
+    for task, own_models in played.items():
+        teams = dict.fromkeys((*own_models, *options.agents, *REFERENCES))
+        planned += entries([task], tuple(teams), options.split, options.buildings)
+    values = play_all(planned, options.out / "episodes", options.jobs, None, lambda text: print(text, file=sys.stderr))
+    rows = rows_of_models(models, planned, values)
+    write_json(options.json, rows)
+    if options.json != TERMINAL:
+        print(aligned([{key: value for key, value in row.items() if key != "mean_coverage"} for row in rows]))
+        for row in rows:
+            areas = ", ".join(f"{team} {area:.3f}" for team, area in row["mean_coverage"].items())
+            print(f"{row['task']}: mean coverage: {areas}")
     return 0

@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import fields
+from typing import Any
 
 from twc_env.errors import DataError
 from twc_env.records.json_values import check_folder
-from twc_env.running.command_line import add_folder, add_set, assignments, natural
+from twc_env.running.command_line import add_folder, add_set, assignments, count, natural, number
 
 SEEDS = 2**31
 """Seeds are below this: torch and numpy accept no larger ones, and resuming adds the number of steps."""
+FIRST_HOUR = """\
+The first hour:
+  pip install 'twc_env[train,viz]'
+  twc-env train mappo --task ExploreQuick-v1 --steps 30000 --out runs/quick    # ten minutes on two cores
+  tensorboard --logdir runs/quick/tensorboard      # meanwhile: return, coverage, wrong merges, ATE, reward terms
+  open runs/quick/curve.png                        # then: the curve, with lines for three scripted teams
+  twc-env evaluate --suite v1 --model runs/quick --buildings 10 --json runs/quick/test.json    # on test buildings
+  twc-env train mappo --task ExploreQuick-v1 --steps 30000 --out runs/quick --resume   # after an interruption
+docs/learning.md has the rest.
+"""
 
 
 @contextmanager
@@ -20,7 +33,7 @@ def learning_libraries() -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] not in ("torch", "stable_baselines3", "tqdm"):
+        if (error.name or "").split(".")[0] not in ("torch", "stable_baselines3", "tqdm", "safetensors"):
             raise
         raise DataError(f"training needs {error.name}; install it with: pip install 'twc_env[train]'") from None
 
@@ -30,61 +43,115 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Train an exploration policy shared by all robots of a team. Each algorithm has its own --help."
     )
-    parser.epilog = "example:\n  twc-env train ppo --steps 60000 --out runs/ppo"
+    parser.epilog = FIRST_HOUR
     algorithms = parser.add_subparsers(required=True, metavar="ALGORITHM")
-    ppo = algorithms.add_parser(
-        "ppo",
-        help="train with proximal policy optimisation",
-        description="Train one shared policy with PPO, in small generated buildings or on one map. Writes config.json, "
-        "model.zip, metrics.csv and tensorboard/ to the run folder. The model is saved after each policy update, so an "
-        "interrupted run continues with --resume. A new run needs a new folder.",
-        epilog="examples:\n  twc-env train ppo --steps 60000 --out runs/ppo\n"
-        "  twc-env train ppo --steps 120000 --out runs/ppo --resume\n"
-        "  twc-env train ppo --map twin-01 --robots 3 --set odometry.drift=2 --out runs/twin",
+    _add_algorithm(
+        algorithms, "mappo", 60_000, "train with multi-agent PPO (torch)",
+        "Decisions of different length are discounted by their time, and a centralised critic sees the true state, in "
+        "training only. A run that was killed at any moment continues with --resume as if nothing had happened.",
+    )  # fmt: skip
+    _add_algorithm(
+        algorithms, "ppo", 181_000, "train with the standard PPO of stable-baselines3",
+        "A busy robot counts as one that decides to continue.",
+    )  # fmt: skip
+
+
+def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: str) -> None:
+    parser = algorithms.add_parser(
+        name,
+        help=summary,
+        description=f"{summary.capitalize()}: one shared policy, for a registered task, small generated buildings or "
+        f"one map. {more} Writes config.json, model.safetensors, metrics.csv, tensorboard/ and curve.png to the run "
+        "folder; the model is saved after each update. A new run needs a new folder.",
+        epilog=f"examples:\n  twc-env train {name} --task ExploreQuick-v1 --out runs/quick\n"
+        f"  twc-env train {name} --task ExploreQuick-v1 --out runs/quick --resume\n"
+        f"  twc-env train {name} --map twin-01 --robots 3 --set odometry.drift=2 --out runs/twin",
     )
-    ppo.add_argument("--map", help="bundled name, generated name or file, instead of small generated buildings")
-    ppo.add_argument("--area", type=float, default=250.0, help="floor area of the generated buildings [m2]")
-    ppo.add_argument("--robots", type=int, default=2, help="robots per team")
-    ppo.add_argument(
-        "--steps",
-        type=int,
-        default=181_000,
-        help="total decisions of all robots, rounded up to whole policy updates; a busy robot counts as one per step",
+    task = parser.add_argument_group("task")
+    task.add_argument("--task", help="a registered task, such as ExploreQuick-v1, in its training buildings")
+    task.add_argument("--map", help="bundled name, generated name or file, instead of small generated buildings")
+    task.add_argument("--area", type=float, default=250.0, help="floor area of the generated buildings [m2]")
+    task.add_argument("--robots", type=count, help="robots per team (default: as the task says, else 2)")
+    task.add_argument("--max-cycles", type=count, help="time steps per episode (default: as the task says, else 500)")
+    add_set(task)
+    parser.add_argument(
+        "--steps", type=int, default=steps, help="total decisions of all robots, rounded up (default: %(default)s)"
     )
-    ppo.add_argument("--max-cycles", type=int, default=500, help="time steps per episode")
-    ppo.add_argument(
+    parser.add_argument(
         "--workers",
         type=natural,
         default=2,
         help="worker processes (default: %(default)s; 0: none, run in this process)",
     )
-    ppo.add_argument("--seed", type=int, default=0, help="of network, buildings and episodes")
-    add_set(ppo)
-    add_folder(ppo, "--out", "runs/ppo", "run folder")
-    ppo.add_argument("--resume", action="store_true", help="continue from the model in the run folder")
-    ppo.set_defaults(
-        run=_train_ppo, when_interrupted="interrupted; --resume continues from the last saved model, if any"
+    parser.add_argument("--seed", type=int, default=0, help="of network, buildings and episodes")
+    tuned = parser.add_argument_group("hyperparameters", "defaults and their reasons: Settings of training/*.py")
+    tuned.add_argument("--learning-rate", type=number(0.0, 1.0), metavar="RATE", help="initial step size of Adam")
+    tuned.add_argument("--clip", type=number(0.0, 10.0), help="clip range of the probability ratio")
+    tuned.add_argument(
+        "--discount", type=number(0.0, 1.0), metavar="GAMMA", help="mappo: per second; ppo: per decision"
+    )
+    tuned.add_argument("--gae-lambda", type=number(0.0, 1.0), metavar="LAMBDA", help="of the advantages, per decision")
+    tuned.add_argument("--entropy-weight", type=number(-10.0, 10.0), metavar="WEIGHT", help="bonus for entropy")
+    tuned.add_argument("--epochs", type=count, help="passes over each rollout")
+    tuned.add_argument("--environments", type=count, help="teams that play at once")
+    tuned.add_argument("--rollout-steps", type=count, metavar="STEPS", help="of each environment between two updates")
+    tuned.add_argument("--hidden-size", type=count, metavar="WIDTH", help="of the networks, a multiple of 4")
+    if name == "mappo":
+        tuned.add_argument("--minibatches", type=count, help="gradient steps per pass")
+    else:
+        tuned.add_argument("--batch-size", type=count, help="samples per gradient step")
+    parser.add_argument(
+        "--references",
+        type=natural,
+        default=4,
+        metavar="BUILDINGS",
+        help="validation buildings in which scripted teams are played for curve.png (default: %(default)s; 0: none)",
+    )
+    add_folder(parser, "--out", f"runs/{name}", "run folder")
+    parser.add_argument("--resume", action="store_true", help="continue from the model in the run folder")
+    parser.set_defaults(
+        run=_train, algorithm=name, when_interrupted="interrupted; --resume continues from the last saved model, if any"
     )
 
 
-def _train_ppo(options: argparse.Namespace) -> int:
+def _train(options: argparse.Namespace) -> int:
     with learning_libraries():
-        from twc_env.training import ppo
-        from twc_env.training.run_folder import Task
+        from twc_env.training.run_folder import Task, task_id
+
+        if options.algorithm == "mappo":
+            from twc_env.training import mappo as algorithm
+        else:
+            from twc_env.training import ppo as algorithm
 
     if options.steps < 1:
         raise DataError(f"--steps must be at least 1; got {options.steps}")
     if not 0 <= options.seed < SEEDS:
         raise DataError(f"--seed must be 0 to {SEEDS - 1}; got {options.seed}")
+    if options.hidden_size is not None and options.hidden_size % 4:
+        raise DataError(f"--hidden-size must be a multiple of the 4 heads of the attention; got {options.hidden_size}")
+    if options.task is not None and options.map is not None:
+        raise DataError(f"--map {options.map}: the task {options.task} has its own buildings; leave one of them out")
     check_folder(options.out)
     task = Task(
+        None if options.task is None else task_id(options.task),
         options.map,
         area_m2=options.area,
         robots=options.robots,
         max_cycles=options.max_cycles,
         overrides=assignments(options.set),
     )
-    settings = ppo.Settings(seed=options.seed, workers=options.workers)
-    model_path = ppo.train(task, settings, options.steps, options.out, options.resume)
+    given = {field.name: getattr(options, field.name, None) for field in fields(algorithm.Settings)}
+    settings = algorithm.Settings(**{name: value for name, value in given.items() if value is not None})
+    model_path = algorithm.train(task, settings, options.out, options.resume)
     print(f"model: {model_path}   learning curve: {options.out / 'metrics.csv'} and {options.out / 'tensorboard'}")
+    if options.references:
+        from twc_env.training.curve_picture import draw_curve
+        from twc_env.training.references import references
+
+        means = references(task, options.out, options.references)
+        title = f"{options.algorithm}, {task.id or task.map or 'small generated buildings'}"
+        if path := draw_curve(options.out, means, title):
+            print(f"picture: {path}")
+        else:
+            print("no picture: it needs pip install 'twc_env[viz]', and an episode that has ended", file=sys.stderr)
     return 0

@@ -53,6 +53,8 @@ class ObservationConfig(Checked):
     equal_shapes: bool = later(False)
     """In a team whose scanners have different numbers of beams, fill each `lidar` block with 0, which no scanner
     measures, up to the longest, so that agents may share a network; false: each agent has a space of its own."""
+    gains: bool = later(False)
+    """The unknown area that each of `frontiers` would show; needs that block."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

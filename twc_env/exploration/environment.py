@@ -89,6 +89,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `frontiers` | (8, 6) | [-1, 1] | candidates, nearest first: present, bearing / pi, d / (d + 10 m), |
     | | | | path cost l / (l + 10 m) in metres of open floor (more beside walls), size s / (s + 5 m), |
     | | | | whether some teammate's distance is less than l |
+    | `gains` | (8,) | [0, 1] | with `observation.gains`: unknown area a that a scan from each of `frontiers` would |
+    | | | | show, if no wall is where none is known, as a / (a + 10 m2) |
     | `action_mask` | (11,) int8 | 0, 1 | valid choices (only with `action.kind = "frontier"`) |
     | `radio` | (2, 64, 64) uint8 | 0, 255 | with `slam.k_visibility.enabled`: probably free, probably wall, estimated |
     | | | | from signal strength alone; egocentric like `map` |

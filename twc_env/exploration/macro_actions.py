@@ -41,6 +41,7 @@ class CandidateSearch:
         self._radii_m = [own.dynamics.robot_radius_m for own in robot_configs(config)]
         self._period = max(1, round(config.observation.frontier_period_s / config.dynamics.time_step_s))
         self._finder = finder or PathFinder()
+        self._range_m = config.lidar.range_max_m if config.observation.gains else 0.0
         self._looked = [(-self._period, (-1, -1))] * config.robots
         """Step, and the robot's map then (`map_id`)."""
         self.candidates: list[Candidates] = [NOTHING] * config.robots
@@ -63,7 +64,7 @@ class CandidateSearch:
                 self._looked[robot] = step, map_id(belief)
                 terrain = terrain_of(known, belief, self._radii_m[robot])
                 slots = self._config.action.frontier_slots
-                self.candidates[robot] = find_candidates(belief, terrain, self._finder, slots)
+                self.candidates[robot] = find_candidates(belief, terrain, self._finder, slots, self._range_m)
 
 
 class MacroActions:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
+from twc_env.planning.views import ViewGain
 from twc_env.records.geometry import between
 from twc_env.records.messages import Belief
 
@@ -17,6 +18,8 @@ CELLS_MIN = 3
 """Minimum frontier size [cells]; smaller ones are noise."""
 SIGN_AWAY_M = 2.0
 """Minimum distance of a sign that is a goal."""
+HALF_GAIN_M2 = 10.0
+"""Areas a are shown as a / (a + this)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,13 +38,20 @@ class Candidates:
     """(2,) nearest known sign at least `SIGN_AWAY_M` away."""
     teammate_m: Array | None
     """(2,) nearest robot in the same map."""
+    gains_m2: Array
+    """(k,) unknown area that a scan from there would show (`ViewGain`); 0 if it was not asked for."""
 
 
-NOTHING = Candidates(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, bool), None, None)
+NOTHING = Candidates(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, bool), None, None, np.zeros(0))
 
 
-def find_candidates(belief: Belief, terrain: Terrain, finder: PathFinder, count_max: int) -> Candidates:
-    """At most `count_max` reachable frontiers, the nearest sign and the nearest teammate."""
+def find_candidates(
+    belief: Belief, terrain: Terrain, finder: PathFinder, count_max: int, range_m: float = 0.0
+) -> Candidates:
+    """At most `count_max` reachable frontiers, the nearest sign and the nearest teammate.
+
+    range_m: of the scanner, to compute `gains_m2`; 0: do not.
+    """
     here = belief.pose_map_robot
     if not finder.spread(terrain, here[:2]):
         return NOTHING
@@ -58,6 +68,7 @@ def find_candidates(belief: Belief, terrain: Terrain, finder: PathFinder, count_
         (away_m < lengths_m[chosen][:, None]).any(axis=1),
         _nearest([s.position_m for s in belief.signs], here, SIGN_AWAY_M),
         _nearest([pose[:2] for pose in belief.teammates.values()], here, 0.0),
+        ViewGain(terrain, range_m).area_m2(places_m[chosen]) if range_m > 0.0 else np.zeros(len(chosen)),
     )
 
 
@@ -65,6 +76,13 @@ def _nearest(places_m: list[Array], here: Array, away_m: float) -> Array | None:
     far = [(math.dist(place, here[:2]), k) for k, place in enumerate(places_m)]
     far = [pair for pair in far if pair[0] >= away_m]
     return np.asarray(places_m[min(far)[1]], float) if far else None
+
+
+def gains_of(candidates: Candidates, count_max: int) -> Array:
+    """(count_max,) float32 in [0, 1]: unknown area a that each frontier would show, as a / (a + 10 m2); then zeros."""
+    shares = np.zeros(count_max, np.float32)
+    shares[: len(candidates.gains_m2)] = candidates.gains_m2 / (candidates.gains_m2 + HALF_GAIN_M2)
+    return shares
 
 
 def features_of(candidates: Candidates, pose_map_robot: Array, count_max: int) -> Array:

@@ -1,4 +1,4 @@
-"""A checksum at the end of zip archives (.npz, model.zip), so that no changed byte of one is read as if it were right.
+"""A checksum at the end of zip archives (.npz), so that no changed byte of one is read as if it were right.
 
 The archive's comment, which other programs ignore, is the SHA-256 of all bytes before it.
 """

@@ -14,32 +14,36 @@ from twc_env.exploration.environment import ExplorationEnv
 from twc_env.suite.entries import Entry
 
 
-def model_bytes(team: str) -> bytes:
+def model_bytes(entry: Entry) -> bytes:
     """Content of the model file of a team. Raises DataError if it cannot be read."""
-    path = Path(team) / "model.zip" if Path(team).is_dir() else Path(team)
+    path = _model_path(entry)
     try:
         return path.read_bytes()
     except OSError as error:
         raise DataError(
-            f"cannot read the model {path}: {error.strerror}; name a run folder or its model.zip"
+            f"cannot read the model {path}: {error.strerror}; name the folder of a run or its model.safetensors"
         ) from error
+
+
+def _model_path(entry: Entry) -> Path:
+    with learning_libraries():
+        from twc_env.training.run_folder import model_in
+        from twc_env.training.shipped import LEARNED, shipped
+
+    path: Path = model_in(shipped(entry.task) if entry.team == LEARNED else Path(entry.team))
+    return path
 
 
 def model_for(entry: Entry) -> tuple[Path, EnvConfig]:
     """The model file of the team, and the settings of the task with the actions and observations of its training.
 
-    Raises DataError for a model that does not fit the task, such as one for another number of robots.
+    Raises DataError for a model that cannot be read.
     """
     with learning_libraries():
-        from twc_env.training.run_folder import model_in, read_settings, task_of
+        from twc_env.training.run_folder import read_settings, task_of
 
-    path = model_in(Path(entry.team))
+    path = _model_path(entry)
     trained = task_of(read_settings(path.parent)).config
-    if trained.robots != entry.config.robots:
-        raise DataError(
-            f"{entry.team} was trained for teams of {trained.robots} robots, and {entry.task} has "
-            f"{entry.config.robots}: choose tasks it fits with --tasks, or train it with --robots {entry.config.robots}"
-        )
     view = {"action": asdict(trained.action), "observation": asdict(trained.observation)}
     return path, override(entry.config, view)
 

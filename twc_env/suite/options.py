@@ -38,7 +38,7 @@ def add_suite_options(parser: argparse.ArgumentParser) -> None:
         "--agents",
         nargs="+",
         metavar="AGENT",
-        help="teams: names, FILE.py:CLASS, or a trained model (a run folder or its model.zip) (default: all scripted)",
+        help="teams: names, FILE.py:CLASS, run folders or files of trained models, learned (default: all scripted)",
     )
     group.add_argument("--split", choices=_SPLITS, default="test", help="buildings; use validation for tuning")
     group.add_argument("--buildings", type=count, default=10, help="buildings per task, from the start of the split")

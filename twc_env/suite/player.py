@@ -19,8 +19,12 @@ Acts = Callable[[dict[str, Any]], dict[str, Any] | None]
 
 
 def is_model(team: str) -> bool:
-    """Whether a team is a trained model: a model file, or the folder of a training run."""
-    return team.endswith(".zip") or (not is_in_file(team) and (Path(team) / "config.json").is_file())
+    """Whether a team is a trained model: a model file, the folder of a training run, or the shipped one (`learned`)."""
+    return (
+        team == "learned"
+        or team.endswith(".safetensors")
+        or (not is_in_file(team) and (Path(team) / "config.json").is_file())
+    )
 
 
 def digest_of_team(entry: Entry) -> str:
@@ -31,7 +35,7 @@ def digest_of_team(entry: Entry) -> str:
     if is_model(entry.team):
         from twc_env.suite.models import model_bytes, model_for
 
-        content = model_bytes(entry.team)
+        content = model_bytes(entry)
         model_for(entry)
         return f"{hashlib.sha256(content).hexdigest()[:12]} {code_digest('twc_env.training')}"
     from twc_env.agents import make_policy

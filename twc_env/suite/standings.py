@@ -133,6 +133,16 @@ class _Episodes:
         return {name: np.round(values, 6).tolist() for name, values in found.items()}
 
 
+def budget_areas(played: Sequence[tuple[Entry, dict[str, Any]]]) -> dict[str, Array]:
+    """Of the episodes of one task: team -> (buildings,) area under its curve, in the order of the entries."""
+    grouped: dict[str, list[dict[str, Any]]] = {}
+    for entry, value in played:
+        grouped.setdefault(entry.team, []).append(value)
+    config = played[0][0].config
+    budget_s = config.max_cycles * config.dynamics.time_step_s
+    return {team: _Episodes(values, budget_s).areas for team, values in grouped.items()}
+
+
 def standings_of(entries: Sequence[Entry], values: Sequence[dict[str, Any]]) -> Standings:
     """The standings from all episodes of a benchmark, in the order of their entries."""
     tasks, teams = (tuple(dict.fromkeys(getattr(e, name) for e in entries)) for name in ("task", "team"))

@@ -22,6 +22,8 @@ class EnvironmentGroup:
     def __init__(self, ids: Sequence[int], arrays: SharedArrays, config: dict, buildings: tuple[str, ...]):
         self._arrays, self._buildings = arrays, buildings
         self._envs = {k: ExplorationEnv(config=config) for k in ids}
+        self._writes_states = any(env.config.action.kind != "velocity" for env in self._envs.values())
+        """Whether each step writes the state; with velocities, which last one time step, only `STATE` does."""
         self._seeds = dict.fromkeys(ids, 0)
         self._commands: deque[tuple[int, int, int]] = deque()
 
@@ -67,6 +69,7 @@ class EnvironmentGroup:
             self._begin(k)
         else:
             write_observations(arrays.observations, k, observations)
+            self._write_state(k)
         return list(infos.values())
 
     def _named(self, observation: Any) -> Any:
@@ -78,6 +81,11 @@ class EnvironmentGroup:
         names, seed = self._buildings, self._seeds[k]
         options = {"map": names[seed % len(names)]} if names else None
         write_observations(self._arrays.observations, k, self._envs[k].reset(seed, options)[0])
+        self._write_state(k)
+
+    def _write_state(self, k: int) -> None:
+        if self._writes_states:
+            self._arrays.states[k] = self._envs[k].state()
 
     def close(self) -> None:
         """Close the environments."""

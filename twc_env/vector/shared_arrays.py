@@ -33,6 +33,7 @@ class SharedArrays:
             ((robots,), np.float32),
             ((robots, len(rewards.TERMS)), np.float64),
             (state.shape or (), state.dtype),
+            (state.shape or (), state.dtype),
             ((), bool),
         ]
         self._shapes = [((count, *shape), np.dtype(dtype)) for shape, dtype in rows]
@@ -49,7 +50,7 @@ class SharedArrays:
         self.observations = dict(zip(self._blocks, views[:blocks], strict=True))
         self.final_observations = dict(zip(self._blocks, views[blocks : 2 * blocks], strict=True))
         """Last observations of the episode that ended last."""
-        self.actions, self.rewards, self.reward_terms, self.states, self.ended = views[2 * blocks :]
+        self.actions, self.rewards, self.reward_terms, self.states, self.final_states, self.ended = views[2 * blocks :]
 
     def __getstate__(self) -> dict:
         return {"_blocks": self._blocks, "_shapes": self._shapes, "_raw": self._raw}

@@ -282,7 +282,8 @@ class VectorTeams:
         For centralised critics; it holds ground truth. Raises ActionError for ids as `send` does.
         """
         wanted = self._idle(self._all if ids is None else ids)
-        self._execute(STATE, wanted)
+        if self.config.action.kind == "velocity":
+            self._execute(STATE, wanted)
         return self._arrays.states[wanted]
 
     def __enter__(self) -> VectorTeams:

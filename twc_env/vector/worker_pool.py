@@ -102,7 +102,7 @@ class WorkerPool:
         if isinstance(message, _Raised):
             raise message.error from RuntimeError(message.trace)
         if not isinstance(message, TwcError) and message and arrays.ended[k]:
-            state = arrays.states[k].copy()
+            state = arrays.final_states[k].copy()
             for robot, info in enumerate(message):
                 blocks = {name: block[k, robot].copy() for name, block in arrays.final_observations.items()}
                 info["final_observation"], info["final_state"] = blocks.get(FLAT, blocks), state
@@ -196,7 +196,7 @@ def _share(infos: Infos, k: int, arrays: SharedArrays) -> Infos | None:
             arrays.reward_terms[k] = [list(info["reward_terms"].values()) for info in infos]
         return None
     if arrays.ended[k] and "final_state" in infos[0]:
-        arrays.states[k] = infos[0]["final_state"]
+        arrays.final_states[k] = infos[0]["final_state"]
         finals = {str(robot): info.pop("final_observation") for robot, info in enumerate(infos)}
         write_observations(arrays.final_observations, k, finals)
         for info in infos:

@@ -39,10 +39,13 @@ def block_spaces(config: EnvConfig, robot: int = 0) -> dict[str, spaces.Space]:
         "signs": spaces.Box(-1.0, 1.0, (shape.sign_slots, 5), np.float32),
         "team": spaces.Box(-1.0, 1.0, (teammates, 5), np.float32),
         "frontiers": spaces.Box(-1.0, 1.0, (slots, 6), np.float32),
+        "gains": spaces.Box(0.0, 1.0, (slots,), np.float32),
     }
     wanted = {
         name: space for name, space in blocks.items() if getattr(shape, name) or (chooses and name == "frontiers")
     }
+    if "frontiers" not in wanted:
+        wanted.pop("gains", None)
     if config.slam.k_visibility.enabled:
         wanted["radio"] = spaces.Box(0, 255, (2, shape.map_cells, shape.map_cells), np.uint8)
     if chooses:

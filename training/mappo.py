@@ -1,0 +1,480 @@
+"""Multi-agent PPO for decisions of different length: one policy for all robots, one critic that sees the truth.
+
+Runnable alone: `python training/mappo.py --task ExploreQuick-v1`, or `twc-env train mappo`.
+
+MAPPO is PPO (Schulman et al. 2017) with a shared policy and a centralised value function, which sees the true state in
+training only (Yu et al. 2022, "The surprising effectiveness of PPO in cooperative multi-agent games"). Robots decide
+asynchronously: each has its own sequence of decisions, a decision earns what its robot is rewarded with until its next
+one, and the discount counts time, not decisions (semi-Markov, Sutton, Precup and Singh 1999).
+
+What is maximised is the mean over time of the mapped floor, which is the score of the benchmark: floor that is mapped
+when a share `clock` of the time is left counts `clock` times.
+
+Everything random comes from streams named by seed and update, and each environment gets the same number of steps per
+update. So the result depends neither on the number of processes nor on whether the run was killed and resumed.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray as Array
+from torch import Tensor, nn
+from twc_env.training.checkpoint import FILE_NAME, below, load, save
+from twc_env.training.encoder import USED, Actor, Encoder
+from twc_env.training.learning_curve import LearningCurve
+from twc_env.training.run_folder import Task, check_choices, check_same_run, write_settings
+from twc_env.training.team_notes import TeamNotes
+from twc_env.training.weights import arrays_of, arrays_of_adam, fill, fill_adam
+
+from twc_env.errors import DataError, WorkerError
+from twc_env.records.random_streams import random_stream
+from twc_env.running.command_line import alone_in
+from twc_env.vector.teams import VectorTeams
+
+STATE_FIGURES = 8
+"""Per robot, for the critic."""
+HALF_WAY_M = 10.0
+"""Distances d of the state are shown as d / (d + this)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Hyperparameters."""
+
+    seed: int = 0
+    """Seed of the weights, of sampling and of the episodes."""
+    steps: int = 60_000
+    """Total decisions, rounded up to whole updates; a busy robot decides nothing."""
+    environments: int = 16
+    """Teams that play at once."""
+    workers: int = 2
+    """Processes that share the environments; results do not depend on them."""
+    rollout_steps: int = 32
+    """Steps of each environment between two updates; in each, one robot or more decide."""
+    learning_rate: float = 1e-3
+    """Initial step size of Adam, annealed linearly to 0, so that the result does not depend on the last rollouts."""
+    discount: float = 0.995
+    """Per second, as decisions differ in length."""
+    gae_lambda: float = 0.95
+    """Per decision (generalised advantage estimation, Schulman et al. 2016)."""
+    clip: float = 0.2
+    """Greatest change of a probability ratio that is rewarded."""
+    entropy_weight: float = 0.002
+    """Bonus for uncertain choices, against premature convergence."""
+    epochs: int = 5
+    """Passes over each rollout."""
+    minibatches: int = 4
+    """Gradient steps per pass."""
+    hidden_size: int = 64
+    """Width of the networks."""
+    gradient_max: float = 0.5
+    """Norm to which gradients are clipped."""
+
+
+class Critic(nn.Module):
+    """Expected rest of the return of a robot that decides: from what it sees, the floor that is mapped correctly, and
+    where all robots truly are."""
+
+    def __init__(self, space: spaces.Dict, width: int):
+        super().__init__()
+        self.encoder = Encoder(space, width)
+        self.robot = nn.Sequential(nn.Linear(STATE_FIGURES, width), nn.ReLU(), nn.Linear(width, width))
+        self.worth = nn.Sequential(nn.Linear(3 * width + 1, width), nn.Tanh(), nn.Linear(width, 1))
+
+    def forward(self, seen: dict[str, Tensor]) -> Tensor:
+        """(batch,) values; besides the blocks of the policy, `gained` (batch, 1) and `state` (batch, robots, 8)."""
+        robots = self.robot(seen["state"])
+        parts = [self.encoder(seen)[1], robots.mean(1), robots.amax(1), seen["gained"]]
+        return self.worth(torch.cat(parts, 1))[:, 0]
+
+
+def state_of(state: Array, robot: Array) -> Array:
+    """(n, robots, 8) of all robots as seen from the one that decides: true offset ahead and left, both as d / (d + 10
+    m) with their sign, turn (cosine, sine), the same offset as estimated, 1 for the robot itself, and distance.
+
+    state: (n, 6 robots) as from `ExplorationEnv.state`; robot: (n,).
+    """
+    poses = state.reshape(len(state), -1, 6).astype(float)
+    own = poses[np.arange(len(robot)), robot][:, None]  # (n, 1, 6)
+    figures = np.zeros((*poses.shape[:2], STATE_FIGURES), np.float32)
+    for true, at in ((0, 0), (3, 4)):
+        dx, dy = (poses[..., true + k] - own[..., true + k] for k in (0, 1))
+        c, s = np.cos(own[..., true + 2]), np.sin(own[..., true + 2])
+        for k, offset in enumerate((c * dx + s * dy, c * dy - s * dx)):
+            figures[..., at + k] = offset / (np.abs(offset) + HALF_WAY_M)
+    turn = poses[..., 2] - own[..., 2]
+    figures[..., 2], figures[..., 3] = np.cos(turn), np.sin(turn)
+    figures[np.arange(len(robot)), robot, 6] = 1.0
+    away = np.hypot(poses[..., 0] - own[..., 0], poses[..., 1] - own[..., 1])
+    figures[..., 7] = away / (away + HALF_WAY_M)
+    return figures
+
+
+@dataclass(slots=True)
+class Decision:
+    """One choice of one robot, and what came of it until its next one."""
+
+    seen: dict[str, Array]
+    """Blocks of `USED`, `gained`, and `state`: the true one."""
+    robot: int
+    action: int
+    log_chance: float
+    """Logarithm of the probability with which it was chosen."""
+    reward: float = 0.0
+    """Discounted to the moment of the decision."""
+    time_steps: int = 0
+    is_last: bool = False
+    """Whether the episode ended before the next one."""
+
+
+class Rollouts:
+    """Plays the environments, and cuts what happens into the decisions of each robot."""
+
+    def __init__(self, task: Task, settings: Settings):
+        config = task.config
+        self._settings = settings
+        self._teams = VectorTeams(settings.environments, config, settings.workers, task.training_maps)
+        self.space = TeamNotes.space(self._teams.observation_space)
+        self._used = [name for name in (*USED, "gained") if name in self.space.spaces]
+        self._count, self._robots = settings.environments, self._teams.robots
+        self._discount = settings.discount**config.dynamics.time_step_s
+        self._notes = TeamNotes(self._count, self._robots, config.max_cycles)
+        self._seen: dict[str, Array] = {}
+        """Block -> (environments * robots, ...): what each robot sees now."""
+        self._seeds = np.arange(self._count) + 1_000_003 * settings.seed
+        """Of the present episodes."""
+        self._played: list[list[list[int]]] = [[] for _ in range(self._count)]
+        """Per environment the actions since its episode began: with its seed, they are a snapshot that is no code."""
+        self._open: list[list[Decision | None]] = [[None] * self._robots for _ in range(self._count)]
+        """Decisions that still last."""
+        self._earned = [dict.fromkeys(("score", "return", "steps"), 0.0) for _ in range(self._count)]
+        self.waited_s = self.inferred_s = 0.0
+        """Time spent with the environments and with the policy."""
+
+    def begin(self) -> None:
+        """Begin new episodes."""
+        seen = self._teams.reset(self._seeds.tolist())
+        everyone = np.arange(self._count)
+        self._see(self._notes.beside(self._flat(seen), everyone), everyone, first=True)
+
+    def collect(
+        self, policy: Callable[[dict[str, Array]], Array], update: int
+    ) -> tuple[list[list[Decision]], list[dict]]:
+        """`rollout_steps` steps of each environment: the decisions that ended meanwhile, one list per robot, and what
+        the episodes that ended were like."""
+        settings = self._settings
+        chance = random_stream(settings.seed, "sampling", update)
+        uniform = chance.random((settings.rollout_steps, self._count, self._robots))
+        closed: list[list[list[Decision]]] = [[[] for _ in range(self._robots)] for _ in range(self._count)]
+        episodes: list[tuple[int, int, dict]] = []
+        steps, ready, in_flight = np.zeros(self._count, int), np.arange(self._count), 0
+        while len(ready := ready[steps[ready] < settings.rollout_steps]) or in_flight:
+            if len(ready):
+                began = time.perf_counter()
+                actions = self._decide(policy, ready, uniform[steps[ready], ready], closed)
+                self.inferred_s += time.perf_counter() - began
+                self._teams.send(actions, ready)
+                in_flight += len(ready)
+            began = time.perf_counter()
+            wanted = max(1, in_flight // 2) if settings.workers > 1 else in_flight
+            ready, seen, rewards, ended, infos = self._teams.recv(wanted)
+            self.waited_s += time.perf_counter() - began
+            in_flight -= len(ready)
+            for k, each in zip(ready.tolist(), self._take(ready, seen, rewards, ended, infos, closed), strict=True):
+                if each is not None:
+                    episodes.append((int(steps[k]), k, each))
+                steps[k] += 1
+        episodes.sort(key=lambda one: one[:2])  # not by who came first
+        return [own for robots in closed for own in robots], [each for _, _, each in episodes]
+
+    def lasting(self) -> list[Decision | None]:
+        """The decision that still lasts of each robot, in the order of `collect`."""
+        return [each for robots in self._open for each in robots]
+
+    def _decide(self, policy: Callable, ready: Array, uniform: Array, closed: list) -> Array:
+        """Actions (len(ready), robots) for the environments `ready`; new decisions are opened."""
+        everything = policy(self._seen)  # of the same size at each call, so that results do not depend on who is ready
+        logits = everything.reshape(self._count, self._robots, -1)[ready]
+        mask = self._rows_of("action_mask", ready) > 0
+        deciding = mask.sum(-1) > 1
+        chances = np.where(mask, np.exp(logits - logits.max(-1, keepdims=True)), 0.0)
+        chances /= chances.sum(-1, keepdims=True)
+        reached = np.cumsum(chances, -1)
+        chosen = (uniform[..., None] * reached[..., -1:] >= reached).sum(-1)
+        actions = np.where(deciding, chosen, mask.shape[-1] - 1)
+        states = self._teams.states(ready)
+        for i, robot in zip(*(each.tolist() for each in np.nonzero(deciding)), strict=True):
+            k = int(ready[i])
+            if (before := self._open[k][robot]) is not None:
+                closed[k][robot].append(before)
+            row = k * self._robots + robot
+            seen = {name: self._seen[name][row].copy() for name in self._used}
+            seen["state"] = states[i].copy()
+            action = int(actions[i, robot])
+            self._open[k][robot] = Decision(seen, robot, action, float(np.log(chances[i, robot, action])))
+        for i, k in enumerate(ready.tolist()):
+            self._played[k].append(actions[i].tolist())
+        rows = {name: self._rows_of(name, ready).reshape(-1, *block.shape[1:]) for name, block in self._seen.items()}
+        self._notes.note_choices(rows, actions.ravel(), ready)
+        return actions
+
+    def _take(self, ids: Array, seen: dict, rewards: Array, ended: Array, infos: list, closed: list | None) -> list:
+        """Process a step of the environments `ids`; returns what each episode that ended was like, else None."""
+        took = np.array([info[0]["time_steps"] for info in infos])
+        self._notes.note_outcome(np.repeat(took, self._robots), 0.0, False, ids)
+        left = self._notes.time_left(ids).reshape(len(ids), -1)
+        told: list[dict[str, Any] | None] = []
+        for i, k in enumerate(ids.tolist()):
+            earned, paid = self._earned[k], (rewards[i] * left[i]).tolist()
+            earned["score"] += float(np.mean(paid))
+            earned["return"] += float(np.mean(rewards[i]))
+            earned["steps"] += int(took[i])
+            for name, value in infos[i][0]["reward_terms"].items():
+                mean = float(np.mean([info["reward_terms"][name] for info in infos[i]]))
+                earned[f"terms/{name}"] = earned.get(f"terms/{name}", 0.0) + (mean if value is not None else 0.0)
+            for robot, each in enumerate(self._open[k]):
+                if each is not None:
+                    each.reward += self._discount**each.time_steps * paid[robot]
+                    each.time_steps += int(took[i])
+            told.append(None)
+            if ended[i]:
+                told[-1] = {**earned, **{name: infos[i][0][name] for name in
+                            ("coverage_correct", "merged_robots", "wrong_merges", "team_ate_m")}}  # fmt: skip
+                self._end(k, closed)
+        self._notes.note_outcome(0, rewards.ravel(), np.repeat(ended, self._robots), ids)
+        self._see(self._notes.beside(self._flat(seen), ids), ids)
+        return told
+
+    def _end(self, k: int, closed: list | None) -> None:
+        """The episode of environment k is over: so are its decisions."""
+        for robot, each in enumerate(self._open[k]):
+            if each is not None and closed is not None:
+                each.is_last = True
+                closed[k][robot].append(each)
+        self._open[k] = [None] * self._robots
+        self._played[k], self._seeds[k] = [], self._seeds[k] + self._count
+        self._earned[k] = dict.fromkeys(("score", "return", "steps"), 0.0)
+
+    def _flat(self, blocks: dict[str, Array]) -> dict[str, Array]:
+        return {name: block.reshape(-1, *block.shape[2:]) for name, block in blocks.items()}
+
+    def _rows_of(self, name: str, ids: Array) -> Array:
+        block = self._seen[name]
+        rows: Array = block.reshape(self._count, self._robots, *block.shape[1:])[ids]
+        return rows
+
+    def _see(self, rows: dict[str, Array], ids: Array, first: bool = False) -> None:
+        """Remember what the robots of these environments see."""
+        for name, block in rows.items():
+            if first:
+                self._seen[name] = np.zeros((self._count * self._robots, *block.shape[1:]), block.dtype)
+            whole = self._seen[name].reshape(self._count, self._robots, *block.shape[1:])
+            whole[ids] = block.reshape(len(ids), self._robots, *block.shape[1:])
+
+    def snapshot(self) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Arrays and values from which `restore` plays on exactly: seeds and actions of the present episodes, and the
+        decisions that last."""
+        arrays: dict[str, Array] = {"seeds": self._seeds.copy()}
+        told = []
+        for k in range(self._count):
+            arrays[f"actions.{k}"] = np.array(self._played[k], np.int64).reshape(-1, self._robots)
+            for robot, each in enumerate(self._open[k]):
+                if each is not None:
+                    arrays |= {f"open.{k}.{robot}.{name}": block for name, block in each.seen.items()}
+                    told.append([k, robot, each.action, each.log_chance, each.reward, each.time_steps])
+        return arrays, {"open": told}
+
+    def restore(self, arrays: dict[str, Array], told: dict[str, Any]) -> None:
+        """Play the present episodes again up to where they were; an environment does the same for the same actions."""
+        self._seeds = arrays["seeds"].copy()
+        self.begin()
+        played = [arrays[f"actions.{k}"] for k in range(self._count)]
+        step = 0
+        while len(ids := np.array([k for k in range(self._count) if step < len(played[k])], int)):
+            actions = np.stack([played[k][step] for k in ids])
+            rows = {name: self._rows_of(name, ids).reshape(-1, *b.shape[1:]) for name, b in self._seen.items()}
+            self._notes.note_choices(rows, actions.ravel(), ids)
+            self._teams.send(actions, ids)
+            came, seen, rewards, ended, infos = self._teams.recv(len(ids))
+            self._take(came, seen, rewards, ended, infos, None)
+            for k in ids.tolist():
+                self._played[k].append(played[k][step].tolist())
+            step += 1
+        for k, robot, action, log_chance, reward, time_steps in told["open"]:
+            seen = below(arrays, f"open.{k}.{robot}.")
+            self._open[k][robot] = Decision(seen, robot, action, log_chance, reward, time_steps)
+
+    def close(self) -> None:
+        """End the worker processes."""
+        self._teams.close()
+
+
+class Learner:
+    """The networks and their optimiser."""
+
+    def __init__(self, space: spaces.Dict, settings: Settings, time_step_s: float):
+        self._settings, self._space = settings, space
+        self._discount = settings.discount**time_step_s
+        with torch.random.fork_rng():
+            torch.manual_seed(settings.seed)
+            self.actor, self.critic = (kind(space, settings.hidden_size) for kind in (Actor, Critic))
+        parameters = [*self.actor.parameters(), *self.critic.parameters()]
+        self.optimizer = torch.optim.Adam(parameters, lr=settings.learning_rate, eps=1e-5)
+
+    def logits(self, seen: dict[str, Array]) -> Array:
+        """(batch, choices) of the policy."""
+        with torch.inference_mode():
+            found: Array = self.actor(tensors_of({k: seen[k] for k in USED if k in seen})).numpy()
+        return found
+
+    def learn(self, sequences: list[list[Decision]], lasting: list[Decision | None], update: int, left: float) -> dict:
+        """One update from the decisions that ended. lasting: the next one of each sequence; left: share of the
+        training that is left. Returns figures of it."""
+        settings = self._settings
+        done = [each for own in sequences for each in own]
+        ahead = [each for each in lasting if each is not None]
+        if not done:
+            return {}
+        seen, next_seen = batch_of(done), batch_of(ahead) if ahead else None
+        with torch.no_grad():
+            values = self.critic(seen).numpy()
+            after = iter([] if next_seen is None else self.critic(next_seen).tolist())
+        advantages = self._advantages(sequences, values, [None if each is None else next(after) for each in lasting])
+        actions = torch.tensor([each.action for each in done])
+        old = torch.tensor([each.log_chance for each in done])
+        gains, returns = torch.tensor(advantages, dtype=torch.float32), torch.tensor(advantages + values).float()
+        for group in self.optimizer.param_groups:
+            group["lr"] = settings.learning_rate * left
+        order = random_stream(settings.seed, "minibatches", update)
+        figures: dict[str, list[float]] = {"policy_loss": [], "value_loss": [], "entropy": [], "clipped_share": []}
+        for _ in range(settings.epochs):
+            for part in np.array_split(order.permutation(len(done)), min(settings.minibatches, len(done))):
+                own = {name: block[part] for name, block in seen.items()}
+                chances = torch.log_softmax(self.actor(own), 1)
+                ratio = torch.exp(chances.gather(1, actions[part][:, None])[:, 0] - old[part])
+                gain = gains[part]
+                gain = (gain - gain.mean()) / (gain.std(correction=0) + 1e-8)
+                limited = ratio.clamp(1.0 - settings.clip, 1.0 + settings.clip)
+                policy_loss = -torch.minimum(ratio * gain, limited * gain).mean()
+                entropy = -(chances.exp() * chances.clamp(min=-50.0)).sum(1).mean()
+                value_loss = (self.critic(own) - returns[part]).square().mean()
+                self.optimizer.zero_grad()
+                (policy_loss - settings.entropy_weight * entropy + value_loss).backward()
+                for network in (self.actor, self.critic):
+                    nn.utils.clip_grad_norm_(network.parameters(), settings.gradient_max)
+                self.optimizer.step()
+                clipped = (ratio - limited).abs().gt(0).float().mean()
+                for name, value in zip(figures, (policy_loss, value_loss, entropy, clipped), strict=True):
+                    figures[name].append(float(value.detach()))
+        spread = float(np.var(advantages + values))
+        told = {f"train/{name}": float(np.mean(each)) for name, each in figures.items()}
+        explained = 1.0 - float(np.var(advantages)) / spread if spread > 0.0 else 0.0
+        return {**told, "train/explained_variance": explained, "train/learning_rate": settings.learning_rate * left}
+
+    def _advantages(self, sequences: list[list[Decision]], values: Array, next_values: list[float | None]) -> Array:
+        """Generalised advantages of all decisions, in order; a decision is discounted by its duration."""
+        advantages, end = np.zeros(len(values)), len(values)
+        for own, next_value in zip(reversed(sequences), reversed(next_values), strict=True):
+            advantage, value = 0.0, next_value or 0.0
+            for at, each in zip(range(end - 1, end - 1 - len(own), -1), reversed(own), strict=True):
+                discount = 0.0 if each.is_last else self._discount**each.time_steps
+                surprise = each.reward + discount * value - float(values[at])
+                advantage = surprise + discount * self._settings.gae_lambda * advantage
+                advantages[at], value = advantage, float(values[at])
+            end -= len(own)
+        return advantages
+
+    def arrays(self) -> dict[str, Array]:
+        """Weights and moments."""
+        return {
+            **arrays_of(self.actor, "actor."), **arrays_of(self.critic, "critic."),
+            **arrays_of_adam(self.optimizer, "optimizer."),
+        }  # fmt: skip
+
+    def fill(self, arrays: dict[str, Array], path: Path) -> None:
+        """Set what `arrays` gave."""
+        fill(self.actor, below(arrays, "actor."), path)
+        fill(self.critic, below(arrays, "critic."), path)
+        fill_adam(self.optimizer, below(arrays, "optimizer."), path)
+
+
+def tensors_of(seen: dict[str, Array]) -> dict[str, Tensor]:
+    """Blocks as tensors of single precision."""
+    return {name: torch.from_numpy(np.ascontiguousarray(block, np.float32)) for name, block in seen.items()}
+
+
+def batch_of(decisions: list[Decision]) -> dict[str, Tensor]:
+    """What was seen at some decisions, one row each."""
+    rows = {name: np.stack([each.seen[name] for each in decisions]) for name in decisions[0].seen}
+    rows["state"] = state_of(rows["state"], np.array([each.robot for each in decisions]))
+    return tensors_of(rows)
+
+
+def train(task: Task, settings: Settings, folder: Path, resume: bool = False, show_progress: bool = True) -> Path:
+    """Train for `settings.steps` decisions; returns the path of the checkpoint, which is written after each update.
+
+    `resume` continues from the checkpoint in `folder`, with the result of a run that was never interrupted. Raises
+    DataError if there is nothing to resume, if the folder holds a run and `resume` is not given, or if another process
+    trains in it.
+    """
+    torch.set_num_threads(1)  # the networks are small, and the environments need the cores
+    config, path = check_choices(task), folder / FILE_NAME
+    if resume:
+        check_same_run(folder, "mappo", task, settings)
+    elif path.exists():
+        raise DataError(f"{folder} already holds a model; continue with --resume or name another folder with --out")
+    rollouts = Rollouts(task, settings)
+    try:
+        with alone_in(folder, patience_s=0.0):
+            learner = Learner(rollouts.space, settings, config.dynamics.time_step_s)
+            update = decisions = 0
+            curve_values: dict[str, Any] = {}
+            if resume:
+                arrays, told = load(path)
+                learner.fill(arrays, path)
+                rollouts.restore(below(arrays, "rollouts."), told)
+                update, decisions, curve_values = told["update"], told["decisions"], told["curve"]
+            else:
+                write_settings(folder, "mappo", task, asdict(settings))
+                rollouts.begin()
+            with LearningCurve(folder, settings.steps, decisions, curve_values, show_progress) as curve:
+                while decisions < settings.steps:
+                    began, waited_s, inferred_s = time.perf_counter(), rollouts.waited_s, rollouts.inferred_s
+                    sequences, episodes = rollouts.collect(learner.logits, update)
+                    learnt = time.perf_counter()
+                    figures = learner.learn(sequences, rollouts.lasting(), update, 1.0 - decisions / settings.steps)
+                    ended = time.perf_counter()
+                    update, count = update + 1, sum(len(own) for own in sequences)
+                    decisions += count
+                    shares = {
+                        "speed/decisions_per_s": count / (ended - began),
+                        "speed/environments_share": (rollouts.waited_s - waited_s) / (ended - began),
+                        "speed/inference_share": (rollouts.inferred_s - inferred_s) / (ended - began),
+                        "speed/update_share": (ended - learnt) / (ended - began),
+                    }
+                    curve.note(decisions, count, episodes, {**figures, **shares})
+                    arrays, told = rollouts.snapshot()
+                    arrays = {**learner.arrays(), **{f"rollouts.{name}": each for name, each in arrays.items()}}
+                    save(path, arrays, {**told, "update": update, "decisions": decisions, "curve": curve.values()})
+    except WorkerError as error:
+        remedy = "--resume continues from the last saved model, if any"
+        raise DataError(f"a worker process has died (out of memory or killed); {remedy}") from error
+    finally:
+        rollouts.close()
+    return path
+
+
+if __name__ == "__main__":
+    import runpy
+    import sys
+
+    sys.argv[1:1] = ["train", "mappo"]
+    runpy.run_module("twc_env", run_name="__main__")

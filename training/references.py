@@ -1,0 +1,42 @@
+"""Scripted teams on validation buildings, beside which a learning curve is drawn."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+import twc_env
+from twc_env.config import digest
+from twc_env.records.json_values import write_json
+
+from .evaluate import scripted
+from .progress import progress_bar
+from .run_folder import Task
+
+TEAMS = {"random": "random", "information-gain": "information-gain", "informed": "informed (oracle)"}
+"""Teams and their names in the picture: the lower reference, the best scripted team of most tasks (docs/leaderboard.md)
+and the upper reference."""
+
+
+def references(task: Task, folder: Path, buildings: int, show_progress: bool = True) -> dict[str, float]:
+    """Mean over time of the mapped floor of each of `TEAMS`, averaged over validation buildings.
+
+    Kept in references.json of the run folder: measured again only for another task, version or number of buildings.
+    """
+    path = folder / "references.json"
+    origin = {"config_digest": digest(task.config), "version": twc_env.__version__, "buildings": buildings}
+    try:
+        kept = json.loads(path.read_text())
+        if kept.get("of") == origin and set(kept.get("mean_coverage", {})) == set(TEAMS):
+            return {team: float(value) for team, value in kept["mean_coverage"].items()}
+    except (OSError, ValueError, TypeError, AttributeError):  # there is none, or a damaged one
+        pass
+    played = [(team, number) for team in TEAMS for number in range(buildings)]
+    found: dict[str, list[float]] = {team: [] for team in TEAMS}
+    for team, number in progress_bar(played, unit=" reference episodes", disable=not show_progress):
+        found[team].append(scripted(task, team, number, "validation").mean_coverage)
+    means = {team: float(np.mean(values)) for team, values in found.items()}
+    write_json(path, {"of": origin, "mean_coverage": means})
+    return means

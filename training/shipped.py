@@ -1,0 +1,35 @@
+"""The policies that come with the package: per task a folder with the weights of the actor, its settings and a card."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from twc_env.errors import DataError
+
+from .checkpoint import FILE_NAME, load, save
+
+LEARNED = "learned"
+"""Name of the team that plays the shipped policy of each task."""
+FOLDER = Path(__file__).with_name("shipped_policies")
+
+
+def shipped(task: str) -> Path:
+    """The folder of the policy for a task, such as "twc/ExploreQuick-v1". Raises DataError if there is none."""
+    folder = FOLDER / task.rpartition("/")[2]
+    if not (folder / FILE_NAME).is_file():
+        known = ", ".join(sorted(path.parent.name for path in FOLDER.glob(f"*/{FILE_NAME}"))) or "none"
+        raise DataError(
+            f"no policy for {task} comes with this version (for these: {known}): train one with twc-env train mappo "
+            f"--task {task}, and name its folder"
+        )
+    return folder
+
+
+def ship(run: Path, folder: Path) -> None:
+    """Copy what playing needs of a run folder: settings, and the actor's weights without moments and episodes."""
+    arrays, values = load(run / FILE_NAME)
+    folder.mkdir(parents=True, exist_ok=True)
+    own = {name: array for name, array in arrays.items() if name.startswith("actor.")}
+    save(folder / FILE_NAME, own, {"decisions": values["decisions"]})
+    shutil.copyfile(run / "config.json", folder / "config.json")
