@@ -35,7 +35,8 @@ STUCK_WINDOW_S, STUCK_RADIUS_M = 10.0, 0.3
 IDLE_SHARE = 0.05
 _WRITTEN = (
     "config.json", "frames.npz", "trace.npz", "pose_graph.g2o", "trajectories/robot_*_*.tum", "map.yaml", "map.pgm",
-    "map_[0-9]*.yaml", "map_[0-9]*.pgm", "map.png", "episode.gif", "replay.html", "replay.rrd", ".part-*",
+    "map_[0-9]*.yaml", "map_[0-9]*.pgm", "map.png", "map.pdf", "map.svg", "*-seed*.gif", "episode.gif", "replay.html",
+    "replay.rrd", "figures.csv", "figures.tex", ".part-*",
 )  # fmt: skip
 """Files of a run folder besides the report."""
 COMPILER_EVENT = "numba:compiler_lock"
@@ -151,7 +152,7 @@ def _clock_s(compiling: TimingListener) -> float:
 def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:
     frame = env.render()
     if frame is not None:
-        film.add(step, frame, env.episode.caption())
+        film.add(step, frame)
 
 
 def write_run(run: Run, folder: Path, pictures: bool = True) -> None:

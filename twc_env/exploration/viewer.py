@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig
 from twc_env.exploration.assessment.map_scores import GroupScore
+from twc_env.exploration.drawing.frame import framed
 from twc_env.exploration.drawing.layers import HELP, Layers, layered
-from twc_env.exploration.drawing.rendering import ClosureLine, SignalLayer, render, scene_of
+from twc_env.exploration.drawing.rendering import ClosureLine, SignalLayer, scene_of
 from twc_env.exploration.drawing.window import Window
 from twc_env.exploration.episode import Episode
 from twc_env.records.geometry import transform_points
@@ -44,7 +46,7 @@ class Viewer:
                 layers = layers.after(key)
             if step != self._shown_step or layers != self._layers:
                 self._layers, self._shown_step = layers, step
-                self._window.show(self._picture(episode), f"{episode.caption()}    {HELP}")
+                self._window.show(self._picture(episode), episode.caption())
             elif self._window.is_paused:
                 self._window.wait()
             if not self._window.is_paused:
@@ -70,7 +72,8 @@ class Viewer:
             scores = [v for v in scores if layers.robot in v.view.viewers] or scores
         people_m = episode.world.people_m
         scene = scene_of(episode.floorplan, episode.engine, episode.record, scores, lines, signal, people_m)
-        return render(layered(scene, layers))
+        caption = f"{Path(episode.floorplan.name).name}, seed {episode.seed}: {episode.caption()}"
+        return framed(layered(scene, layers), caption, HELP if self._window is not None else "")
 
     def _signal_of(self, plan: Floorplan, config: RadioConfig) -> SignalLayer:
         if self._signal is None or self._signal[0] is not plan:
