@@ -1,12 +1,12 @@
 """Where compiled kernels are kept: staleness, places that cannot be written, processes that start together."""
 
 import os
-import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from twc_env.kernels import cache_folder as places
@@ -71,16 +71,89 @@ def test_a_second_process_reads_what_the_first_has_compiled(folder):
     assert not list(cache.rglob("*.lock"))
 
 
-def test_another_state_of_the_sources_has_another_folder(monkeypatch, tmp_path):
-    before = places.source_digest()
-    assert places.source_digest() == before and len(before) == 16
-    copy = tmp_path / "twc_env"
-    shutil.copytree(ROOT / "twc_env", copy, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(places, "__file__", str(copy / "kernels" / "cache_folder.py"))
-    assert places.source_digest() == before
-    with (copy / "records" / "geometry.py").open("a") as file:
-        file.write("\n")
-    assert places.source_digest() != before
+USER = """from helping import FACTOR, doubled, unused
+from twc_env.kernels.compiled import kernel
+
+
+@kernel
+def total(x, count):
+    found = FACTOR
+    for i in range(count):
+        found += later(x + i)
+    return found
+
+
+@kernel
+def later(x):
+    return doubled(x)
+"""
+HELPING = """from values import FACTOR, Unused
+from twc_env.kernels.compiled import kernel
+
+
+def unused():
+    return 1
+
+
+@kernel
+def doubled(x):
+    return 2 * x
+"""
+
+
+def test_only_what_depends_on_a_change_compiles_anew(tmp_path):
+    (tmp_path / "kernels.py").write_text(USER)
+    (tmp_path / "helping.py").write_text(HELPING)
+    (tmp_path / "values.py").write_text("FACTOR = 0\n\n\nclass Unused:\n    pass\n")
+    call = "import kernels\nprint(kernels.total(3, 2), len(kernels.total.stats.cache_hits), 0, 0)"
+
+    def results():
+        process = begin(tmp_path, call, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+        text, errors = process.communicate()
+        assert process.returncode == 0, errors
+        return tuple(map(int, text.split()[:2]))
+
+    assert (results(), results()) == ((14, 0), (14, 1))
+    (tmp_path / "values.py").write_text("FACTOR = 0\n\n\nclass Unused:\n    changed = 1\n")
+    assert results() == (14, 1)
+    (tmp_path / "values.py").write_text("FACTOR = 5\n\n\nclass Unused:\n    pass\n")
+    assert (results(), results()) == ((19, 0), (19, 1))
+    (tmp_path / "helping.py").write_text(HELPING.replace("2 * x", "3 * x"))  # of the kernel called by a later kernel
+    assert (results(), results()) == ((26, 0), (26, 1))
+
+
+def test_contents_of_constants_are_told_apart():
+    values = [1, 1.0, True, "1", b"1", None, (1, 2), (1, (2,)), np.arange(3), np.arange(3.0), np.arange(2000)]
+    values += [np.where(np.arange(2000) == 1000, 0, np.arange(2000)), np.float32(1)]
+    contents = [places._content(value) for value in values]
+    assert None not in contents and len(set(contents)) == len(contents)
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+def test_damaged_files_are_compiled_anew(folder, suffix):
+    cache = folder / "cache"
+    said(begin(folder, NUMBA_CACHE_DIR=str(cache)))
+    for path in cache.rglob(f"*.{suffix}"):
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(content)
+    process = begin(folder, NUMBA_CACHE_DIR=str(cache))
+    text, errors = process.communicate()
+    assert process.returncode == 0 and text.split()[0] == "0"
+    assert errors.count("damaged files in") == 1
+    assert said(begin(folder, NUMBA_CACHE_DIR=str(cache)))[0] == 1
+
+
+@pytest.mark.parametrize("sums", [None, "", "{", "[]"])
+def test_files_without_checksums_are_compiled_anew(folder, sums):
+    """As after a kill between the two."""
+    cache = folder / "cache"
+    said(begin(folder, NUMBA_CACHE_DIR=str(cache)))
+    (path,) = cache.rglob("sums.json")
+    path.unlink()
+    if sums is not None:
+        path.write_text(sums)
+    assert [said(begin(folder, NUMBA_CACHE_DIR=str(cache)))[0] for _ in range(2)] == [0, 1]
 
 
 def test_a_folder_that_can_only_be_read_is_copied(folder):

@@ -17,7 +17,7 @@ from typing import Any
 from numba.core import event
 from tqdm import tqdm
 
-from twc_env.kernels.cache_folder import cache_folder, is_kept
+from twc_env.kernels.cache_folder import cache_folder, check_folders, is_kept, write_checksums
 from twc_env.running.file_lock import FileLock
 
 _LOG = logging.getLogger("twc_env")
@@ -37,6 +37,8 @@ class OneProcess(event.Listener):
     def __init__(self) -> None:
         self._threads, self._depth = threading.RLock(), 0
         self._lock: FileLock | None = None
+        self.compiled_modules: set[str] = set()
+        """Modules with kernels compiled since the lock was taken."""
 
     def on_start(self, event: Any) -> None:
         """Called by numba before it takes its lock, which may be nested."""
@@ -45,13 +47,30 @@ class OneProcess(event.Listener):
         if self._depth == 1:
             self._lock = FileLock(cache_folder() / "compiling.lock")
             self._lock.await_it(WAIT_MAX_S)
+            check_folders()
 
     def on_end(self, event: Any) -> None:
         """Called by numba after it has released its lock."""
         self._depth -= 1
         if self._depth == 0 and self._lock is not None:
+            while self.compiled_modules:
+                write_checksums(self.compiled_modules.pop())
             self._lock.release()
         self._threads.release()
+
+
+class CompiledModules(event.Listener):
+    """Tells `OneProcess` the modules of what is compiled."""
+
+    def __init__(self, process: OneProcess) -> None:
+        self._process = process
+
+    def on_start(self, event: Any) -> None:
+        """Called by numba at the start of a compilation."""
+        self._process.compiled_modules.add(event.data["dispatcher"].py_func.__module__ or "")
+
+    def on_end(self, event: Any) -> None:
+        """Called by numba at the end of a compilation."""
 
 
 class Announcer(event.Listener):
@@ -121,4 +140,6 @@ def announcer() -> Announcer:
 @cache
 def one_process_compiles() -> None:
     """From now on this process and others compile in turn."""
-    event.register("numba:compiler_lock", OneProcess())
+    process = OneProcess()
+    event.register("numba:compiler_lock", process)
+    event.register("numba:compile", CompiledModules(process))

@@ -1,7 +1,7 @@
 """Compiled kernels: loops over arrays, written in Python and as fast as in C.
 
 Numba compiles them at their first call and keeps them in `twc_env.kernels.cache_folder`. A kernel may call kernels of
-other files and read their constants, imported by `from module import name`; any change of the sources compiles anew.
+other files and read their constants, imported by `from module import name`; what depends on a change compiles anew.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def _compiled(function: Callable[..., Any], _nrt: bool = True) -> Any:
             raise TypeError(f"kernel {function.__name__}: import names from {value.__name__}, not the module")
     one_process_compiles()
     own = {"no_cfunc_wrapper": True, "_nrt": _nrt} if _knows_own_options() else {}
-    with caching_there():
+    with caching_there(function):
         return njit(cache=True, error_model="numpy", boundscheck=None, **own)(function)
 
 
