@@ -127,7 +127,7 @@ def _draw_building(axes: Any, result: EpisodeResult) -> list[tuple[Any, str]]:
     for name, marker, size, things in marks:
         if things:
             places = np.array([thing.position_m for thing in things])
-            look = {
+            look: dict[str, Any] = {
                 "ls": "",
                 "marker": marker,
                 "ms": size,
@@ -159,7 +159,7 @@ def _draw_paths(axes: Any, result: EpisodeResult) -> list[tuple[Any, str]]:
         )
         first = robot == 0
         entries.append((both, f"robot {robot}{': true (wide), estimated (thin)' if first else ''}"))
-    look = {"ls": "", "marker": "o", "mec": palette.INK, "color": palette.INK}
+    look: dict[str, Any] = {"ls": "", "marker": "o", "mec": palette.INK, "color": palette.INK}
     start, end = Line2D([], [], ms=5, **{**look, "mfc": palette.FLOOR}), Line2D([], [], ms=5, **look)
     dotted = Line2D([], [], ls=":", lw=1.4 * ODOMETRY_WIDTH, color=palette.INK)
     return [*entries, (dotted, "odometry alone"), (start, "start"), (end, "end")]

@@ -5,8 +5,10 @@ matplotlib is imported only when a figure is made (extra `viz`).
 
 from __future__ import annotations
 
+import io
 import textwrap
 from collections.abc import Sequence
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -43,13 +45,27 @@ def style() -> Any:
 
 
 def new_figure(size_in: tuple[float, float], dpi: float = DPI) -> Any:
-    """A figure with a canvas that opens no window, which leaves pyplot and its backend alone."""
+    """A figure with a canvas that opens no window, which leaves pyplot and its backend alone; a notebook shows it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size_in, dpi=dpi, layout="constrained")
+    figure = _figure_class()(figsize=size_in, dpi=dpi, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+@cache
+def _figure_class() -> Any:
+    from matplotlib.figure import Figure
+
+    class ShownFigure(Figure):
+        """A figure that notebooks show without pyplot."""
+
+        def _repr_png_(self) -> bytes:
+            buffer = io.BytesIO()
+            self.savefig(buffer, format="png", metadata={"Software": None})
+            return buffer.getvalue()
+
+    return ShownFigure
 
 
 def set_title(figure: Any, lines: Sequence[str], points: float = TITLE_POINTS) -> Any:
