@@ -58,8 +58,8 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted", 
     """Run a command. Returns 0 or its own status when done, 130 when interrupted by Ctrl-C, 143 by SIGTERM.
 
     2 after bad input, or when output cannot be written (one line on stderr). 1 after an exception in a user's own class
-    (FILE.py:CLASS): their line comes first, the whole traceback only if `is_verbose`. A reader such as `head` may close the
-    output early, and characters that a terminal cannot show are escaped. `remark` is printed on interruption.
+    (FILE.py:CLASS): their line comes first, the whole traceback only if `is_verbose`. A reader such as `head` may close
+    the output early, and characters that a terminal cannot show are escaped. `remark` is printed on interruption.
     """
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the parent process

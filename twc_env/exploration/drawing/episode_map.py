@@ -228,6 +228,6 @@ def _number_robots(axes: Any, result: EpisodeResult) -> list[Any]:
                 zorder=7,
                 annotation_clip=True,
                 path_effects=[withStroke(linewidth=2.2, foreground=palette.FLOOR)],
-            )  # fmt: skip
+            )
         )
     return texts

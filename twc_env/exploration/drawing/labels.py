@@ -28,9 +28,8 @@ def place_names(
 ) -> list[Any]:  # fmt: skip
     """Write names in front of their places (k, 2), in a figure that is laid out; returns the texts that remain.
 
-    facing_rad: direction of the free side of each place. taken: texts that are there already and stay. avoided_m: points (n, 2) to
-    leave free. A name that
-    would still cover another text, or leave the axes, is left out.
+    facing_rad: direction of the free side of each place. taken: texts that are there already and stay. avoided_m:
+    points (n, 2) to leave free. A name that would still cover another text, or leave the axes, is left out.
     """
     from adjustText import adjust_text
     from matplotlib.patheffects import withStroke

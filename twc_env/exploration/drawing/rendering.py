@@ -1,9 +1,9 @@
 """Draw the state of an episode as an RGB image: ground truth, estimated maps, robots and loop closures.
 
 Ground truth is grey. Estimated maps lie over it: floor white (tinted per group while the team has several maps), walls
-dark. A disc is a robot's true pose, a ring its estimated pose; people are yellow discs with a dark rim. Violet lines are
-accepted closures, dashed ones rejected; new ones are bold, and rejected ones fade out. The signal overlay
-shows the RSSI of the strongest access point, from dark violet (weak) to yellow (strong).
+dark. A disc is a robot's true pose, a ring its estimated pose; people are yellow discs with a dark rim. Violet lines
+are accepted closures, dashed ones rejected; new ones are bold, and rejected ones fade out. The signal overlay shows the
+RSSI of the strongest access point, from dark violet (weak) to yellow (strong).
 """
 
 from __future__ import annotations
