@@ -39,9 +39,7 @@ from twc_env.exploration.drawing.palette import (
     robot_colour,
 )
 
-TEAMS = (
-    "#0072b2", "#d55e00", "#009e73", "#e69f00", "#56b4e9", "#3b1f8f", "#7a2e0e", "#dd2255", "#6b6b00", "#00441b",
-)  # fmt: skip
+TEAMS = ROBOTS
 """Colours of teams or methods in one figure, where no robots are; with more, lines are dashed."""
 BAND_OPACITY = 0.16
 """Of intervals around a curve."""

@@ -59,8 +59,8 @@ def test_colours_of_different_meaning_are_told_apart(sight):
 
 @pytest.mark.parametrize("sight", SIGHT)
 def test_colours_of_teams_are_told_apart(sight):
-    pairs = itertools.combinations(TEAMS, 2)
-    assert {pair: distance(*pair, sight) for pair in pairs if distance(*pair, sight) < 12} == {}
+    pairs = list(itertools.combinations(TEAMS, 2))
+    assert {pair: distance(*pair, sight) for pair in pairs if distance(*pair, sight) < APART} == {}
 
 
 def test_no_colour_has_two_meanings():

@@ -128,7 +128,7 @@ def test_walls_of_a_turned_map_cover_the_true_walls_and_little_else(turn_rad):
     true ones, which are a cell wide."""
     plan = load_map("twin-02")
     cells = plan.cells()
-    pose_building_map = np.array([3.0, -2.0, turn_rad])
+    pose_building_map = np.array([3.02, -2.02, turn_rad])
     size = 500
     centres = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1).reshape(-1, 2) * 0.1 + 0.05 - 20.0
     places = transform_points(pose_building_map, centres)
@@ -138,10 +138,10 @@ def test_walls_of_a_turned_map_cover_the_true_walls_and_little_else(turn_rad):
     log_odds[inside] = np.where(cells.wall[row[inside], column[inside]], 20, -20)
     grid = GridMap(log_odds.reshape(size, size), np.full(2, -20.0), 0.1)
     scene = Scene(cells.wall, cells.origin_m, cells.resolution_m, (grid,), pose_building_map[None])
-    drawn = (render(scene) == WALL).all(axis=2)
+    drawn = render(scene)[..., 0] < 138  # also pixels that a wall covers by half
     empty = Scene(cells.wall, cells.origin_m, cells.resolution_m)
     true = (render(empty) == TRUE_WALL).all(axis=2)
-    assert np.count_nonzero(drawn & true) / np.count_nonzero(drawn | true) > 0.6
+    assert np.count_nonzero(drawn & true) / np.count_nonzero(drawn | true) > 0.65
     near = ndimage.binary_dilation(true, iterations=3)  # a cell of 0.1 m has 3 pixels
     assert np.count_nonzero(drawn & ~near) < 0.01 * np.count_nonzero(drawn)
     assert np.count_nonzero(true & ~ndimage.binary_dilation(drawn, iterations=3)) < 0.02 * np.count_nonzero(true)

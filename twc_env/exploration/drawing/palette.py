@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray as Array
 
-ROBOTS = ("#0072b2", "#d55e00", "#009e73", "#e69f00", "#56b4e9", "#3b1f8f", "#7a2e0e", "#dd2255")
+ROBOTS = ("#0072b2", "#d55e00", "#009e73", "#e69f00", "#56b4e9", "#3b1f8f", "#7a2e0e", "#ee0044")
 """Of robots 0, 1, ..., and of the floor of groups, by their first robot; with more robots they repeat."""
 TRUE_WALL = "#858c98"
 TRUE_TEXT = "#4d5461"

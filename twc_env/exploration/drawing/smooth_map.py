@@ -21,7 +21,7 @@ WINDOWS = (1.7, 4), (0.9, 2)
 LINE_MAX = 0.16
 """Largest ratio of the variances across and along a wall."""
 SHIFT_MAX = 1.0
-HALF_WIDTH_CELLS = 0.55, 1.5
+HALF_WIDTH_CELLS = 0.5, 1.5
 """Least and largest half width of a stroke."""
 BORDER = 2
 """Empty cells around the field of known space, so that it is closed."""
