@@ -12,6 +12,7 @@ import sys
 import textwrap
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -46,6 +47,8 @@ INTERRUPTED = 130
 """Status of a command that was interrupted and has saved what it had."""
 LOG_INTERVAL_S = 60.0
 LINE_WIDTH = 110
+RATE_COUNT = 10
+"""Counts from which the time left is estimated."""
 BAR_LEAST, BAR_MOST = 8, 40
 """Characters of a progress bar."""
 _progress: dict[str, Any] = {"logged_s": time.monotonic(), "is_open": False, "shown": 0, "is_quiet": False}
@@ -353,14 +356,19 @@ class Bar:
     """Progress as a bar with the time left; it fits terminals of any width."""
 
     def __init__(self, total: int, what: str, every: int = 1):
-        self._total, self._what, self._every, self._begun_s = total, what, every, time.monotonic()
+        self._total, self._what, self._every = total, what, every
+        self._latest: deque[tuple[int, float]] = deque([(0, time.monotonic())], maxlen=RATE_COUNT)
+        """The last counts with their times [s]: the rate is theirs, so that a slow beginning does not count for long."""
 
     def show(self, done: int, more: str = "") -> None:
         """Show the progress, whenever `done` is a multiple of `every`. more: what has been reached so far."""
         if done % self._every == 0 or done == self._total:
-            left_s = (time.monotonic() - self._begun_s) * (self._total - done) / max(done, 1)
+            (first, since_s), now_s = self._latest[0], time.monotonic()
+            self._latest.append((done, now_s))
+            left_s = (now_s - since_s) * (self._total - done) / max(done - first, 1)
             text = f"{done}/{self._total} {self._what}{', ' * bool(more)}{more}, {_clock(left_s)} left at most"
-            show_line(bar_line(done / self._total, text, _width_of(sys.stderr) or LINE_WIDTH), done == self._total)
+            width = _width_of(sys.stderr)
+            show_line(text if width is None else bar_line(done / self._total, text, width), done == self._total)
 
 
 def bar_line(share: float, text: str, width: int) -> str:

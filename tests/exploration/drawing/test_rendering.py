@@ -128,7 +128,7 @@ def test_walls_of_a_turned_map_cover_the_true_walls_and_little_else(turn_rad):
     true ones, which are a cell wide."""
     plan = load_map("twin-02")
     cells = plan.cells()
-    pose_building_map = np.array([3.02, -2.02, turn_rad])
+    pose_building_map = np.array([*(cells.origin_m + 15.0), turn_rad])
     size = 500
     centres = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1).reshape(-1, 2) * 0.1 + 0.05 - 20.0
     places = transform_points(pose_building_map, centres)
