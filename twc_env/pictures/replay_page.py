@@ -67,8 +67,8 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
         "time_step_s": config.dynamics.time_step_s,
         "subtitle": f"{config.robots} robots, {len(trace['true_poses']) - 1} steps of "
         f"{config.dynamics.time_step_s:g} s, configuration {report['config_digest']}, version {report['version']}. "
-        "Grey: the true building. Black and white: the estimated map. Disc: where a robot is; ring: where it believes to "
-        "be. Violet: loop closures; thick with crosses: accepted, but false.",
+        "Grey: the true building. Black and white: the estimated map. Disc: where a robot is; ring: where it thinks "
+        "it is. Violet: loop closures; thick with crosses: accepted, but false.",
         "colours": list(palette.ROBOTS),
         "palette": {
             "true_wall": palette.TRUE_WALL,

@@ -358,7 +358,7 @@ class Bar:
     def __init__(self, total: int, what: str, every: int = 1):
         self._total, self._what, self._every = total, what, every
         self._latest: deque[tuple[int, float]] = deque([(0, time.monotonic())], maxlen=RATE_COUNT)
-        """The last counts with their times [s]: the rate is theirs, so that a slow beginning does not count for long."""
+        """The last counts with their times [s], which give the rate: a slow beginning does not count for long."""
 
     def show(self, done: int, more: str = "") -> None:
         """Show the progress, whenever `done` is a multiple of `every`. more: what has been reached so far."""

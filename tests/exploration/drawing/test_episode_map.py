@@ -96,8 +96,9 @@ def test_wall_pixels_of_the_picture_lie_on_the_true_walls(small, turn_rad):
     log_odds = np.zeros(size * size, np.int16)
     log_odds[inside] = np.where(cells.wall[row[inside], column[inside]], 20, -20)
     grid = GridMap(log_odds.reshape(size, size), np.full(2, -20.0), 0.1)
+    place = np.array([[*(cells.origin_m + 15.0), turn_rad]])
     bare = dataclasses.replace(
-        small, grids=(grid,), pose_building_map=np.array([[*(cells.origin_m + 15.0), turn_rad]]), groups=((0, 1),), closures=[],
+        small, grids=(grid,), pose_building_map=place, groups=((0, 1),), closures=[],
         floorplan=dataclasses.replace(small.floorplan, signs=(), access_points=()), viewers=((0, 1),),
         true_poses=np.full((2, 2, 3), -90.0), estimated_poses=np.full((2, 2, 3), -90.0),
         odometry_poses=np.full((2, 2, 3), -90.0),

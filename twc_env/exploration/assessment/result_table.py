@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from html import escape
 from typing import Any
@@ -32,8 +33,10 @@ FIGURES = (
     ("time spent in agents", "agent_s", ".2f s"),
 )
 """Name, key in the report and format with unit of each row (docs/figures.md defines them)."""
+WIDTH = 100
+"""Characters to which remarks are filled."""
 ODOMETRY_REMARK = (
-    "odometry-only figures know the true relative starts, which the robots do not know;\n"
+    "odometry-only figures know the true relative starts, which the robots do not know; "
     "for an unmerged team they are no rival."
 )
 
@@ -74,7 +77,11 @@ def text_of(figures: Mapping[str, Any]) -> str:
     rows = rows_of(figures)
     width = max(len(name) for name, _ in rows)
     lines = [f"{name:<{width}}  {value}" for name, value in rows]
-    return "\n".join([heading_of(figures), "", *lines, *(f"\n{remark}" for remark in remarks_of(figures))])
+    remarks = (
+        "\n".join(textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in remark.split("\n"))
+        for remark in remarks_of(figures)
+    )
+    return "\n".join([heading_of(figures), "", *lines, *(f"\n{remark}" for remark in remarks)])
 
 
 def html_of(figures: Mapping[str, Any]) -> str:
