@@ -9,7 +9,18 @@ from pathlib import Path
 from twc_env.commands.train import SEEDS, learning_libraries
 from twc_env.errors import DataError
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
-from twc_env.running.command_line import add_allow_code, aligned, count, parse_seeds
+from twc_env.records.text_tables import aligned_text
+from twc_env.running.command_line import (
+    add_allow_code,
+    add_json,
+    add_pictures,
+    aligned,
+    count,
+    parse_seeds,
+    picture_options,
+    tell,
+    terminal_width,
+)
 from twc_env.tasks import SUITES
 
 SCRIPTED = ("nearest-frontier", "information-gain", "minpos")
@@ -36,9 +47,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[Path("runs/ppo")],
         help="a run folder, or a model file next to its config.json; several with --suite (default: runs/ppo)",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all episodes and the means, or the rows")
-    parser.add_argument("--seeds", default="0-19", help="seeds of held-out buildings, e.g. 0-4 or 1,5,7")
-    parser.add_argument("--films", type=Path, metavar="FOLDER", help="write a GIF of the trained team in each building")
+    add_json(parser)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help="folder of evaluation.json, .csv, .tex and coverage.png (default: evaluation in the model's folder); with "
+        "--suite, of finished episodes (default: runs/evaluation)",
+    )
+    add_pictures(parser)
+    parser.add_argument("--no-pictures", action="store_true", help="do not draw coverage over time")
+    parser.add_argument(
+        "--seeds", default="0-19", help="of held-out buildings: numbers and ranges such as 0-4 or 1,5,7-9"
+    )
+    parser.add_argument(
+        "--films", type=Path, metavar="FOLDER", help="write a film of the trained team in each building"
+    )
     group = parser.add_argument_group("with --suite")
     group.add_argument("--suite", choices=SUITES, help="play the tasks of this suite")
     group.add_argument("--tasks", nargs="+", metavar="TASK", help="these (default: the one that each model learnt)")
@@ -52,7 +76,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--split", choices=("train", "validation", "test"), default="test", help="buildings")
     group.add_argument("--buildings", type=count, default=10, help="per task, from the start of the split")
     group.add_argument("--jobs", type=count, default=1, help="worker processes")
-    group.add_argument("--out", type=Path, default=Path("runs/evaluation"), metavar="FOLDER", help="finished episodes")
     add_allow_code(parser)
     parser.set_defaults(run=_evaluate)
 
@@ -68,9 +91,15 @@ def _evaluate(options: argparse.Namespace) -> int:
         raise DataError(f"--seeds must be 0 to {SEEDS - 1}; got {max(seeds)}")
     if len(options.model) > 1:
         raise DataError(f"--model {options.model[1]}: several models need --suite v1; name one")
-    found = evaluate(options.model[0], seeds, films=options.films, allow_code=options.allow_code)
-    print(found.table)
+    check_folder(options.out)
+    model = options.model[0]
+    found = evaluate(model, seeds, show_progress=not options.quiet, films=options.films, allow_code=options.allow_code)
+    if options.json != TERMINAL:
+        print(aligned_text(found.rows(), terminal_width()))
     write_json(options.json, found.as_json())
+    folder = options.out or (model if model.is_dir() else model.parent) / "evaluation"
+    for path in found.write(folder, picture_options(options)):
+        tell(f"written: {path}")
     return 0
 
 
@@ -81,7 +110,8 @@ def _evaluate_suite(options: argparse.Namespace) -> int:
     from twc_env.suite.gaps import rows_of_models
     from twc_env.suite.runs import play_all
 
-    check_folder(options.out)
+    folder = options.out or Path("runs/evaluation")
+    check_folder(folder)
     models = [str(path) for path in options.model]
     played: dict[str, list[str]] = {}
     for model in models:
@@ -94,7 +124,7 @@ def _evaluate_suite(options: argparse.Namespace) -> int:
     for task, own_models in played.items():
         teams = dict.fromkeys((*own_models, *options.agents, *REFERENCES))
         planned += entries([task], tuple(teams), options.split, options.buildings)
-    values = play_all(planned, options.out / "episodes", options.jobs, None, lambda text: print(text, file=sys.stderr))
+    values = play_all(planned, folder / "episodes", options.jobs, None, lambda text: print(text, file=sys.stderr))
     rows = rows_of_models(models, planned, values)
     write_json(options.json, rows)
     if options.json != TERMINAL:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +21,7 @@ from twc_env.running.command_line import (
     end_line,
     prior_setting,
     refuse_code,
+    tell,
 )
 
 if TYPE_CHECKING:
@@ -303,14 +303,12 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
 
 def _say_what_is_ignored(config: EnvConfig) -> None:
     if config.slam.oracle != "none":
-        print(f"slam.oracle = {config.slam.oracle!r}: ignored, since logs contain no ground truth", file=sys.stderr)
+        tell(f"slam.oracle = {config.slam.oracle!r}: ignored, since logs contain no ground truth")
     if config.slam.k_visibility.enabled and config.slam.k_visibility.are_transmitters_known:
         ignored = "slam.k_visibility.are_transmitters_known"
-        print(f"{ignored}: ignored, since logs contain no ground truth", file=sys.stderr)
+        tell(f"{ignored}: ignored, since logs contain no ground truth")
     if config.link.topology == "peer":
-        print(
-            "each robot has a mapper of its own: groups, closures, map and graph are those of robot 0", file=sys.stderr
-        )
+        tell("each robot has a mapper of its own: groups, closures, map and graph are those of robot 0")
 
 
 def _error_of_log(done: Replay, true_poses: np.ndarray) -> float:
@@ -333,7 +331,7 @@ def _write_folder(folder: Path, done: Replay, formats: Sequence[str]) -> None:
     write_paths(folder, done)
     write_table(folder / "table.csv", done.table())
     if formats and find_spec("matplotlib") is None:
-        print("no picture of the map: it needs `pip install 'twc_env[viz]'`", file=sys.stderr)
+        tell("no picture of the map: it needs `pip install 'twc_env[viz]'`")
     elif formats:
         from twc_env.pictures.log_picture import draw_log
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from twc_env.errors import DataError
 from twc_env.records.json_values import check_folder
-from twc_env.running.command_line import add_folder, add_set, assignments, count, natural, number
+from twc_env.running.command_line import add_folder, add_set, add_verbosity, assignments, count, natural, number
 
 SEEDS = 2**31
 """Seeds are below this: torch and numpy accept no larger ones, and resuming adds the number of steps."""
@@ -109,6 +109,7 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
     )
     add_folder(parser, "--out", f"runs/{name}", "run folder")
     parser.add_argument("--resume", action="store_true", help="continue from the model in the run folder")
+    add_verbosity(parser)
     parser.set_defaults(
         run=_train, algorithm=name, when_interrupted="interrupted; --resume continues from the last saved model, if any"
     )
@@ -142,7 +143,7 @@ def _train(options: argparse.Namespace) -> int:
     )
     given = {field.name: getattr(options, field.name, None) for field in fields(algorithm.Settings)}
     settings = algorithm.Settings(**{name: value for name, value in given.items() if value is not None})
-    model_path = algorithm.train(task, settings, options.out, options.resume)
+    model_path = algorithm.train(task, settings, options.out, options.resume, show_progress=not options.quiet)
     print(f"model: {model_path}   learning curve: {options.out / 'metrics.csv'} and {options.out / 'tensorboard'}")
     if options.references:
         from twc_env.training.curve_picture import draw_curve

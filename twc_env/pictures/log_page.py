@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.exploration.drawing.rendering import COLOURS
+from twc_env.exploration.drawing import palette
 from twc_env.exploration.trace import FREE, MOMENTS_MAX, UNKNOWN, WALL
-from twc_env.pictures.replay_page import base64_of, fill_page, rounded
+from twc_env.pictures.replay_page import PALETTE, base64_of, fill_page, rounded
 from twc_env.records.geometry import compose
 from twc_env.records.messages import GridMap
 from twc_env.slam.modes import Engine
@@ -60,11 +60,14 @@ class LogPage:
         corners += poses[-1, :, :2].tolist()
         data = {
             "robots": self._robots,
-            "robot_radius_m": self._radius_m,
+            "robot_radii_m": [self._radius_m] * self._robots,
             "time_step_s": float(times_s[-1] / max(last, 1)),
             "times_s": rounded(times_s),
             "subtitle": subtitle,
-            "colours": ["#" + bytes(colour).hex() for colour in COLOURS],
+            "colours": list(palette.ROBOTS),
+            "palette": PALETTE,
+            "figures": [[key, key.replace("_", " "), _shown(value)] for key, value in report.items() if key != "table"],
+            "remarks": [],
             "bounds_m": _bounds(corners),
             "layers": LAYERS,
             "walls_m": [],
@@ -135,6 +138,13 @@ class LogPage:
         self._moments.append(
             {"step": step, "figures": figures, "closures": closures, "layers": layers, "bounds_m": bounds_m}
         )
+
+
+def _shown(value: Any) -> str:
+    """A figure of the report as text."""
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    return ", ".join(map(_shown, value)) if isinstance(value, list | tuple) else str(value)
 
 
 def _layer(robots: tuple[int, ...], grid: GridMap, place: Array) -> dict[str, Any]:

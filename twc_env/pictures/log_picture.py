@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
-from twc_env.exploration.drawing.rendering import COLOURS
+from twc_env.exploration.drawing.palette import robot_colour
 from twc_env.records.geometry import travelled_m
 from twc_env.records.messages import GridMap
 from twc_env.records.whole_file import whole_file
@@ -54,7 +54,7 @@ def draw_log(replay: Replay, paths: list[Path]) -> list[Path]:
         _draw_closures(axes, replay, group)
         own = [path for path in robots if team.group_index(path.robot) == group]
         for path in own:
-            colour = "#" + bytes(COLOURS[path.robot % len(COLOURS)]).hex()
+            colour = robot_colour(path.robot)
             length_m = travelled_m(path.estimated)[-1]
             label = f"{path.name or f'robot {path.robot}'}, {length_m:.0f} m"
             axes.plot(*path.estimated[:, :2].T, color=colour, linewidth=1.0, label=label)
