@@ -56,7 +56,7 @@ def wrong_merges(monkeypatch):
     def agree(targets, *_):
         return map_merging.MergeProposal(np.array([6.0, -4.0, 1.0]), np.ones(len(targets), bool), (9, 9, 9))
 
-    lies = {"largest_agreement": agree, "wall_contradiction": lambda *_: 0.0, "wifi_agrees": lambda *_: True}
+    lies = {"largest_agreement": agree, "wall_contradiction": lambda *_: 0.0, "wifi_difference": lambda *_: 0.0}
     told = [(map_merging, name, getattr(map_merging, name)) for name in lies]
     told.append((MutualObservations, "count", MutualObservations.count))
     for name, lie in lies.items():

@@ -21,6 +21,8 @@ REPEATED_APART_M, REPEATED_SHARE, NAMES_MIN = 4.0, 0.4, 4
 """A name at places this far apart in one map is repeated; from this share of repeated names on they are reported."""
 
 
+DOUBTFUL_MIN = 5
+"""Fewer closures that contradict a map are no reason to doubt it."""
 NEVER = -1
 """In place of a step: not heard yet."""
 
@@ -78,6 +80,7 @@ def diagnostics_of(mapper: TeamMapper) -> list[str]:
         *_repeated_names(mapper),
         *_odd_devices(mapper),
         *_apart(mapper),
+        *_doubtful(mapper),
         *_refused(mapper),
     ]
 
@@ -153,10 +156,29 @@ def _apart(mapper: TeamMapper) -> list[str]:
     if len(groups) < 2:
         return lines
     pending = sum(closure.status == "pending" for closure in mapper.closures)
+    ambiguous = [
+        f"the maps of {list(a)} and {list(b)} fit together in more than one way"
+        for a, b in sorted(mapper.ambiguous)
+        if a in groups and b in groups
+    ]
     return [
         *lines,
         f"no common map of {' and '.join(str(list(g)) for g in groups)}; {pending} closures wait for others that agree",
+        *ambiguous,
     ]
+
+
+def _doubtful(mapper: TeamMapper) -> list[str]:
+    """Maps that more closures contradict than support: what most closures say may be right, or the rest."""
+    found = []
+    for group in mapper.groups:
+        accepted, refused = mapper.votes_in(group.robots)
+        if refused >= DOUBTFUL_MIN and refused > accepted:
+            who = " and ".join(_name(mapper, segment) for segment in group.robots)
+            found.append(
+                f"the map of {who} cannot be trusted: {refused} of {accepted + refused} closures contradict it"
+            )
+    return found
 
 
 def _refused(mapper: TeamMapper) -> list[str]:

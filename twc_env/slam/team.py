@@ -11,7 +11,7 @@ from twc_env.config import EnvConfig
 from twc_env.errors import DataError
 from twc_env.records.geometry import between
 from twc_env.records.lasting_map import LastingMap
-from twc_env.records.messages import GridMap, Keyframe, LoopCandidate, LoopClosure, MergeHypothesis
+from twc_env.records.messages import LOOSE_M, GridMap, Keyframe, LoopCandidate, LoopClosure, MergeHypothesis
 from twc_env.records.team_messages import KnownSigns
 from twc_env.slam.mapping.closure_search import ClosureSearch
 from twc_env.slam.mapping.group_maps import Group, GroupMaps
@@ -31,6 +31,9 @@ URGENT_SQUARED_ERROR = 1.0
 """A closure whose squared error in the present estimate is below this is not urgent."""
 DRIFT_BASE_M, DRIFT_PER_M, DRIFT_RAD = 0.8, 0.03, 0.35
 """Maximum deviation of an intra-map closure from the present estimate."""
+ALONE = "moves the map, and no other closure says so yet"
+"""Reason for which a closure without a sign is refused that would move the map by more than LOOSE_M: along corridors
+and with poor scans, one such match alone is false too often."""
 RETRY_SHARE = 16
 """After a failed merge attempt, the number of closures must grow by one in this many before the next one."""
 BACKLOG_SHARE = 32
@@ -84,6 +87,8 @@ class TeamMapper:
         """Two groups, by their robots -> number of closures between them at the last failed merge attempt."""
         self._uncertain: set[tuple[tuple[int, ...], tuple[int, ...]]] = set()
         """Two groups whose closures agree but do not determine the relative pose; retried every RETRY_STEPS."""
+        self.ambiguous: set[tuple[tuple[int, ...], tuple[int, ...]]] = set()
+        """Two groups that were not merged because their maps fit together in more than one way."""
         self._seeks_closures = config.slam.oracle != "poses"
         self._given_starts: Array | None = None
         self.segments = Segments(robot_count)
@@ -257,6 +262,15 @@ class TeamMapper:
         steps = np.concatenate([self._graph.step_of_node[self._graph.path_of(segment)] for segment in own])
         return steps, [scan for segment in own for scan in self._graph.scans_of(segment)]
 
+    def votes_in(self, robots: tuple[int, ...]) -> tuple[int, int]:
+        """Numbers of verified closures among robots of one map that agree with it, and that contradict it; loose ones
+        fit anywhere along a corridor and do not count."""
+        agree, contradict = (
+            sum(not closure.is_loose for closure in self._graph.closures_between(robots, robots, status))
+            for status in ("accepted", "rejected")
+        )
+        return agree, contradict
+
     @property
     def closures_verified(self) -> int:
         """Number of closures verified, including those of removed keyframes."""
@@ -337,8 +351,16 @@ class TeamMapper:
         if away > DRIFT_BASE_M + DRIFT_PER_M * travel or turned > DRIFT_RAD:
             self._graph.refuse(closure, f"{away:.1f} m and {turned:.2f} rad from the estimate")
             return
-        self._graph.accept(closure)
-        self._search.note_accepted(closure)
+        confirmed = [closure]
+        if away > LOOSE_M and closure.candidate.sign_m is None and not closure.is_loose:
+            alone = [c for c in self._graph.rejected_beside(closure) if c.reason == ALONE]
+            confirmed += self._tests.agreeing_with(closure, alone)
+            if len(confirmed) == 1:
+                self._graph.refuse(closure, ALONE)
+                return
+        for one in confirmed:
+            self._graph.accept(one)
+            self._search.note_accepted(one)
         self.optimiser.mark_dirty(self._groups_of(closure)[0], squared > URGENT_SQUARED_ERROR)
 
     def _travel_between(self, candidate: LoopCandidate) -> float:
@@ -379,6 +401,9 @@ class TeamMapper:
         if not self._tests.cues_confirm(robots_a, robots_b, proposal):
             return False
         if self._tests.signs_disagree(robots_a, robots_b, pose_a_b):
+            return False
+        if not proposal.is_proven and self._tests.is_ambiguous(robots_a, robots_b, proposal):
+            self.ambiguous.add((robots_a, robots_b))
             return False
         if self._on_request and self._maps.ask_for(self._tests.overlap(robots_a, robots_b, pose_a_b, OVERLAP_REACH_M)):
             return False

@@ -9,6 +9,7 @@ from twc_env.config import MergingConfig
 from twc_env.records.geometry import between, compose
 from twc_env.records.messages import LoopCandidate, LoopClosure, SignObservation
 from twc_env.slam.merging.merge_tests import MergeTests
+from twc_env.slam.merging.mutual_observations import ObservationCounts
 
 PLACES = 12
 PATH = np.stack([2.0 * np.arange(PLACES), np.zeros(PLACES), np.zeros(PLACES)], axis=1)
@@ -110,3 +111,73 @@ def test_closures_by_lidar_alone_must_agree_at_many_places():
     assert not deaf.cues_confirm((0,), (1,), few) and deaf.cues_confirm((0,), (1,), enough)
     one_will_do = MergeTests(MergingConfig(wifi_check=False, spread_min_m=0.0), GRAPH)
     assert one_will_do.cues_confirm((0,), (1,), few)
+
+
+def seen(seen_count: int, through: int = 0) -> SimpleNamespace:
+    """Mutual observations that count the same for every hypothesis."""
+    return SimpleNamespace(are_known=True, count=lambda *_: ObservationCounts(seen_count, through, 5))
+
+
+def test_scans_alone_merge_nothing_where_robots_look_for_each_other():
+    proposal = MergeTests(MergingConfig(wifi_check=False), GRAPH).proposal(say(PLACES, TRUE, "lidar"), (0,))
+    for watched, may in ((seen(0), False), (seen(9), False), (seen(10), True)):
+        asked = MergeTests(MergingConfig(wifi_check=False), GRAPH, mutual_observations=watched)
+        assert asked.cues_confirm((0,), (1,), proposal) is may
+
+
+def test_names_alone_merge_nothing_where_robots_were_seen_through():
+    proposal = merge_tests().proposal(say(4, TRUE, "twc"), (0,))
+    for through, may in ((0, True), (1, True), (2, False)):
+        asked = MergeTests(MergingConfig(wifi_check=False), GRAPH, mutual_observations=seen(2, through))
+        asked.names_agree = lambda *_: True
+        assert asked.cues_confirm((0,), (1,), proposal) is may
+
+
+def between_two_poses(support: int, rival: int, differences: dict | None = None, watched=None) -> bool:
+    """Whether a hypothesis with this support is ambiguous, given this many closures for another; `differences`: of the
+    fingerprints at both."""
+    supporting, others = say(support, TRUE, "wifi"), say(rival, A_SHELF_ASIDE, "wifi")
+    for number, closure in enumerate(supporting + others):
+        closure.number = number
+    waiting = SimpleNamespace(between=lambda a, b: supporting + others[: rival // 2])
+    graph = SimpleNamespace(**vars(GRAPH), waiting=waiting, closures_between=lambda a, b, status: others[rival // 2 :])
+    asked = MergeTests(MergingConfig(), graph, mutual_observations=watched)
+    asked.radio_difference = lambda a, b, pose: (differences or {}).get(round(float(pose[1]), 1))
+    return asked.is_ambiguous((0,), (1,), asked.proposal(supporting, (0,)))
+
+
+@pytest.mark.parametrize(("support", "rival", "ambiguous"), [(4, 1, False), (4, 2, True), (9, 4, False), (9, 5, True)])
+def test_a_merge_is_ambiguous_if_half_as_many_closures_agree_on_another_pose(support, rival, ambiguous):
+    assert between_two_poses(support, rival) is ambiguous
+
+
+@pytest.mark.parametrize(("here", "there", "ambiguous"), [(0.7, 1.0, False), (0.95, 1.0, True), (1.0, 0.7, True)])
+def test_radio_resolves_an_ambiguous_merge_if_it_prefers_the_proposal(here, there, ambiguous):
+    assert between_two_poses(4, 4, {TRUE[1]: here, A_SHELF_ASIDE[1]: there}) is ambiguous
+
+
+def test_robots_that_saw_each_other_resolve_an_ambiguous_merge():
+    assert between_two_poses(4, 4, watched=seen(9)) and not between_two_poses(4, 4, watched=seen(10))
+
+
+def test_a_closure_is_confirmed_by_another_from_elsewhere_that_moves_the_robots_alike():
+    first, beside, *further = say(4, TRUE, "wifi")
+    beside.pose_target_source = first.pose_target_source.copy()
+    beside.candidate = first.candidate
+    false = say(4, A_SHELF_ASIDE, "wifi")
+    assert merge_tests().agreeing_with(first, [beside, *further, *false]) == further
+    assert merge_tests().agreeing_with(first, []) == []
+
+
+@pytest.mark.parametrize(("count", "away_m", "may"), [(1, 0.4, True), (1, 0.6, False), (2, 0.6, True)])
+def test_a_solution_in_which_a_single_closure_moves_the_map_is_rejected(count, away_m, may):
+    nodes, new = np.arange(2 * PLACES), say(count, TRUE, "twc")
+    ways = [[SimpleNamespace(signs=[])] * PLACES] * 2
+    graph = SimpleNamespace(
+        **vars(GRAPH), keyframes=ways, path_of=lambda robot: PLACES * robot + np.arange(PLACES),
+        disagreement=lambda closure: (away_m, 0.0, 0.0),
+    )  # fmt: skip
+    for number, closure in enumerate(new):
+        closure.number = number
+    asked = MergeTests(MergingConfig(), graph)
+    assert asked.may_replace((0, 1), nodes, ([], GRAPH.poses), (new, GRAPH.poses)) is may

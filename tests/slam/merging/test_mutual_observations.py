@@ -145,7 +145,7 @@ def test_few_beams_may_miss_a_robot_far_away(distance_m, seen_through):
 @pytest.mark.parametrize(("seen", "is_confirmed"), [(CONFIRMATION_MIN, True), (CONFIRMATION_MIN - 1, False)])
 def test_mutual_observations_confirm_a_merge_by_few_scans(seen, is_confirmed):
     rule = override(EnvConfig(), {"slam.merging.wifi_check": False}).slam.merging
-    told = SimpleNamespace(count=lambda *_: ObservationCounts(seen, 0))
+    told = SimpleNamespace(are_known=True, count=lambda *_: ObservationCounts(seen, 0))
     compared = SimpleNamespace(sign_m=None, text_similarity=np.nan)
     proposal = SimpleNamespace(pose_a_b=START_B, agreeing=[SimpleNamespace(candidate=compared)] * 3, weight=(3, 3, 3))
     assert (

@@ -279,6 +279,17 @@ def test_a_rejected_false_closure_stays_rejected_in_a_thorough_revision():
     assert worst_m(thorough.poses, true) < 0.5
 
 
+def test_a_map_does_not_bend_to_one_false_closure_where_odometry_is_assumed_worse_than_it_is():
+    true, start, graph = loops()
+    information = graph.information * np.where(graph.is_closure, 1.0, 0.02)[:, None, None]
+    loose = Graph(graph.edges, graph.measured, information, graph.is_closure)
+    corrupted = with_false(loose, [(21, 70)], [(2.0, -1.5, 0.3)])
+    is_used = np.append(np.ones(len(graph.edges), bool), False)
+    thorough = revise(start, corrupted, is_used, True)
+    assert np.array_equal(thorough.accepted, is_used)
+    assert worst_m(thorough.poses, true) < 0.5
+
+
 def test_rejected_true_closures_are_accepted_in_a_thorough_revision():
     true, start, graph = loops(laps=2)
     chain = ~graph.is_closure

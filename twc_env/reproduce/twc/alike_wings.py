@@ -49,6 +49,7 @@ def alike_wings(seed: int, has_wifi: bool) -> Floorplan:
         np.full(len(walls), WALL_LOSS_DB),
         signs=tuple(signs),
         access_points=tuple(points),
+        interior_m=np.array([[length_m / 2, CORRIDOR_M / 2]]),
     )
 
 

@@ -222,6 +222,11 @@ class TeamGraph(GraphArrays):
                 out.append(closure)
         return out
 
+    def rejected_beside(self, closure: LoopClosure) -> list[LoopClosure]:
+        """The verified, rejected closures between the same two robots (or parts of one robot's path)."""
+        ends = (closure.candidate.target[0],), (closure.candidate.source[0],)
+        return [other for other in self.closures_between(*ends, "rejected") if other is not closure]
+
     def sparsify(self, nodes: Array, carriers: Array) -> Array:
         """Remove keyframes (k,), each of which is from now on attached to another one (k,) that is held.
 

@@ -39,6 +39,8 @@ REFERENCE_M = (1.5, 3.5)
 PAIRS_MIN, PLACES_MAX = 4, 150
 """Minimum number of pairs for a decision; of more than twice PLACES_MAX places only every n-th is compared with all."""
 REFERENCE_SLACK = 1.1
+APART_M, APART_RAD = 1.5, 0.35
+"""Two hypotheses that place a keyframe further apart than this, or turn it by more, exclude each other."""
 
 
 Weight = tuple[int, int, int]
@@ -100,6 +102,23 @@ def agree_with(pose_a_b: Array, in_a: Array, sources: Array, config: MergingConf
     apart = compose(pose_a_b, sources) - in_a
     turned = np.abs(wrap_angle(apart[:, 2]))
     return (np.hypot(apart[:, 0], apart[:, 1]) <= config.consistency_m) & (turned <= config.consistency_rad)
+
+
+def largest_rival(pose_a_b: Array, in_a: Array, sources: Array, config: MergingConfig) -> Array | None:
+    """(k,) bool: the most closures that agree with each other on a pose which excludes `pose_a_b`; None if none do.
+
+    Arguments as for `agree_with`.
+    """
+    apart = compose(pose_a_b, sources) - in_a
+    is_far = np.hypot(apart[:, 0], apart[:, 1]) > APART_M
+    others = np.flatnonzero(is_far | (np.abs(wrap_angle(apart[:, 2])) > APART_RAD))
+    if not len(others):
+        return None
+    poses = compose(in_a[others], inverse(sources[others]))
+    agreeing = [agree_with(pose, in_a[others], sources[others], config) for pose in poses]
+    rival = np.zeros(len(in_a), bool)
+    rival[others[max(agreeing, key=np.count_nonzero)]] = True
+    return rival
 
 
 @kernel
@@ -316,10 +335,11 @@ def _compare_places(macs, levels, starts, places, positions, robots, travels, is
     return together[:found], reference[:learned]
 
 
-def wifi_agrees(
+def wifi_difference(
     positions: Array, robots: Array, travels_m: Array, heard: HeardPlaces, places: Array, is_b: Array
-) -> bool | None:  # fmt: skip
-    """Whether places that a merge would bring together have similar fingerprints; None with too few pairs to compare.
+) -> float | None:  # fmt: skip
+    """How different the fingerprints of places are that a merge would bring together, as a share of the reference;
+    None with too few pairs to compare.
 
     positions (k, 2) of all keyframes of both groups in the proposed common frame, robots (k,), travels_m (k,) path
     length of each, `heard` fingerprints, places (k,) index of each keyframe's fingerprint in it, is_b (k,) bool. The
@@ -331,7 +351,7 @@ def wifi_agrees(
     )  # fmt: skip
     if len(together) < PAIRS_MIN or len(reference) < PAIRS_MIN:
         return None
-    return _median(together) <= REFERENCE_SLACK * _median(reference)
+    return _median(together) / max(_median(reference), 1e-9)
 
 
 def _median(values: Array) -> float:

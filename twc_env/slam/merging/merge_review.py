@@ -165,13 +165,13 @@ class MergeReview:
     def _is_better(
         self, rival: MergeProposal, a: Sequence[int], b: Sequence[int], supporters: Sequence[LoopClosure]
     ) -> bool:
-        """Whether walls, radio and mutual observations allow the rival transform, and signs, or radio and walls, prefer
-        it to the present one."""
+        """Whether walls, radio and mutual observations allow the rival transform, radio does not prefer the present
+        one, and signs, or radio and walls, prefer the rival."""
         grids, there = self._grids(a, b), rival.pose_a_b
         heard = self._tests.radio_agrees(a, b, there) if self._rule.wifi_check else None
         if heard is False or self._tests.walls_disagree(*grids, there):
             return False
-        if self._tests.mutual_observations_contradict(a, b, there):
+        if self._tests.mutual_observations_contradict(a, b, there) or self._tests.radio_prefers(a, b, IDENTITY, there):
             return False
         if rival.weight > self._tests.weight(supporters, a):
             return True

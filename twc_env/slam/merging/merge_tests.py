@@ -13,11 +13,11 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import MergingConfig
 from twc_env.records.geometry import compose, inverse
-from twc_env.records.messages import GridMap, LoopClosure
+from twc_env.records.messages import LOOSE_M, GridMap, LoopClosure
 from twc_env.slam.mapping.team_graph import TeamGraph
 from twc_env.slam.merging import map_merging
 from twc_env.slam.merging.map_merging import MergeProposal, Weight
-from twc_env.slam.merging.mutual_observations import MutualObservations
+from twc_env.slam.merging.mutual_observations import CONTRADICTION_MIN, MutualObservations
 from twc_env.slam.merging.sign_consistency import SignsRead, count_shared, found_apart
 from twc_env.slam.places.heard_places import HeardPlaces
 from twc_env.slam.places.meeting_recogniser import MEETING
@@ -28,9 +28,18 @@ DISAGREEING_WEIGHT = 2
 shelves, scans also match one shelf further."""
 HYPOTHESES_MAX = 16
 """Of the hypotheses of single closures, the latest so many are tested by mutual observations."""
+RIVALS_MIN, RIVAL_SHARE = 2, 0.5
+"""Closures that agree on another pose make a hypothesis ambiguous from this number on, and from this share of those
+that support it: rows of shelves, identical rooms and wings produce such groups."""
+TOLD_APART = 0.9
+"""Radio tells two hypotheses apart if the places that one brings together differ by less than this share of what those
+of the other differ by."""
 SCANS_ALONE_MIN = 8
-"""Where neither signs nor fingerprints are compared, places this many, `spread_min_m` apart, must agree: rooms and
-whole wings of a building look alike."""
+"""Where neither signs nor fingerprints are compared and robots do not look for each other, places this many,
+`spread_min_m` apart, must agree: rooms and whole wings of a building look alike."""
+NAMES_ALONE_MIN = 2
+"""Where fingerprints are not compared, places this many must have one name that was read nowhere else: wings may repeat
+their names too."""
 
 
 Solution = tuple[Sequence[LoopClosure], Array]
@@ -108,16 +117,32 @@ class MergeTests:
         weight = map_merging.weight_of(signs[support], alike[support], self._rule)
         return MergeProposal(pose_a_b, support, weight, tuple(itertools.compress(closures, support)), is_proven=True)
 
+    def agreeing_with(self, closure: LoopClosure, others: Sequence[LoopClosure]) -> list[LoopClosure]:
+        """Those of other closures between the same two robots that move one against the other as this one does, and
+        were measured `spread_min_m` or more away from it."""
+        if not others:
+            return []
+        a = (closure.candidate.target[0],)
+        targets, sources, measured, *_ = self._as_a_to_b([closure, *others], a)
+        in_a = compose(targets, measured)
+        agree = map_merging.agree_with(compose(in_a[0], inverse(sources[0])), in_a, sources, self._rule)
+        is_away = np.hypot(*(sources - sources[0])[:, :2].T) >= self._rule.spread_min_m
+        return list(itertools.compress(others, (agree & is_away)[1:]))
+
     def may_replace(self, robots: Sequence[int], nodes: Array, before: Solution, after: Solution) -> bool:
         """Whether solution `after` may replace `before` in the map of these robots, whose nodes (n,) are given.
 
         The weight of newly accepted closures must reach that of lost ones: their number is not sufficient where few
-        signs were seen often or consecutive names are confused. No new pair of robots may disagree on most of its
-        shared signs.
+        signs were seen often or consecutive names are confused. A single closure may not move the map by more than
+        LOOSE_M. No new pair of robots may disagree on most of its shared signs.
         """
         held, now = ({closure.number for closure in answer[0]} for answer in (before, after))
         lost = self.weight([c for c in before[0] if c.number not in now], robots)
-        if self.weight([c for c in after[0] if c.number not in held], robots) < lost:
+        new = [c for c in after[0] if c.number not in held]
+        if self.weight(new, robots) < lost:
+            return False
+        new = [c for c in new if not c.is_loose]
+        if len(new) == 1 and self._graph.disagreement(new[0])[0] > LOOSE_M:
             return False
         return self._disagreeing_pairs(robots, nodes, after[1]) <= self._disagreeing_pairs(robots, nodes, before[1])
 
@@ -162,22 +187,26 @@ class MergeTests:
         return np.array(in_a), np.array(in_b), np.array(measured), np.array(signs), alike
 
     def cues_confirm(self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal) -> bool:
-        """Whether radio confirms the merge; without radio comparison, sign names or enough distinct places must.
+        """Whether radio confirms the merge; without radio comparison, mutual observations or sign names must.
 
         Radio is not compared if switched off, or (`spares_deaf`) if one side never received anything. Then robots must
         have seen each other as the merge implies (`mutual_observations`), or `names_agree` is required if texts were
-        compared, and SCANS_ALONE_MIN places if only scans were.
+        compared. Scans alone merge nothing: whole wings of a building look alike, without anything that contradicts.
+        SCANS_ALONE_MIN places are enough only where robots do not look for each other.
         """
         is_heard = self._rule.wifi_check and not (
             self._spares_deaf and (self._heard_nothing(a) or self._heard_nothing(b))
         )
         if is_heard:
             return self.radio_agrees(a, b, proposal.pose_a_b) is True
-        if self._mutual_observations is not None and self._mutual_observations.count(a, b, proposal.pose_a_b).confirm:
-            return True
+        if self._mutual_observations is not None:
+            found = self._mutual_observations.count(a, b, proposal.pose_a_b)
+            if found.confirm or found.seen_through >= CONTRADICTION_MIN:
+                return found.confirm
         compared = [closure.candidate for closure in proposal.agreeing]
         if self._rule.spread_min_m > 0.0 and all(candidate.sign_m is None for candidate in compared):
-            return proposal.weight[1] >= SCANS_ALONE_MIN
+            looks = self._mutual_observations is not None and self._mutual_observations.are_known
+            return not looks and proposal.weight[1] >= SCANS_ALONE_MIN
         is_read = not any(math.isnan(candidate.text_similarity) for candidate in compared)
         return not is_read or self.names_agree(a, b, proposal.pose_a_b)
 
@@ -186,14 +215,45 @@ class MergeTests:
         is_late = any(path[-1].time_s >= MISSING_AFTER_S for path in paths if path)
         return is_late and not any(len(keyframe.fingerprint.macs) for path in paths for keyframe in path)
 
+    def is_ambiguous(self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal) -> bool:
+        """Whether other closures between the groups agree on another pose about as well, and neither radio nor mutual
+        observations tell the two apart."""
+        supporting = {closure.number for closure in proposal.agreeing}
+        found = [*self._graph.waiting.between(a, b), *self._graph.closures_between(a, b, "rejected")]
+        others = [c for c in found if c.number not in supporting and not c.is_loose]
+        if len(others) < RIVALS_MIN:
+            return False
+        targets, sources, measured, *_ = self._as_a_to_b(others, a)
+        in_a = compose(targets, measured)
+        rival = map_merging.largest_rival(proposal.pose_a_b, in_a, sources, self._rule)
+        if rival is None or np.count_nonzero(rival) < max(RIVALS_MIN, RIVAL_SHARE * len(supporting)):
+            return False
+        first = int(np.argmax(rival))
+        there = compose(in_a[first], inverse(sources[first]))
+        if self._mutual_observations is not None and self._mutual_observations.count(a, b, proposal.pose_a_b).confirm:
+            return False
+        return not self.radio_prefers(a, b, proposal.pose_a_b, there)
+
+    def radio_prefers(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, other: Array) -> bool:
+        """Whether the places that the first pose brings together are clearly more alike than those of the other."""
+        if not self._rule.wifi_check:
+            return False
+        here, there = (self.radio_difference(a, b, pose) for pose in (pose_a_b, other))
+        return here is not None and there is not None and here < TOLD_APART * there
+
     def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool | None:
         """Whether places that the merge brings together have similar fingerprints; None with too few pairs."""
+        difference = self.radio_difference(a, b, pose_a_b)
+        return None if difference is None else difference <= map_merging.REFERENCE_SLACK
+
+    def radio_difference(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> float | None:
+        """`map_merging.wifi_difference` of this merge."""
         members, graph = [*a, *b], self._graph
         paths = [graph.path_of(robot) for robot in members]
         nodes, count_a = np.concatenate(paths), sum(map(len, paths[: len(a)]))
         poses = graph.poses[nodes]
         poses[count_a:] = compose(pose_a_b, poses[count_a:])
-        return map_merging.wifi_agrees(
+        return map_merging.wifi_difference(
             poses[:, :2],
             graph.robot_of_node[nodes],
             graph.travels_m[nodes],
@@ -218,7 +278,8 @@ class MergeTests:
         are_tried = np.isin(robots, (*a, *b))
         are_told = are_tried & ~found_apart(texts, places[:, :2], np.where(are_tried, 0, robots + 1))[texts]
         same, _ = count_shared(texts[are_told], places[are_told], np.isin(robots[are_told], b))
-        return same >= self._rule.signs_read_alike_min
+        least = self._rule.signs_read_alike_min
+        return same >= (max(least, NAMES_ALONE_MIN) if least > 0 else 0)
 
     def _poses_with(self, b: Sequence[int], pose_a_b: Array) -> Array:
         """(n, 3) poses of all nodes, with those of `b` transformed to the map of `a`."""
