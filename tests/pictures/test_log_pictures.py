@@ -1,0 +1,78 @@
+"""Pictures and pages of logs, which have no ground truth."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from twc_env.datasets.logs.scan_log import ScanLog
+from twc_env.errors import DataError
+from twc_env.pictures.log_page import LogPage
+from twc_env.pictures.log_picture import draw_log
+from twc_env.replaying.inputs import Asked, input_of
+from twc_env.replaying.run import run
+
+pytest.importorskip("matplotlib")
+
+
+def square_log(x_m: float) -> ScanLog:
+    """A robot that drives through a square room of 6 m."""
+    steps = 12
+    x = x_m + 0.2 * np.arange(steps)
+    angles = np.radians(np.arange(-179.0, 180.0, 2.0))
+    walls = np.stack([(3.0 - x[:, None]) / np.cos(angles), (-3.0 - x[:, None]) / np.cos(angles)])
+    walls = np.concatenate(
+        [walls, np.broadcast_to(np.stack([3.0, -3.0] / np.sin(angles)[:, None], 1)[:, None], walls.shape)]
+    )
+    ranges_m = np.where(walls > 0.0, walls, np.inf).min(axis=0)
+    return ScanLog(1000.0 + np.arange(steps), np.column_stack([x, np.zeros(steps), np.zeros(steps)]), ranges_m, angles)
+
+
+@pytest.fixture(scope="module")
+def replayed():
+    source = input_of([square_log(-1.5), square_log(-0.5)], [np.zeros(3)] * 2, Asked())
+    page = LogPage(2, len(source.steps), 0.2)
+    return run(source, source.config, page.note), page
+
+
+def test_a_map_is_drawn_in_all_formats_and_equal_logs_give_equal_files(replayed, tmp_path):
+    done, _ = replayed
+    for folder in ("a", "b"):
+        draw_log(done, [tmp_path / folder / f"map.{kind}" for kind in ("png", "pdf", "svg")])
+    for kind, begin in (("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")):
+        first, second = (tmp_path / folder / f"map.{kind}" for folder in ("a", "b"))
+        assert first.read_bytes().startswith(begin)
+        if kind != "svg":
+            assert first.read_bytes() == second.read_bytes()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match="cannot write the picture"):
+        draw_log(done, [tmp_path / "file" / "map.png"])
+
+
+def test_the_page_of_a_log_has_no_truth_and_maps_side_by_side(replayed, tmp_path):
+    done, page = replayed
+    times_s = np.arange(len(done.source.steps), dtype=float)
+    path = page.write(tmp_path / "a.html", done.engine, "title", "subtitle", {"steps": 12}, times_s)
+    text = path.read_text()
+    begin = text.index('type="application/json">') + len('type="application/json">')
+    data = json.loads(text[begin : text.index("</script>", begin)])
+    assert data["true_poses"] is None
+    assert "truth" not in data["layers"]
+    assert len(data["estimated_poses"]) == len(times_s)
+    assert data["moments"][-1]["step"] == len(times_s) - 1
+    boxes = []
+    for layer in data["moments"][0]["layers"]:
+        left = layer["origin_m"][0] + layer["pose_building_map"][0]
+        boxes.append((left, left + layer["shape"][1] * layer["resolution_m"]))
+    assert len(boxes) == 2
+    assert max(boxes)[0] > min(boxes)[1]
+
+
+def test_the_table_of_a_replay_has_a_row_with_units_for_each_robot(replayed):
+    done, _ = replayed
+    rows = done.table()
+    assert [row["robot"] for row in rows] == ["0", "1"]
+    assert rows[0]["odometry path [m]"] == pytest.approx(2.2, abs=0.01)
+    assert rows[0]["path [m]"] == pytest.approx(2.2, abs=0.1)
+    assert math.isclose(rows[1]["time [s]"], 11.0)
