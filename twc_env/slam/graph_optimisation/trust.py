@@ -33,8 +33,8 @@ EXPECTED_MAX = 0.08
 """Expected error as a share of the map's diagonal."""
 STANDS_OUT = 25.0
 """With a larger squared error, or a rejected closure, the map of another back end is compared with that of `ours`."""
-DIFFERS_ERRORS, DIFFERS_SHARE = 2.0, 0.01
-"""Two maps differ by more than so many expected errors and such a share of the diagonal."""
+DIFFERS_ERRORS, DIFFERS_SHARE = 1.0, 0.01
+"""Two maps differ if they are apart by more than so many expected errors and such a share of the diagonal."""
 REJECTED_MIN = 3
 """So few rejected closures are no hypothesis."""
 DRAWS, ROUNDS = 6, 3
