@@ -86,7 +86,7 @@ def agreement(agreeing_m, contradicting_m=0.0, x=0.0):
         ([], "no placement at which walls agree"),
         ([agreement(5.0)], "too little in common"),
         ([agreement(80.0), agreement(70.0, x=9.0)], "two placements explain the overlap about equally.*9.0 m"),
-        ([agreement(80.0, 8.0)], "8.0 m of wall stand in the other's free floor"),
+        ([agreement(80.0, 8.5)], "8.5 m of wall stand in the other's free floor"),
         ([agreement(80.0, 1.0), agreement(20.0)], "^$"),
     ],
 )

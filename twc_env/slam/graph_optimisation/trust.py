@@ -3,7 +3,7 @@
 Four things are measured of a component. *Undecided*: closures that the back end can neither accept nor contradict,
 because drift is too large. *Second hypothesis*: how many of the rejected closures agree with each other and odometry
 without the accepted ones; for back ends other than `ours`, also whether the search of `ours` in all closures finds
-another map, where errors stand out. *Contradiction*: squared errors of what was accepted, per degree of freedom.
+another map, unless all closures agree. *Contradiction*: squared errors of what was accepted, per degree of freedom.
 *Expected error*: odometry and accepted closures are drawn anew from their stated noise, scaled by that ratio, and the
 graph is optimised again; how far its poses move, after alignment, is the error that the closures leave (a parametric
 bootstrap of the inverse Fisher information, without its gauge).
@@ -32,9 +32,9 @@ CONTRADICTION_MAX = 10.0
 EXPECTED_MAX = 0.08
 """Expected error as a share of the map's diagonal."""
 STANDS_OUT = 25.0
-"""With a larger squared error in what another back end accepted, its map is compared with that of `ours`."""
-DIFFERS_ERRORS, DIFFERS_SHARE = 2.0, 0.01
-"""Two maps differ by more than so many expected errors and such a share of the diagonal."""
+"""With a larger squared error, or a rejected closure, the map of another back end is compared with that of `ours`."""
+DIFFERS_ERRORS, DIFFERS_SHARE = 1.0, 0.01
+"""Two maps differ if they are apart by more than so many expected errors and such a share of the diagonal."""
 REJECTED_MIN = 3
 """So few rejected closures are no hypothesis."""
 DRAWS, ROUNDS = 6, 3
@@ -95,7 +95,7 @@ def trust_in(graph: Graph, result: BackendResult, robust: str = "ours") -> Trust
         reasons.append(
             f"the closures hold too little: expected error {expected_m:.3g} m on a map of {diagonal_m:.3g} m"
         )
-    if robust != "ours" and count and errors.max(initial=0.0) > STANDS_OUT:
+    if robust != "ours" and count and (result.rejections or errors.max(initial=0.0) > STANDS_OUT):
         other = solve(poses, *graph.parts, PoseGraphConfig(robust="ours")).poses
         away_m = float(np.sqrt(_aligned_square(other[:, :2], poses[:, :2])))
         if away_m > max(DIFFERS_ERRORS * expected_m, DIFFERS_SHARE * diagonal_m):

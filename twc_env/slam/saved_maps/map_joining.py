@@ -138,7 +138,7 @@ def _contradicting(maps: list[SavedMap], left: dict[int, Array], right: dict[int
             cell_m = cell_of([maps[a], maps[b]])
             pose = compose(compose(inverse(compose(pose_a, maps[a].origin)), pose_b), maps[b].origin)
             found = agreement_at(compared(maps[a], cell_m), compared(maps[b], cell_m), pose)
-            if found.contradicting_m > CONTRADICTING_MIN_M and found.contradiction > 2 * CONTRADICTION_MAX:
+            if found.contradicting_m > CONTRADICTING_MIN_M and found.contradiction > CONTRADICTION_MAX:
                 return a, b
     return None
 

@@ -31,9 +31,11 @@ CONTRADICTION = 3.0
 OTHER_M, OTHER_RAD = 1.0, np.radians(10.0)
 """Placements that differ by more are different ones."""
 FINE_COUNT = 12
-EVIDENCE_MIN_M, RATIO_MAX, CONTRADICTION_MAX = 13.0, 0.55, 0.05
-"""A placement is believed from this evidence on, if the second best has at most this share of it, and at most this
-share of its walls contradicts."""
+EVIDENCE_MIN_M, RATIO_MAX = 13.0, 0.55
+"""A placement is believed from this evidence on, if the second best has at most this share of it, ..."""
+CONTRADICTION_MAX, CONTRADICTION_PER_RATIO = 0.08, 0.1
+"""... and if a smaller share of its walls contradicts than the first, less the second times that share: buildings whose
+rooms repeat have false placements with few contradictions, and a strong second best."""
 LOG_ODDS = (4.4, 0.2, -8.3, -43.0)
 """Logistic regression of right placements: constant, logarithm of the evidence [m], second evidence / first, share of
 contradicting walls."""
@@ -109,7 +111,7 @@ def judged(ranked: list[Agreement]) -> Placement:
             f"two placements explain the overlap about equally: {best.evidence_m:.0f} and {second.evidence_m:.0f} m of "
             f"wall speak for them, {np.hypot(away[0], away[1]):.1f} m and {abs(np.degrees(away[2])):.0f} degrees apart"
         )
-    elif best.contradiction > CONTRADICTION_MAX:
+    elif best.contradiction > CONTRADICTION_MAX - CONTRADICTION_PER_RATIO * ratio:
         reason = f"{best.contradicting_m:.1f} m of wall stand in the other's free floor ({best.agreeing_m:.1f} m agree)"
     return Placement(best, second, certainty, reason)
 
