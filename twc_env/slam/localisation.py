@@ -34,7 +34,7 @@ THROUGH_STEP_M, THROUGH_M = 0.1, 0.4
 """Spacing of the places on a beam that are looked up in the map, and how far before its end the last one is."""
 AGAIN = 3
 """Scans in a row that must fit as a guess must, to be no longer lost."""
-PATIENCE_S = 1.0
+PATIENCE_S = 1.5
 """It says that it is lost after so long without a match that it believes."""
 GATE_M = 0.6
 """Points of a tracked scan further from a wall have no partner at first."""
