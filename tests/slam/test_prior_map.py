@@ -5,12 +5,14 @@ import pytest
 
 from twc_env.config import EnvConfig, override
 from twc_env.datasets.lasting_maps import prior_of, read_lasting_map, write_lasting_map
-from twc_env.errors import ConfigError
+from twc_env.errors import ConfigError, DataError
 from twc_env.maps import load_map
 from twc_env.metrics import align_team
 from twc_env.records.geometry import compose
+from twc_env.records.messages import GridMap
 from twc_env.reproduce.routes import RoutePlanner, room_tour, steer
 from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.localisation import Localiser
 from twc_env.world.world import World
 
 
@@ -99,3 +101,37 @@ def test_an_engine_names_what_it_cannot_begin_with(config, first):
 def test_the_setting_names_the_file(config, first):
     assert prior_of(config) is None
     assert len(prior_of(override(config, {"slam.prior": str(first[0])})).poses) == len(read_lasting_map(first[0]).poses)
+
+
+def test_a_robot_is_localised_in_a_finished_map_and_says_so(config, first):
+    localiser = Localiser(config, read_lasting_map(first[0]))
+    plan = load_map("twin-02")
+    rooms = sorted(plan.rooms, key=lambda room: room.name)[:3]
+    way = RoutePlanner(plan).route([stop for room in rooms for stop in room_tour(room)])[::-1]
+    world, at, places, true = World(config, plan), 0, [], []
+    world.reset(7, np.array([[*way[0], np.arctan2(*(way[5] - way[0])[::-1])]]))
+    while True:
+        places.append(localiser.update(world.sense()[0]))
+        true.append(world.poses[0].copy())
+        command, at = steer(world.poses[0], way, at, config)
+        if command is None:
+            break
+        world.step(np.array([command]))
+    is_lost = np.array([place.is_lost for place in places])
+    apart = compose(first[1], np.array([place.pose_map_robot for place in places])) - np.array(true)
+    assert is_lost[0] and not is_lost[-1]
+    assert np.median(np.hypot(*apart[~is_lost, :2].T)) < 0.06
+
+
+def test_a_robot_in_another_building_says_that_it_is_lost(config, first):
+    localiser, world = Localiser(config, read_lasting_map(first[0])), World(config, load_map("twin-01"))
+    world.reset(0, "map")
+    for _ in range(150):
+        place = localiser.update(world.sense()[0])
+        world.step(np.array([[0.4, 0.3]]))
+    assert place.is_lost
+
+
+def test_a_map_without_walls_is_refused(config):
+    with pytest.raises(DataError, match="has no walls"):
+        Localiser(config, GridMap(np.zeros((3, 3), np.int16), np.zeros(2), 0.1))

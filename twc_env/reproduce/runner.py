@@ -39,6 +39,9 @@ TABLES = {
     "sessions": Table(
         "a second session in the map of the first, furniture moved and doors shut; ten sessions in one building"
     ),
+    "localisation": Table(
+        "five laser logs: the first half maps, the second half is localised in that map", needs_data=True
+    ),
     "lidar-model": Table(
         "the scanner model against five real laser logs: noise, lost returns, points off the map, change",
         needs_data=True,

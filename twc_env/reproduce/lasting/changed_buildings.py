@@ -60,12 +60,15 @@ def changed(plan: Floorplan, before: Fittings, seed: int, moved_share: float, sh
     shut and all others are open."""
     random, home = random_stream(seed, "changes " + plan.name), plan.home
     boxes = before.boxes_m.copy()
-    for k in random.permutation(len(boxes))[: round(moved_share * len(boxes))].tolist():
+    left = round(moved_share * len(boxes))
+    for k in random.permutation(len(boxes)).tolist():
+        if left == 0:
+            break
         others = np.delete(boxes, k, axis=0)
         away = np.concatenate([others, before.boxes_m[k : k + 1]])  # not where it stood
         box = _placed(home, home.rooms[before.room_of[k]], away, before.doors_m, random)
-        if box is not None:
-            boxes[k] = box
+        if box is not None:  # else there is no other place for it in the room
+            boxes[k], left = box, left - 1
     is_shut = np.zeros(len(before.doors_m), bool)
     is_shut[random.permutation(len(is_shut))[: round(shut_share * len(is_shut))]] = True
     return Fittings(boxes, before.room_of, before.doors_m, is_shut)

@@ -52,12 +52,17 @@ def match_points(target: Array, source: Array, guess: Array) -> PointMatch:
     Raises DataError for points or a guess of another shape, or not finite.
     """
     target, source = validated_points(target, "target points"), validated_points(source, "source points")
-    pose, gate_m = validated_pose(guess, "guess").copy(), GATE_FIRST_M
+    pose = validated_pose(guess, "guess").copy()
     if len(target) == 0 or len(source) == 0:
         return PointMatch(pose, np.nan, 0.0, np.zeros((3, 3)))
     from scipy.spatial import cKDTree  # slow to import, and not used by the default method
 
-    tree = cKDTree(target)
+    return match_to_tree(cKDTree(target), source, pose)
+
+
+def match_to_tree(tree: cKDTree, source: Array, guess: Array, gate_first_m: float = GATE_FIRST_M) -> PointMatch:
+    """The same for target points in a tree, which many matches share; points and guess are not checked."""
+    target, pose, gate_m = tree.data, guess.copy(), gate_first_m
     for _ in range(ITERATIONS_MAX):
         away_m, nearest = tree.query(transform_points(pose, source), distance_upper_bound=gate_m)
         paired = np.isfinite(away_m)

@@ -1,0 +1,28 @@
+import json
+
+import pytest
+
+from twc_env.__main__ import main
+
+
+def test_a_saved_map_is_the_prior_of_a_later_session_and_of_a_replay(tmp_path, capsys, refusal):
+    common = ["explore", "--map", "twin-02", "--robots", "1", "--no-pictures", "--steps", "300"]
+    first, second = tmp_path / "first.npz", tmp_path / "second.npz"
+    assert main([*common, "--save", str(first), "--out", str(tmp_path / "a")]) == 0
+    assert f"map saved: {first} (" in capsys.readouterr().out
+    later = ["--prior", str(first), "--save", str(second)]
+    assert main([*common, "--seed", "1", *later, "--out", str(tmp_path / "b")]) == 0
+    assert main(["replay", str(tmp_path / "a"), *later, "--json", str(tmp_path / "replay.json")]) == 0
+    figures = json.loads((tmp_path / "replay.json").read_text())
+    assert figures["found_prior"] in ([], [0]) and str(second) in figures["saved"]
+    first.write_bytes(first.read_bytes()[:-9])
+    message = refusal(main, [*common, *later, "--out", str(tmp_path / "c")])
+    assert "first.npz" in message and "save the map again" in message
+
+
+@pytest.mark.parametrize("place", ["here", "file/map.npz"])
+def test_a_map_that_cannot_be_saved_is_refused_before_the_run(tmp_path, refusal, place):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "file").write_text("")
+    arguments = ["explore", "--steps", "5", "--no-pictures", "--save", str(tmp_path / place)]
+    assert "cannot write" in refusal(main, arguments)

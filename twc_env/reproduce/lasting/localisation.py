@@ -1,0 +1,121 @@
+"""Localisation in one's own map: the first half of a laser log maps, the second half is localised in that map.
+
+Five public CARMEN logs with corrected poses, which stand for truth. Odometry is made of them with errors added: a scale
+error of 3 %, a curl of 0.5 degrees per metre, and noise. The engine maps the first half and saves its map; the
+localiser begins with the second half without any pose, knowing the saved map alone (`grid`: its grid alone, as of a
+plain ROS map). Where the second half leaves the map, it must say that it is lost.
+
+`found_s` is the time until it says that it knows where it is, `said_lost` the share of scans at which it says that it
+is lost after that. Errors are over all other scans, in the frame of the map, which was aligned with the poses of the
+first half. `unsaid_s` is the longest time in which it was wrong by more than 0.5 m or 10 degrees and did not say so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.config import from_dict
+from twc_env.datasets.logs.scan_log import RANGE_MAX_M, SETTINGS, ScanLog, beam_count_of, read_carmen_log, sensor_frames
+from twc_env.metrics import align_team
+from twc_env.records.geometry import between, compose
+from twc_env.records.random_streams import random_stream
+from twc_env.reproduce.logs.intel import place_frames
+from twc_env.reproduce.runner import Runner, add_some, data_folder
+from twc_env.running.command_line import count, natural
+from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.localisation import Localiser
+
+CHOOSES = ("logs",)
+LOGS = ("aces", "freiburg-079", "freiburg-101", "intel", "orebro")
+SCALE, CURL_RAD_PER_M, NOISE_PER_M, NOISE_RAD = 0.03, math.radians(0.5), 0.02, 0.005
+"""Errors of odometry: of length, turn per metre, standard deviations of length per metre and of turn per step."""
+SPACING_M, SPACING_RAD = 0.3, 0.3
+"""Scans nearer to the one before are left out."""
+WRONG_M, WRONG_RAD = 0.5, math.radians(10)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the table."""
+    add_some(parser, "--logs", LOGS, "logs")
+    parser.add_argument("--scans", type=count, default=100_000, help="most scans of each log, from its begin")
+    parser.add_argument("--seed", type=natural, default=0, help="of the odometry's noise")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """Two rows per log: in the saved map, and in its grid alone."""
+    found = runner.each(options.logs, lambda name: localised(name, options.scans, options.seed))
+    return [row for own in found for row in own]
+
+
+def localised(name: str, scans: int, seed: int) -> list[dict]:
+    """One log."""
+    whole = read_carmen_log(data_folder() / "lidar" / "carmen" / f"{name}-corrected.log.gz")
+    log = _thinned(whole, scans)
+    half, beams = len(log.times_s) // 2, beam_count_of([log])
+    drifting = dataclasses.replace(log, poses=drifted(log.poses, random_stream(seed, f"odometry {name}")))
+    lidar = SETTINGS["lidar"] | {"beam_count": beams}
+    config = from_dict(SETTINGS | {"lidar": lidar, "robots": 1})
+    engine = CooperativeSlam(config, 1)
+    (mapped,) = place_frames(engine, [sensor_frames(drifting, beams, RANGE_MAX_M, np.arange(half))])
+    aligned, lasting = align_team(mapped, log.poses[:half]), engine.lasting_map()
+    frames = sensor_frames(drifting, beams, RANGE_MAX_M, np.arange(half, len(log.times_s)))
+    return [
+        {"log": name, "map": kind, "scans": len(frames)} | _scored(Localiser(config, known), frames, aligned, log, half)
+        for kind, known in (("saved", lasting), ("grid", lasting.grid))
+    ]
+
+
+def _scored(localiser: Localiser, frames: list, aligned: Array, log: ScanLog, half: int) -> dict:
+    places = [localiser.update(frame) for frame in frames]
+    times_s = np.array([frame.time_s for frame in frames])
+    apart = between(log.poses[half:], compose(aligned, np.array([place.pose_map_robot for place in places])))
+    error_m, is_lost = np.hypot(apart[:, 0], apart[:, 1]), np.array([place.is_lost for place in places])
+    is_wrong = (error_m > WRONG_M) | (np.abs(apart[:, 2]) > WRONG_RAD)
+    known = np.flatnonzero(~is_lost)
+    if not len(known):
+        return {"found_s": None, "said_lost": 1.0, "median_error_m": None, "p95_error_m": None, "unsaid_s": 0.0}
+    return {
+        "found_s": float(times_s[known[0]] - times_s[0]),
+        "said_lost": float(is_lost[known[0] :].mean()),
+        "median_error_m": float(np.median(error_m[~is_lost])),
+        "p95_error_m": float(np.quantile(error_m[~is_lost], 0.95)),
+        "unsaid_s": _longest_s(is_wrong & ~is_lost, times_s),
+    }
+
+
+def _longest_s(is_so: Array, times_s: Array) -> float:
+    """The longest time between the first and last of successive scans that are so."""
+    longest, begun = 0.0, None
+    for so, time_s in zip(is_so.tolist(), times_s.tolist(), strict=True):
+        begun = (time_s if begun is None else begun) if so else None
+        longest = max(longest, 0.0 if begun is None else time_s - begun)
+    return longest
+
+
+def _thinned(log: ScanLog, count_max: int) -> ScanLog:
+    """The scans of a log that are apart from the one before."""
+    kept = [0]
+    for k in range(1, min(len(log.times_s), count_max)):
+        moved = between(log.poses[kept[-1]], log.poses[k])
+        if math.hypot(moved[0], moved[1]) >= SPACING_M or abs(moved[2]) >= SPACING_RAD:
+            kept.append(k)
+    angles = log.beam_angles_rad
+    angles = angles[kept] if angles.ndim == 2 else angles
+    return ScanLog(log.times_s[kept], log.poses[kept], log.ranges_m[kept], angles)
+
+
+def drifted(poses: Array, random: np.random.Generator) -> Array:
+    """The poses (n, 3) as odometry with errors would tell them."""
+    motions = between(poses[:-1], poses[1:])
+    length_m = np.hypot(motions[:, 0], motions[:, 1])
+    motions[:, :2] *= 1.0 + SCALE + random.normal(0.0, NOISE_PER_M, (len(motions), 1))
+    motions[:, 2] += CURL_RAD_PER_M * length_m + random.normal(0.0, NOISE_RAD, len(motions))
+    out = [poses[0]]
+    for motion in motions:
+        out.append(compose(out[-1], motion))
+    return np.array(out)
