@@ -270,7 +270,8 @@ def _notebooks() -> dict[str, str | bytes]:
             parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
             for output in cell.get("outputs", []):
                 parts.append(_shown(output, f"notebooks/{path.stem}-{number}", made))
-        title = f"\n<a href="{path.name}" download>Download this notebook</a>: it runs in Jupyter and in Colab.\n"
+        link = f'<a href="{path.name}" download>Download this notebook</a>'
+        title = f"\n{link}: it runs in Jupyter and in Colab.\n"
         parts[0] = parts[0].replace("\n", f"\n{title}\n", 1) if "\n" in parts[0] else parts[0] + "\n" + title
         made[f"notebooks/{path.stem}.md"] = "\n\n".join(parts) + "\n"
     return made

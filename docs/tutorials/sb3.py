@@ -57,7 +57,7 @@ class Returns(BaseCallback):
         return True
 
 
-def main(decisions: int = 12_000, folder: Path = Path("runs/tutorials")) -> None:
+def main(decisions: int = 8_000, folder: Path = Path("runs/tutorials")) -> None:
     """Learn for this number of decisions of all robots."""
     torch.set_num_threads(1)
     envs = TeamVecEnv(8, SETTINGS, seed=0)

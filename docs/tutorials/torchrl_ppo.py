@@ -35,7 +35,7 @@ class Flat(nn.Module):
         return self.net(torch.cat([frontiers.flatten(-2), team.flatten(-2)], -1).float())
 
 
-def main(decisions: int = 12_000, folder: Path = Path("runs/tutorials")) -> None:
+def main(decisions: int = 14_000, folder: Path = Path("runs/tutorials")) -> None:
     """Learn for this number of decisions of all robots."""
     torch.set_num_threads(1)
     torch.manual_seed(0)
