@@ -4,7 +4,7 @@
   links from page to page, which are written for a reader of the repository, lead to them. A link to a source file leads
   to a page that shows it.
 - A line `<!-- made: NAME -->` is replaced by what the function `made_NAME` says, so no table of tasks can be out of
-  date.
+  date, and `<!-- file: PATH -->` by the file.
 - Parts of the navigation that do not exist yet are left out.
 """
 
@@ -71,9 +71,10 @@ def on_files(files: Any, config: Any) -> Any:
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Put in what is made, and lead links to where pages stand in the site."""
     markdown = re.sub(r"^<!-- made: (\w+) -->$", lambda m: globals()[f"made_{m[1]}"](), markdown, flags=re.MULTILINE)
+    markdown = re.sub(r"^<!-- file: (\S+) -->$", lambda m: _fenced(ROOT / m[1]), markdown, flags=re.MULTILINE)
     uri = page.file.src_uri
     home = _place_in_repository(uri)
-    parts = re.split(r"(^```.*?^```|`[^`\n]+`)", markdown, flags=re.DOTALL | re.MULTILINE)
+    parts = re.split(r"(^````.*?^````|^```.*?^```|`[^`\n]+`)", markdown, flags=re.DOTALL | re.MULTILINE)
     parts[::2] = [_with_links(part, uri, home) for part in parts[::2]]
     return "".join(parts)
 
@@ -196,8 +197,13 @@ def _source_page(path: str) -> str:
     if file.is_dir():
         lines = [f"- `{p.relative_to(file).as_posix()}`: {_first_line(p)}" for p in sorted(file.rglob("*.py"))]
         return f"# {path}\n\n" + "\n".join(line for line in lines if not line.endswith(": ")) + "\n"
+    return f"# {path}\n\n{_fenced(file)}\n"
+
+
+def _fenced(file: Path) -> str:
+    """The text of a file as a code block."""
     kind = {".py": "python", ".json": "json", ".toml": "toml", ".yml": "yaml"}.get(file.suffix, "text")
-    return f"# {path}\n\n````{kind}\n{file.read_text(encoding='utf-8')}\n````\n"
+    return f"````{kind}\n{file.read_text(encoding='utf-8').rstrip()}\n````"
 
 
 def _first_line(file: Path) -> str:
@@ -264,7 +270,8 @@ def _notebooks() -> dict[str, str | bytes]:
             parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
             for output in cell.get("outputs", []):
                 parts.append(_shown(output, f"notebooks/{path.stem}-{number}", made))
-        title = f"\n[Download this notebook]({path.name}){{ download }}: it runs in Jupyter and in Colab.\n"
+        link = f'<a href="{path.name}" download>Download this notebook</a>'
+        title = f"\n{link}: it runs in Jupyter and in Colab.\n"
         parts[0] = parts[0].replace("\n", f"\n{title}\n", 1) if "\n" in parts[0] else parts[0] + "\n" + title
         made[f"notebooks/{path.stem}.md"] = "\n\n".join(parts) + "\n"
     return made

@@ -116,7 +116,7 @@ def main(decisions: int = 12_000, folder: Path = Path("runs/tutorials"), s: Sett
                 nn.utils.clip_grad_norm_(policy.parameters(), 0.5)
                 optimiser.step()
     teams.close()
-    save_curve("one_file", returns, folder)
+    save_curve("one_file", returns, folder, parts=20)
 
 
 if __name__ == "__main__":

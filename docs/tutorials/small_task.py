@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-# --8<-- [start:task]
 SETTINGS = {
     "map": "twin-01",
     "robots": 2,
@@ -26,7 +25,6 @@ SETTINGS = {
     "observation.wifi": False,
     "observation.signs": False,
 }
-# --8<-- [end:task]
 """Settings of the task; the return of an episode is the share of the floor that is mapped correctly at its end."""
 
 

@@ -35,7 +35,7 @@ class Flat(nn.Module):
         return self.net(torch.cat([frontiers.flatten(-2), team.flatten(-2)], -1).float())
 
 
-def main(decisions: int = 12_000, folder: Path = Path("runs/tutorials")) -> None:
+def main(decisions: int = 14_000, folder: Path = Path("runs/tutorials")) -> None:
     """Learn for this number of decisions of all robots."""
     torch.set_num_threads(1)
     torch.manual_seed(0)
@@ -59,10 +59,11 @@ def main(decisions: int = 12_000, folder: Path = Path("runs/tutorials")) -> None
     loss = ClipPPOLoss(actor, critic, clip_epsilon=0.2, entropy_coeff=0.01, normalize_advantage=True)
     loss.set_keys(
         action=env.action_key, value=("robot", "state_value"), sample_log_prob=("robot", "log_prob"),
-        reward=env.reward_key, done=("robot", "done"), terminated=("robot", "terminated"),
+        reward=env.reward_key, done=("robot", "done"), terminated=("robot", "done"),
     )  # fmt: skip
-    loss.make_value_estimator(gamma=0.9, lmbda=0.95)
-    optimiser = torch.optim.Adam(loss.parameters(), lr=2e-3)
+    # The end of the time is the end of the task (`terminated` is `done`): what might have come later does not count.
+    loss.make_value_estimator(gamma=1.0, lmbda=0.95)
+    optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
     returns, gained, at = [], 0.0, env.reset()
     for _ in range(max(decisions // (ROLLOUT * len(team.possible_agents)), 1)):
         with torch.no_grad():

@@ -23,7 +23,7 @@ def test_every_script_has_a_test_and_a_page():
     scripts = {path.stem for path in FOLDER.glob("*.py")} - {"small_task"}
     assert scripts == set(NEEDS)
     shown = "".join(path.read_text() for path in FOLDER.glob("*.md"))
-    assert [name for name in scripts if f'--8<-- "tutorials/{name}.py"' not in shown] == []
+    assert [name for name in scripts if f"<!-- file: docs/tutorials/{name}.py -->" not in shown] == []
 
 
 @pytest.mark.parametrize("name", NEEDS)
