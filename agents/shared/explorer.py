@@ -89,7 +89,8 @@ class Explorer(ABC):
             anchor = robot.anchor = (x, y, belief.step)
         if robot.goal_kind in ("", "wait") or belief.step <= robot.escape_until or self._has_arrived(robot, belief):
             return
-        if (belief.step - anchor[2]) * self.dynamics.time_step_s >= self.explorer.stuck_s:
+        patience = max(1.0, 1.0 / robot.follower.dynamics.speed_max_m_s)  # of one slower than 1 m/s
+        if (belief.step - anchor[2]) * self.dynamics.time_step_s >= patience * self.explorer.stuck_s:
             self._get_unstuck(robot, belief)
 
     def _has_arrived(self, robot: ExplorerRobot, belief: Belief) -> bool:

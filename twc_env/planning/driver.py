@@ -24,7 +24,7 @@ TEAMMATE_ARRIVAL_M = 1.2
 GOAL_SQUARE_SHARE = 0.65
 """Half side of the square in which paths end, as a share of the arrival distance; its corners lie inside the latter."""
 STUCK_S, STUCK_M = 3.0, 0.3
-"""A robot is stuck if it moved no further than `STUCK_M` in `STUCK_S`."""
+"""A robot is stuck if it moved no further than `STUCK_M` in `STUCK_S`; one slower than 1 m/s has longer."""
 BACK_OUT_S = 1.2
 """A stuck robot backs out toward the longest ranges for this long, then the goal has failed."""
 TEAMMATE_RADIUS_M, TEAMMATE_COST, TEAMMATE_RANGE_M = 0.6, 12, 6.0
@@ -122,7 +122,7 @@ class Driver:
         x, y = float(self._pose[0]), float(self._pose[1])
         if math.hypot(x - self._anchor[0], y - self._anchor[1]) > STUCK_M:
             self._anchor = (x, y, self._ticks)
-        return (self._ticks - self._anchor[2]) * tick_s >= STUCK_S
+        return (self._ticks - self._anchor[2]) * tick_s >= STUCK_S * max(1.0, 1.0 / self._dynamics.speed_max_m_s)
 
     def _needs_plan(self, belief: Belief, tick_s: float) -> bool:
         if not self._follower.has_path or self._ticks % max(1, round(REPLAN_S / tick_s)) == 0:

@@ -158,6 +158,17 @@ def test_vectors_of_teams_need_equal_shapes():
     teams.close()
 
 
+def test_stable_baselines3_takes_a_team_of_equal_shapes():
+    pytest.importorskip("stable_baselines3")
+    from twc_env.vector.sb3 import TeamVecEnv
+
+    rows = TeamVecEnv(1, MIXED | {"observation.equal_shapes": True})
+    assert rows.reset()["lidar"].shape == (3, 400)
+    rows.close()
+    with pytest.raises(ConfigError, match=r"observation\.equal_shapes = true"):
+        TeamVecEnv(1, MIXED)
+
+
 def test_the_engine_is_for_the_robots_that_are_listed():
     with pytest.raises(ConfigError, match="robot lists 3 robots, and the engine is for 2"):
         CooperativeSlam(override(EnvConfig(), MIXED), 2)
