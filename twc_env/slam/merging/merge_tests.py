@@ -132,14 +132,16 @@ class MergeTests:
     def may_replace(self, robots: Sequence[int], nodes: Array, before: Solution, after: Solution) -> bool:
         """Whether solution `after` may replace `before` in the map of these robots, whose nodes (n,) are given.
 
-        The weight of newly accepted closures must reach that of lost ones: their number is not sufficient where few
-        signs were seen often or consecutive names are confused. A single closure may not move the map by more than
-        LOOSE_M. No new pair of robots may disagree on most of its shared signs.
+        Newly accepted closures must have the weight of lost ones at least, at twice as many places, else the two
+        solutions are ambiguous. Their number is not sufficient where few signs were seen often or consecutive names are
+        confused. A single closure may not move the map by more than LOOSE_M. No new pair of robots may disagree on most
+        of its shared signs.
         """
         held, now = ({closure.number for closure in answer[0]} for answer in (before, after))
         lost = self.weight([c for c in before[0] if c.number not in now], robots)
         new = [c for c in after[0] if c.number not in held]
-        if self.weight(new, robots) < lost:
+        gained = self.weight(new, robots)
+        if gained < lost or lost[1] > RIVAL_SHARE * gained[1]:
             return False
         new = [c for c in new if not c.is_loose]
         if len(new) == 1 and self._graph.disagreement(new[0])[0] > LOOSE_M:
