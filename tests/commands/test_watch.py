@@ -54,7 +54,7 @@ def test_one_robot_is_driven_by_the_keys_and_the_others_by_the_team(pygame, driv
 
     monkeypatch.setattr(pygame.display, "flip", flip)
     assert main([*SMALL, "--drive", "0", "--close", "--json", str(tmp_path / "a.json")]) == 0
-    own = [tuple(np.round(actions["robot_0"], 2).tolist()) for actions in driven]
+    own = [tuple(np.round(actions["robot_0"].astype(float), 2).tolist()) for actions in driven]
     assert own[:4] == [(0.0, 0.0)] * 4 and own[6:8] == [(1.0, 0.0)] * 2 and own[12] == (0.0, -0.8)
     assert len(own) == 20 and any(np.abs(actions["robot_1"]).max() > 0.1 for actions in driven)
     assert json.loads((tmp_path / "a.json").read_text())["steps"] == 20

@@ -26,28 +26,35 @@ def test_a_bar_fits_a_terminal_of_any_width(width):
 
 
 @pytest.fixture
-def terminal(monkeypatch, capsys):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setattr(sys.stderr, "fileno", lambda: 2, raising=False)
-    monkeypatch.setattr(os, "get_terminal_size", lambda *_: os.terminal_size((70, 20)))
-    yield
-    command_line.end_line()
+def on_terminal(monkeypatch):
+    """A function that makes stderr a terminal of 70 characters."""
+
+    def become():
+        monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+        monkeypatch.setattr(sys.stderr, "fileno", lambda: 2, raising=False)
+        monkeypatch.setattr(os, "get_terminal_size", lambda *_: os.terminal_size((70, 20)))
+
+    yield become
+    command_line._progress.update(is_open=False, shown=0)
 
 
-def test_a_shorter_line_covers_the_one_before_it(terminal, capsys):
+def test_a_shorter_line_covers_the_one_before_it(on_terminal, capsys):
+    on_terminal()
     show_line("a long line of progress")
     show_line("short")
     assert capsys.readouterr().err == "\ra long line of progress\rshort" + " " * (len("a long line of progress") - 5)
 
 
-def test_a_remark_begins_below_the_line_of_progress(terminal, capsys):
+def test_a_remark_begins_below_the_line_of_progress(on_terminal, capsys):
+    on_terminal()
     with logging_to_terminal():
         show_line("half")
         tell("something")
     assert capsys.readouterr().err == "\rhalf\nsomething\n"
 
 
-def test_a_bar_tells_how_long_it_will_take_at_the_present_rate(terminal, capsys, monkeypatch):
+def test_a_bar_tells_how_long_it_will_take_at_the_present_rate(on_terminal, capsys, monkeypatch):
+    on_terminal()
     clock = iter([0.0, 100.0, *(100.0 + k for k in range(1, 40))])  # a slow beginning, then one count per second
     monkeypatch.setattr(command_line.time, "monotonic", lambda: next(clock))
     bar = Bar(100, "steps")
@@ -68,7 +75,8 @@ def test_a_log_gets_no_bar_and_a_line_per_minute(capsys, monkeypatch):
     assert len(lines) == 3 and all("[" not in line and "steps" in line for line in lines)
 
 
-def test_quiet_drops_progress_and_remarks_but_not_warnings(terminal, capsys):
+def test_quiet_drops_progress_and_remarks_but_not_warnings(on_terminal, capsys):
+    on_terminal()
     with logging_to_terminal(is_quiet=True):
         show_line("half")
         tell("something")

@@ -285,6 +285,7 @@ def test_the_film_of_an_abandoned_episode_ends_with_its_last_step(tmp_path, monk
 
 def test_films_are_960_pixels_wide_and_named_by_map_and_seed(tmp_path):
     image = pytest.importorskip("PIL.Image", reason="needs the extra 'viz'")
+    from twc_env.exploration.drawing import palette
     from twc_env.pictures.video import RecordEpisodes, film_name
 
     env = RecordEpisodes(shown_team(2), tmp_path, every=1)
@@ -295,6 +296,9 @@ def test_films_are_960_pixels_wide_and_named_by_map_and_seed(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["twin-01-seed7-2.gif", "twin-01-seed7.gif"]
     with image.open(tmp_path / "twin-01-seed7.gif") as film:
         assert film.width == 960
+        colours = np.unique(np.asarray(film.convert("RGB")).reshape(-1, 3), axis=0)
+    violet = tuple(int(palette.CLOSURE[k : k + 2], 16) for k in (1, 3, 5))
+    assert violet in {tuple(map(int, colour)) for colour in colours}  # thin lines of the legend keep their colour
     assert film_name("gen:office:800:7", 3) == "gen-office-800-7-seed3.gif"
     assert film_name("plans/my flat.yaml", 0) == "my-flat-seed0.gif"
 

@@ -86,8 +86,6 @@ def _benchmark_maps(options: argparse.Namespace) -> int:
             tell(f"[{done}/{len(jobs)}] {names[job.folder]} seed {job.seed}: {outcome}{origin}")
     except KeyboardInterrupt:
         was_interrupted = True
-        finished = sum(map(len, reports.values()))
-        tell(f"interrupted after {finished} of {len(jobs)} runs; the same command continues from there")
     for rows in reports.values():
         rows.sort(key=lambda report: report["seed"])  # not as they came, which differs with the processes
     places = {name: options.out / folder for name, folder in folders.items()}
@@ -102,4 +100,7 @@ def _benchmark_maps(options: argparse.Namespace) -> int:
             print(f"\nWhere robots do not share one map: {ODOMETRY_REMARK}")
     for path in paths:
         tell(f"written: {path}")
+    if was_interrupted:
+        finished = sum(map(len, reports.values()))
+        tell(f"interrupted after {finished} of {len(jobs)} runs; the same command continues from there")
     return INTERRUPTED if was_interrupted else 0

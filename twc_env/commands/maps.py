@@ -186,9 +186,9 @@ def _show(options: argparse.Namespace) -> None:
 
     plan = load_map(options.map, options.seed)
     path = options.out or Path(f"{_file_stem(plan.name)}.{options.format}")
+    check_writable(path)
     if not path.suffix:
         path = path.with_name(f"{path.name}.{options.format}")
-    check_writable(path)
     path = draw_plan(plan, path, not options.no_signal, options.dpi)
     print(f"{_HEAD}\n{_row(plan)}\nwritten: {path}")
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig, robot_configs
 from twc_env.exploration.assessment.map_scores import GroupScore
-from twc_env.exploration.drawing.frame import framed
+from twc_env.exploration.drawing.frame import framed, legend_of
 from twc_env.exploration.drawing.layers import Layers, layered
 from twc_env.exploration.drawing.rendering import ClosureLine, SignalLayer, scene_of
 from twc_env.exploration.drawing.window import Window
@@ -75,7 +75,8 @@ class Viewer:
         radii_m = tuple(own.dynamics.robot_radius_m for own in robot_configs(episode.config))
         scene = scene_of(episode.floorplan, episode.engine, episode.record, scores, lines, signal, people_m, radii_m)
         caption = f"{Path(episode.floorplan.name).name}, seed {episode.seed}: {episode.caption()}"
-        return framed(layered(scene, layers), caption, "" if self.window is None else self.window.help_text)
+        help_text = "" if self.window is None else self.window.help_text
+        return framed(layered(scene, layers), caption, help_text, legend_of(scene, self.window is not None))
 
     def _signal_of(self, plan: Floorplan, config: RadioConfig) -> SignalLayer:
         if self._signal is None or self._signal[0] is not plan:

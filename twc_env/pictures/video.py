@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib.util
 import re
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,15 @@ from pettingzoo.utils import BaseParallelWrapper
 
 from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, DataError
+from twc_env.exploration.drawing import palette
+from twc_env.exploration.drawing.rendering import SIGNAL_OPACITY
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.records.json_values import check_folder
 from twc_env.records.whole_file import whole_file
 
-COLOURS = 64
+BLENDS = (0.8, 0.6, 0.4, 0.25, 0.12)
+"""Shares of a line's colour where it covers a pixel in part, or fades."""
+SIGNAL_STEPS = 24
 
 
 class RecordEpisodes(BaseParallelWrapper):
@@ -110,10 +115,35 @@ class RecordEpisodes(BaseParallelWrapper):
 
 
 def film_frame(picture: Array) -> Any:
-    """A picture (height, width, 3) uint8 as a Pillow image of few colours."""
+    """A picture (height, width, 3) uint8 as a Pillow image of the colours of `_film_colours`."""
     from PIL import Image
 
-    return Image.fromarray(np.ascontiguousarray(picture)).quantize(COLOURS, dither=Image.Dither.NONE)
+    return Image.fromarray(np.ascontiguousarray(picture)).quantize(palette=_film_colours(), dither=Image.Dither.NONE)
+
+
+@cache
+def _film_colours() -> Any:
+    """The palette's colours and their blends with the floors that they are drawn on, as the palette of a Pillow image.
+
+    It is the same for all frames: colours chosen for each one would flicker, and lose those of thin lines.
+    """
+    from PIL import Image
+
+    plain = [palette.rgb(palette.FLOOR), palette.rgb(palette.UNKNOWN)]
+    tinted = [palette.tinted_floor(robot) for robot in range(len(palette.ROBOTS))]
+    lines = (*palette.ROBOTS, palette.TRUE_WALL, palette.WALL, palette.INK, palette.CLOSURE, palette.PERSON)
+    colours = [*plain, *tinted]
+    for line in map(palette.rgb, lines):
+        colours += [line, *(share * line + (1 - share) * ground for ground in plain for share in BLENDS)]
+    for line in map(palette.rgb, (palette.WALL, palette.CLOSURE)):
+        colours += [0.5 * line + 0.5 * ground for ground in tinted]
+    steps = np.array([palette.rgb(colour) for colour in palette.SIGNAL])
+    for share in np.linspace(0, len(steps) - 1, SIGNAL_STEPS):
+        signal = [np.interp(share, range(len(steps)), steps[:, k]) for k in range(3)]
+        colours += [SIGNAL_OPACITY * np.array(signal) + (1 - SIGNAL_OPACITY) * ground for ground in plain]
+    image = Image.new("P", (1, 1))
+    image.putpalette(np.array(colours).round().astype(np.uint8).tobytes())
+    return image
 
 
 def film_name(map_name: str, seed: int) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,13 +17,10 @@ from twc_env.records.json_values import write_json
 from twc_env.records.text_tables import csv_text, flat
 from twc_env.records.whole_file import write_text
 
-if TYPE_CHECKING:
-    from twc_env.exploration.assessment.evaluation import EpisodeResult
-
 TABLES = ("figures", "paths")
 
 
-def frame_of(result: EpisodeResult, what: str) -> Any:
+def frame_of(result: Any, what: str) -> Any:
     """See `EpisodeResult.to_frame`."""
     if what not in TABLES:
         raise ConfigError(f"tables are {' and '.join(TABLES)}; got {what!r}")
@@ -35,7 +32,7 @@ def frame_of(result: EpisodeResult, what: str) -> Any:
     return pandas.DataFrame(paths_of(result))
 
 
-def paths_of(result: EpisodeResult) -> dict[str, Any]:
+def paths_of(result: Any) -> dict[str, Any]:
     """Columns of the poses of all robots over time [s, m, rad], in the building frame."""
     estimated = result.estimated_poses.copy()
     for robots, pose in zip(result.viewers, result.pose_building_map, strict=True):
@@ -51,7 +48,7 @@ def paths_of(result: EpisodeResult) -> dict[str, Any]:
     return columns
 
 
-def save(result: EpisodeResult, folder: Path, format: str, dpi: float | None) -> list[Path]:
+def save(result: Any, folder: Path, format: str, dpi: float | None) -> list[Path]:
     """See `EpisodeResult.save`."""
     from twc_env.exploration.drawing.figures import FORMATS, save_figure
 

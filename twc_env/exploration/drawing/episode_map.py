@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -16,9 +16,6 @@ from twc_env.exploration.drawing.primitives import draw_strokes
 from twc_env.exploration.drawing.smooth_map import BORDER, KNOWN_LEVEL, known_field, wall_strokes
 from twc_env.records.geometry import compose, transform_points
 from twc_env.records.messages import GridMap
-
-if TYPE_CHECKING:
-    from twc_env.exploration.assessment.evaluation import EpisodeResult
 
 MARGIN_M = 1.0
 WIDE_IN, NARROW_IN, HEIGHT_MAX_IN = 11.0, 8.0, 12.0
@@ -32,8 +29,8 @@ TRUE_WIDTH, ESTIMATED_WIDTH, ODOMETRY_WIDTH = 3.2, 1.1, 0.8
 TRUE_OPACITY = 0.35
 
 
-def map_figure(result: EpisodeResult, dpi: float | None = None) -> Any:
-    """The figure. Raises ConfigError without matplotlib."""
+def map_figure(result: Any, dpi: float | None = None) -> Any:
+    """The figure of an `EpisodeResult`. Raises ConfigError without matplotlib."""
     with style():
         x_min, y_min, x_max, y_max = result.floorplan.bounds_m
         width_m, height_m = x_max - x_min + 2 * MARGIN_M, y_max - y_min + 2 * MARGIN_M
@@ -62,7 +59,7 @@ def map_figure(result: EpisodeResult, dpi: float | None = None) -> Any:
     return figure
 
 
-def _title(result: EpisodeResult) -> list[str]:
+def _title(result: Any) -> list[str]:
     f = result.figures
     return [
         f"{Path(str(f['map'])).name}, seed {f['seed']}: {f['merged_robots']} of {f['robots']} robots in one map, "
@@ -73,7 +70,7 @@ def _title(result: EpisodeResult) -> list[str]:
     ]
 
 
-def _draw_grids(axes: Any, result: EpisodeResult) -> None:
+def _draw_grids(axes: Any, result: Any) -> None:
     """Draw the map of each group in the building frame, the largest on top; floor is tinted if there are several."""
     from matplotlib.transforms import Affine2D
 
@@ -113,7 +110,7 @@ def wall_cover(grid: GridMap, pose_building_map: Array) -> tuple[Array, float, f
     return image[..., 0], float(corner_m[0]), float(corner_m[1])
 
 
-def _draw_building(axes: Any, result: EpisodeResult) -> list[tuple[Any, str]]:
+def _draw_building(axes: Any, result: Any) -> list[tuple[Any, str]]:
     from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
 
@@ -140,7 +137,7 @@ def _draw_building(axes: Any, result: EpisodeResult) -> list[tuple[Any, str]]:
     return entries
 
 
-def _draw_paths(axes: Any, result: EpisodeResult) -> list[tuple[Any, str]]:
+def _draw_paths(axes: Any, result: Any) -> list[tuple[Any, str]]:
     from matplotlib.lines import Line2D
 
     placed, robots = placed_in_building(result), range(result.true_poses.shape[1])
@@ -165,7 +162,7 @@ def _draw_paths(axes: Any, result: EpisodeResult) -> list[tuple[Any, str]]:
     return [*entries, (dotted, "odometry alone"), (start, "start"), (end, "end")]
 
 
-def placed_in_building(result: EpisodeResult) -> Array:
+def placed_in_building(result: Any) -> Array:
     """Estimated poses (steps + 1, robots, 3) in the building frame, aligned with the map that they are in."""
     placed = result.estimated_poses.copy()
     for robots, pose in zip(result.viewers, result.pose_building_map, strict=True):
@@ -173,7 +170,7 @@ def placed_in_building(result: EpisodeResult) -> Array:
     return placed
 
 
-def _draw_closures(axes: Any, result: EpisodeResult) -> list[tuple[Any, str]]:
+def _draw_closures(axes: Any, result: Any) -> list[tuple[Any, str]]:
     """Draw closures: accepted ones solid, those not accepted dotted; false accepted ones thick, with crosses."""
     from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
@@ -205,7 +202,7 @@ def _draw_closures(axes: Any, result: EpisodeResult) -> list[tuple[Any, str]]:
     return entries
 
 
-def _number_robots(axes: Any, result: EpisodeResult) -> list[Any]:
+def _number_robots(axes: Any, result: Any) -> list[Any]:
     """Write the number of each robot beside its last true place."""
     from matplotlib.patheffects import withStroke
 

@@ -25,8 +25,15 @@ FINER = 3
 """Samples of the legend are drawn so many times larger, then reduced."""
 
 
-def framed(scene: Scene, caption: str, help_text: str = "") -> Array:
-    """The picture of a scene (height, 960, 3) uint8, its caption above, legend and help below."""
+Entry = tuple[str, str, str]
+"""Shape, colour and text of an entry of the legend."""
+
+
+def framed(scene: Scene, caption: str, help_text: str = "", entries: tuple[Entry, ...] | None = None) -> Array:
+    """The picture of a scene (height, 960, 3) uint8, its caption above, legend and help below.
+
+    entries: of the legend; None: of what the scene shows.
+    """
     image = render(scene)
     if find_spec("PIL") is None:
         return image
@@ -35,7 +42,7 @@ def framed(scene: Scene, caption: str, help_text: str = "") -> Array:
     height, width = image.shape[:2]
     left = (WIDTH_PX - width) // 2
     above = _strip((caption,), (CAPTION_PX,))
-    below = _legend(_entries(scene), help_text)
+    below = _legend(legend_of(scene) if entries is None else entries, help_text)
     frame = np.empty((above.shape[0] + height + below.shape[0], WIDTH_PX, 3), np.uint8)
     frame[:] = palette.rgb(palette.UNKNOWN).astype(np.uint8)
     frame[: above.shape[0]], frame[above.shape[0] + height :] = above, below
@@ -61,9 +68,10 @@ def _number_robots(draw: Any, scene: Scene, left: int, top: int, size_px: tuple[
         )  # fmt: skip
 
 
-def _entries(scene: Scene) -> tuple[tuple[str, str, str], ...]:
-    """Shape, colour and text of each entry of the legend: what the scene shows."""
-    entries = []
+def legend_of(scene: Scene, has_signal: bool = False) -> tuple[Entry, ...]:
+    """The legend of a scene: it stays the same in an episode, so that a window keeps its size. has_signal: whether
+    signal strength may be switched on."""
+    entries: list[Entry] = []
     if scene.walls.any():
         entries.append(("bar", palette.TRUE_WALL, "true wall"))
     if scene.grids:
@@ -72,18 +80,17 @@ def _entries(scene: Scene) -> tuple[tuple[str, str, str], ...]:
         entries.append(("disc", palette.INK, "true pose"))
     if len(scene.estimated_poses):
         entries.append(("ring", palette.INK, "estimated pose"))
-    if scene.closures:
-        entries += [("line", palette.CLOSURE, "loop closure"), ("dashes", palette.CLOSURE, "rejected")]
+    entries += [("line", palette.CLOSURE, "loop closure"), ("dashes", palette.CLOSURE, "rejected")]
     if len(scene.people_m):
         entries.append(("person", palette.PERSON, "person"))
-    if scene.signal is not None:
+    if scene.signal is not None or has_signal:
         entries.append(("ramp", "", "signal, weak to strong"))
     robots = max(len(scene.true_poses), len(scene.estimated_poses))
     return (*entries, *(("disc", palette.robot_colour(robot), f"robot {robot}") for robot in range(robots)))
 
 
 @lru_cache(maxsize=32)
-def _legend(entries: tuple[tuple[str, str, str], ...], help_text: str) -> Array:
+def _legend(entries: tuple[Entry, ...], help_text: str) -> Array:
     """The strip below the picture (height, 960, 3) uint8, with as many lines as needed."""
     from PIL import Image, ImageDraw
 

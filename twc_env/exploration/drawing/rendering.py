@@ -43,7 +43,7 @@ FRESH_S = 5.0
 _OLD_ACCEPTED = 0.3
 _DASH_PX = 5.0
 _SIGNAL = np.array([palette.rgb(colour) for colour in palette.SIGNAL])
-_SIGNAL_OPACITY = 0.45
+SIGNAL_OPACITY = 0.45
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +153,7 @@ def _paint_signal(image, left, top, metres, share, layer_x, layer_y, cell):
             k0 = min(int(at), steps - 1)
             for k in range(3):
                 colour = _SIGNAL[k0, k] + (at - k0) * (_SIGNAL[k0 + 1, k] - _SIGNAL[k0, k])
-                image[v, u, k] += _SIGNAL_OPACITY * (colour - image[v, u, k])
+                image[v, u, k] += SIGNAL_OPACITY * (colour - image[v, u, k])
 
 
 def scene_of(
