@@ -31,9 +31,9 @@ help: ## list the commands
 
 setup: .venv/installed-dev ## .venv with everything but torch
 
-demo: .venv/installed-demo ## three robots explore twin-01: table, map.png and episode.gif in runs/demo
+demo: .venv/installed-demo ## three robots explore twin-01: table, map.png and a film in runs/demo
 	.venv/bin/twc-env explore --map twin-01 --out runs/demo
-	@echo "The picture: runs/demo/map.png   The film: runs/demo/episode.gif"
+	@echo "The picture: runs/demo/map.png   The film: runs/demo/twin-01-seed0.gif"
 
 check: .venv/installed-dev ## format, lint, types, import arrows
 	$(PY) -m ruff format --check .

@@ -5,14 +5,21 @@ from __future__ import annotations
 import json
 import math
 import statistics
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import twc_env
 from twc_env import EnvConfig
 from twc_env.config import digest
+from twc_env.pictures.curves import draw_coverage, sampled
+from twc_env.pictures.replay_page import read_trace
+from twc_env.records.json_values import write_json
+from twc_env.records.text_tables import aligned_text, csv_text, flat, latex_table
+from twc_env.records.whole_file import write_text
 from twc_env.running.worker_processes import in_processes
 
 from .explore import explore, origin_of, write_run
@@ -41,6 +48,9 @@ class Job:
     seed: int
     folder: Path
     pictures: bool = True
+    format: str = "png"
+    """Of the map picture."""
+    dpi: float | None = None
 
 
 def passes(report: dict[str, Any]) -> bool:
@@ -58,7 +68,7 @@ def run_jobs(jobs: Iterable[Job], processes: int = 1) -> Iterator[tuple[Job, dic
     waiting = []
     for job in jobs:
         report = report_of(job)
-        if report is None or (job.pictures and not (job.folder / "map.png").is_file()):
+        if report is None or (job.pictures and not (job.folder / f"map.{job.format}").is_file()):
             waiting.append(job)
         else:
             yield job, report, True
@@ -71,7 +81,7 @@ def run_job(job: Job) -> dict[str, Any]:
     run = explore(job.config, job.agent, job.seed)
     if run.was_interrupted:
         raise KeyboardInterrupt
-    write_run(run, job.folder, job.pictures)
+    write_run(run, job.folder, job.pictures, job.format, job.dpi)
     return run.report
 
 
@@ -113,19 +123,72 @@ def summary_of(reports: list[dict[str, Any]]) -> dict[str, Any]:
     return {"seeds": len(reports), "passed": sum(map(passes, reports)), "figures": columns}
 
 
-def table_of(reports: list[dict[str, Any]]) -> str:
-    """The seeds of one map as an aligned table, with statistics below."""
+def rows_of(reports: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """Titles, one row of cells per seed of one map, and rows of mean, sd, min and max."""
     reports = sorted(reports, key=lambda r: r["seed"])
     rows = [["seed", *(title for _, title, _ in COLUMNS), "passes"]]
     for report in reports:
         cells = ["-" if report.get(key) is None else f"{report[key]:{form}}" for key, _, form in COLUMNS]
         rows.append([str(report["seed"]), *cells, "yes" if passes(report) else "no"])
-    summary = summary_of(reports)
+    summary = summary_of(list(reports))
     for name in ("mean", "sd", "min", "max"):
         cells = [f"{summary['figures'][key][name]:{form.replace('d', '.2f')}}" for key, _, form in COLUMNS]
         rows.append([name, *cells, ""])
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = ["  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    rule = "-" * max(map(len, lines))
-    lines = [lines[0], rule, *lines[1 : len(reports) + 1], rule, *lines[len(reports) + 1 :]]
-    return "\n".join([*lines, f"{summary['passed']} of {summary['seeds']} seeds pass"])
+    return rows
+
+
+def table_of(reports: list[dict[str, Any]], width: int | None = None) -> str:
+    """The seeds of one map as an aligned table, with statistics below, folded to the width of a terminal."""
+    rows, summary = rows_of(reports), summary_of(reports)
+    lines = aligned_text(rows, width, left=0).split("\n\n")
+    ruled = []
+    for block in lines:
+        head, *body = block.split("\n")
+        rule = "-" * max(map(len, [head, *body]))
+        ruled.append("\n".join([head, rule, *body[: len(reports)], rule, *body[len(reports) :]]))
+    return "\n\n".join(ruled) + f"\n{summary['passed']} of {summary['seeds']} seeds pass"
+
+
+def write_tables(
+    reports: Mapping[str, list[dict[str, Any]]], folders: Mapping[str, Path], agent: str, folder: Path,
+    pictures: tuple[str, float | None] | None,
+) -> list[Path]:  # fmt: skip
+    """Write summary.json, summary.csv (a row per run), summary.tex (a row per map), and coverage over time as
+    a picture; returns their paths.
+
+    reports: by map. folders: with the runs of each map. pictures: format and dpi; None for no picture.
+    """
+    summaries = {name: summary_of(rows) | {"reports": rows} for name, rows in reports.items() if rows}
+    write_json(folder / "summary.json", summaries)
+    paths = [folder / "summary.json"]
+    runs = [flat({**report, "passes": passes(report)}) for rows in reports.values() for report in rows]
+    paths.append(write_text(folder / "summary.csv", csv_text(runs)))
+    lines = [["map", "seeds", "pass", *(title for _, title, _ in COLUMNS)]]
+    for name, summary in summaries.items():
+        cells = []
+        for key, _, form in COLUMNS:
+            of, digits = summary["figures"][key], form.replace("d", ".2f")
+            cells.append(f"{of['mean']:{digits}} ({of['sd']:{digits}})")
+        lines.append([name, str(summary["seeds"]), str(summary["passed"]), *cells])
+    paths.append(write_text(folder / "summary.tex", latex_table(lines)))
+    curves = {name: _curves_of(rows, folders[name]) for name, rows in reports.items() if rows} if pictures else {}
+    if pictures is not None and curves:
+        times = [time_s for _, time_s in curves.values()]
+        title = f"{agent}, largest group of robots"
+        drawn = {name: values for name, (values, _) in curves.items()}
+        path = folder / f"coverage.{pictures[0]}"
+        paths.append(draw_coverage(drawn, max(times), path, title, pictures[1]))
+    return paths
+
+
+def _curves_of(reports: Sequence[dict[str, Any]], folder: Path) -> tuple[list[list[float]], float]:
+    """Coverage over time of the runs of one map, from their traces, and the longest time [s] of an episode."""
+    curves, time_max_s = [], 0.0
+    for report in reports:
+        trace = read_trace(folder / f"seed-{report['seed']}" / "trace.npz")
+        moments, config = json.loads(str(trace["moments"])), json.loads(str(trace["config"]))
+        steps = [moment["step"] for moment in moments]
+        covered = [moment["figures"]["coverage_correct"] for moment in moments]
+        curves.append(sampled(np.array(steps), np.array(covered), config["max_cycles"]))
+        time_max_s = config["max_cycles"] * config["dynamics"]["time_step_s"]
+    return curves, time_max_s

@@ -12,6 +12,10 @@ from numpy.typing import NDArray as Array
 
 import twc_env
 from twc_env.config import EnvConfig, override, to_dict
+from twc_env.pictures.curves import draw_coverage, sampled
+from twc_env.records.json_values import write_json
+from twc_env.records.text_tables import aligned_text, csv_text, latex_table
+from twc_env.records.whole_file import write_text
 from twc_env.running.finished_parts import FinishedParts
 from twc_env.running.worker_processes import in_processes
 
@@ -42,6 +46,8 @@ class Outcome:
     wrong_merges: int
     stuck_share: float = 0.0
     """Share of the time in which a robot that was told to move stayed within 0.3 m for 10 s; maximum over robots."""
+    curve: tuple[float, ...] = ()
+    """Floor mapped correctly by the best correctly merged group: `SAMPLES` values over the longest time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,28 +112,71 @@ def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
         float(curve.mean()), float(figures["path_length_m"]), float(figures["team_ate_m"]),
         int(figures["merged_robots"]), int(figures["wrong_merges"]),
         commanded_stuck_share(result, commands),
+        tuple(sampled(np.arange(len(covered)), np.array(covered), config.max_cycles)),
     )  # fmt: skip
 
 
-def table_of(standings: Sequence[Standing]) -> str:
-    """One line per agent: means over buildings (time also as interquartile mean, time stuck as maximum), and the gain
-    over the first agent."""
+NUMBERS = tuple(key for key in Outcome.__slots__ if key != "curve")
+
+
+def rows_of(standings: Sequence[Standing]) -> list[list[str]]:
+    """Titles, and one row of cells per agent: means over buildings (time also as interquartile mean, time stuck as
+    maximum), and the gain over the first agent."""
     from scipy.stats import trim_mean  # slow to import
 
-    width = max(18, 2 + max(len(display_name(s.agent)) for s in standings))
-    head = f"{'agent':<{width}}{'reached':>8}{'to 90 % s':>11}{'IQM s':>8}{'mean cov.':>12}{'final cov.':>12}"
-    head += f"{'path m':>9}{'ATE m':>8}{'wrong':>7}{'stuck':>8}   sooner s (95 %)          more mean cov. (95 %)"
-    lines = [head]
+    goal = f"{100 * GOAL:.0f} %"
+    rows = [[
+        "agent", "reached", f"to {goal} s", "IQM s", "mean cov.", "final cov.", "path m", "ATE m", "wrong", "stuck",
+        "sooner s (95 %)", "more mean cov. (95 %)",
+    ]]  # fmt: skip
     for s in standings:
-        of = {key: np.array([getattr(o, key) for o in s.outcomes], float) for key in Outcome.__slots__}
-        middle_s = trim_mean(of["goal_s"], 0.25)
-        lines.append(
-            f"{display_name(s.agent):<{width}}{of['is_reached'].mean():>8.0%}{of['goal_s'].mean():>11.1f}{middle_s:>8.1f}"
-            f"{of['coverage_mean'].mean():>12.3f}{of['coverage'].mean():>12.3f}{of['path_m'].mean():>9.0f}"
-            f"{of['team_ate_m'].mean():>8.3f}{int(of['wrong_merges'].sum()):>7d}{of['stuck_share'].max():>8.1%}   "
-            + ("" if s is standings[0] else f"{_interval(s.sooner_s, '.1f'):<24} {_interval(s.more, '.3f')}")
-        )
-    return "\n".join(lines)
+        of = {key: np.array([getattr(o, key) for o in s.outcomes], float) for key in NUMBERS}
+        gains = ["", ""] if s is standings[0] else [_interval(s.sooner_s, ".1f"), _interval(s.more, ".3f")]
+        rows.append([
+            display_name(s.agent), f"{of['is_reached'].mean():.0%}", f"{of['goal_s'].mean():.1f}",
+            f"{trim_mean(of['goal_s'], 0.25):.1f}", f"{of['coverage_mean'].mean():.3f}", f"{of['coverage'].mean():.3f}",
+            f"{of['path_m'].mean():.0f}", f"{of['team_ate_m'].mean():.3f}", str(int(of["wrong_merges"].sum())),
+            f"{of['stuck_share'].max():.1%}", *gains,
+        ])  # fmt: skip
+    return rows
+
+
+def table_of(standings: Sequence[Standing], width: int | None = None) -> str:
+    """`rows_of` as text, folded to the width of a terminal."""
+    return aligned_text(rows_of(standings), width)
+
+
+def write_tables(
+    standings: Sequence[Standing],
+    maps: Sequence[str],
+    config: EnvConfig,
+    folder: Path,
+    pictures: tuple[str, float | None] | None,
+) -> list[Path]:
+    """Write compare.json, episodes.csv, compare.csv, compare.tex, and coverage over time as a picture; returns their
+    paths.
+
+    pictures: format and dpi; None for no picture.
+    """
+    titles, *rows = rows_of(standings)
+    episodes = [
+        {"agent": s.agent, "map": name, "seed": seed, **{key: getattr(o, key) for key in NUMBERS}}
+        for s in standings
+        for seed, (name, o) in enumerate(zip(maps, s.outcomes, strict=True))
+    ]
+    paths = [folder / "compare.json"]
+    write_json(paths[0], as_json(standings))
+    paths += [
+        write_text(folder / "episodes.csv", csv_text(episodes)),
+        write_text(folder / "compare.csv", csv_text([dict(zip(titles, row, strict=True)) for row in rows])),
+        write_text(folder / "compare.tex", latex_table([titles, *rows])),
+    ]
+    if pictures is not None and all(o.curve for s in standings for o in s.outcomes):
+        curves = {display_name(s.agent): [o.curve for o in s.outcomes] for s in standings}
+        time_max_s = config.max_cycles * config.dynamics.time_step_s
+        title = f"{len(maps)} buildings, {config.robots} robots"
+        paths.append(draw_coverage(curves, time_max_s, folder / f"coverage.{pictures[0]}", title, pictures[1]))
+    return paths
 
 
 def as_json(standings: Sequence[Standing]) -> dict:
@@ -167,4 +216,5 @@ def _once(config: EnvConfig, finished: FinishedParts, part: tuple[str, str, int]
     origin = origin_of(config, agent)
     own = "".join(f" {digest}" for key, digest in origin.items() if key not in ("code_digest", "map_digest"))
     key = f"{name} {origin['map_digest']} {agent}{own} {seed}"
-    return Outcome(**finished.once(key, lambda: asdict(explore(config, agent, seed))))
+    found = finished.once(key, lambda: asdict(explore(config, agent, seed)))
+    return Outcome(**{**found, "curve": tuple(found.get("curve", ()))})

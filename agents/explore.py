@@ -19,6 +19,7 @@ from twc_env.datasets.logs.frame_log import write_frame_log
 from twc_env.datasets.logs.g2o import write_g2o
 from twc_env.datasets.logs.tum import write_tum
 from twc_env.metrics import stuck_share
+from twc_env.pictures.video import film_name
 from twc_env.records.class_file import digest_of, is_in_file
 from twc_env.records.json_values import plain, write_json
 from twc_env.records.messages import Contacts, SensorFrame
@@ -35,7 +36,8 @@ STUCK_WINDOW_S, STUCK_RADIUS_M = 10.0, 0.3
 IDLE_SHARE = 0.05
 _WRITTEN = (
     "config.json", "frames.npz", "trace.npz", "pose_graph.g2o", "trajectories/robot_*_*.tum", "map.yaml", "map.pgm",
-    "map_[0-9]*.yaml", "map_[0-9]*.pgm", "map.png", "episode.gif", "replay.html", "replay.rrd", ".part-*",
+    "map_[0-9]*.yaml", "map_[0-9]*.pgm", "map.png", "map.pdf", "map.svg", "*-seed*.gif", "episode.gif", "replay.html",
+    "replay.rrd", "figures.csv", "figures.tex", ".part-*",
 )  # fmt: skip
 """Files of a run folder besides the report."""
 COMPILER_EVENT = "numba:compiler_lock"
@@ -63,12 +65,13 @@ def explore(
     agent: str,
     seed: int,
     film: picture.Film | None = None,
-    watch: Callable[[int], None] | None = None,
+    watch: Callable[[int, float], None] | None = None,
 ) -> Run:
     """Run one episode until the policy is finished, `config.max_cycles` steps are over or Ctrl-C is pressed (of
     `twc-env`, also SIGTERM).
 
-    `watch` is called with the number of steps taken. Raises TwcError for an unknown agent or map.
+    `watch` is called with the number of steps taken and the share of the floor that was mapped correctly when the
+    rewards were last evaluated. Raises TwcError for an unknown agent or map.
     """
     policy = make_policy(agent, config)
     env = twc_env.parallel_env(config=config, render_mode="rgb_array" if film else None)
@@ -101,7 +104,7 @@ def explore(
             if film is not None and film.wants(step):
                 _film(film, step, env)
             if watch is not None:
-                watch(step)
+                watch(step, env.episode.coverage)
     except KeyboardInterrupt:
         was_interrupted = True
     finally:
@@ -151,20 +154,20 @@ def _clock_s(compiling: TimingListener) -> float:
 def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:
     frame = env.render()
     if frame is not None:
-        film.add(step, frame, env.episode.caption())
+        film.add(step, frame)
 
 
-def write_run(run: Run, folder: Path, pictures: bool = True) -> None:
+def write_run(run: Run, folder: Path, pictures: bool = True, format: str = "png", dpi: float | None = None) -> None:
     """Write the run folder: config, frames, pictures, trajectories, pose graph, maps, and finally the report.
 
-    Files of an earlier run are deleted first, so that all files belong to one run. Concurrent runs write one after the
-    other.
+    format: of the map picture, png, pdf or svg. Files of an earlier run are deleted first, so that all files belong to
+    one run. Concurrent runs write one after the other.
     """
     with alone_in(folder):
-        _write_files(run, folder, pictures)
+        _write_files(run, folder, (format, dpi) if pictures else None)
 
 
-def _write_files(run: Run, folder: Path, pictures: bool) -> None:
+def _write_files(run: Run, folder: Path, pictures: tuple[str, float | None] | None) -> None:
     result = run.result
     try:
         _clear(folder)
@@ -182,10 +185,10 @@ def _write_files(run: Run, folder: Path, pictures: bool) -> None:
     run.trace.write(folder / "trace.npz")
     write_g2o(folder / "pose_graph.g2o", result.graph)
     write_ros_maps(result.grids, folder)
-    if pictures:
-        picture.draw_map(result, folder / "map.png")
+    if pictures is not None:
+        picture.draw_map(result, folder / f"map.{pictures[0]}", pictures[1])
         if run.film is not None:
-            run.film.write(folder / "episode.gif")
+            run.film.write(folder / film_name(result.floorplan.name, result.seed))
     write_json(folder / "report.json", run.report)
 
 
@@ -198,46 +201,3 @@ def _clear(folder: Path) -> None:
     for pattern in _WRITTEN:
         for path in folder.glob(pattern):
             path.unlink()
-
-
-FIGURES = (
-    ("steps", "steps", "d"),
-    ("simulated time", "sim_time_s", ".1f s"),
-    ("robots in one map", "merged_robots", "d"),
-    ("wrong merges", "wrong_merges", "d"),
-    ("team ATE", "team_ate_m", ".3f m"),
-    ("odometry-only ATE", "odometry_ate_m", ".3f m"),
-    ("end point error", "epe_m", ".3f m"),
-    ("floor observed", "coverage_true", ".1% "),
-    ("floor mapped correctly", "coverage_correct", ".1% "),
-    ("map IoU", "map_iou", ".3f"),
-    ("odometry-only map IoU", "odometry_map_iou", ".3f"),
-    ("wall IoU", "wall_iou", ".3f"),
-    ("odometry-only wall IoU", "odometry_wall_iou", ".3f"),
-    ("path length, all robots", "path_length_m", ".1f m"),
-    ("collisions", "collisions", "d"),
-    ("share of time stuck", "stuck_share", ".1% "),
-    ("share of time stuck when told to move", "commanded_stuck_share", ".1% "),
-    ("data transmitted", "bytes_sent", ",d bytes"),
-    ("environment speed", "env_steps_per_s", ".0f steps/s"),
-    ("time spent in agents", "agent_s", ".2f s"),
-)
-
-
-def table_of(report: dict[str, Any]) -> str:
-    """The figures of a report as aligned lines."""
-    rows = [(label, _formatted(report.get(key), form)) for label, key, form in FIGURES]
-    closures = report.get("closures") or {}
-    if closures:
-        precision = _formatted(closures.get("precision"), ".1% ")
-        text = f"{closures['accepted']} accepted of {closures['proposed']} proposed, precision {precision}"
-        rows.insert(13, ("loop closures", text))
-    width = max(len(label) for label, _ in rows)
-    return "\n".join(f"{label:<{width}}  {text}" for label, text in rows)
-
-
-def _formatted(value: Any, form: str) -> str:
-    if value is None:
-        return "-"
-    form, _, unit = form.partition(" ")
-    return f"{value:{form}} {unit}".rstrip()

@@ -129,7 +129,7 @@ def test_an_installed_wheel_works_without_home_in_an_empty_folder_if_the_package
         done = subprocess.run(command, cwd=empty, env=env, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
     assert {path.name for path in empty.iterdir()} == {"run", "runs"}
-    assert {"report.json", "map.png", "episode.gif"} <= {path.name for path in (empty / "run").iterdir()}
+    assert {"report.json", "map.png", "twin-01-seed0.gif"} <= {path.name for path in (empty / "run").iterdir()}
     assert sorted(package.rglob("*")) == before
     for folder in [package, *(path for path in package.rglob("*") if path.is_dir())]:
         folder.chmod(0o755)  # so that it can be removed

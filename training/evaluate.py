@@ -13,7 +13,11 @@ from twc_env.agents.policy import make_policy
 
 import twc_env
 from twc_env.config import override
+from twc_env.pictures.curves import draw_coverage, sampled
 from twc_env.pictures.video import RecordEpisodes
+from twc_env.records.json_values import write_json
+from twc_env.records.text_tables import aligned_text, csv_text, latex_table
+from twc_env.records.whole_file import write_text
 from twc_env.running.command_line import refuse_code
 
 from .model_file import load_policy
@@ -40,6 +44,11 @@ class Episode:
     steps."""
     merged_robots: int
     wrong_merges: int
+    curve: tuple[float, ...] = ()
+    """The same share over the longest time of an episode, `SAMPLES` values."""
+
+
+NUMBERS = tuple(key for key in Episode.__slots__ if key != "curve")
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,23 +58,51 @@ class Evaluation:
     seeds: tuple[int, ...]
     episodes: dict[str, tuple[Episode, ...]]
 
+    time_max_s: float = 0.0
+    """Longest simulated time of an episode."""
+
     @property
     def table(self) -> str:
-        """Means with 95 % intervals of each policy and of its paired difference to the trained one, as text."""
-        lines = [f"{'policy':<18}{'coverage':>18}{'over time':>18}{'trained ahead by':>22}{'merged':>8}{'wrong':>7}"]
+        """`rows` as aligned text."""
+        return aligned_text(self.rows())
+
+    def rows(self) -> list[list[str]]:
+        """Titles, and cells of each policy: means with 95 % intervals, also of its paired difference to the trained
+        one."""
+        rows = [["policy", "coverage", "over time", "trained ahead by", "merged", "wrong"]]
         for name, episodes in self.episodes.items():
             end, over = ([getattr(e, key) for e in episodes] for key in ("coverage", "mean_coverage"))
             ahead = "" if name == "trained" else _with_spread(*self.ahead(name), sign="+")
-            merged = np.mean([e.merged_robots for e in episodes])
-            wrong = sum(e.wrong_merges for e in episodes)
-            lines.append(f"{name:<18}{_interval(end):>18}{_interval(over):>18}{ahead:>22}{merged:>8.2f}{wrong:>7}")
-        return "\n".join(lines)
+            merged, wrong = np.mean([e.merged_robots for e in episodes]), sum(e.wrong_merges for e in episodes)
+            rows.append([name, _interval(end), _interval(over), ahead, f"{merged:.2f}", str(wrong)])
+        return rows
+
+    def write(self, folder: Path, pictures: tuple[str, float | None] | None) -> list[Path]:
+        """Write evaluation.json, evaluation.csv (a row per episode), evaluation.tex, and coverage over time as
+        a picture; returns their paths.
+
+        pictures: format and dpi; None for no picture.
+        """
+        lines = [
+            {"policy": name, "seed": seed, **{key: getattr(episode, key) for key in NUMBERS}}
+            for name, episodes in self.episodes.items()
+            for seed, episode in zip(self.seeds, episodes, strict=True)
+        ]
+        paths = [folder / "evaluation.json"]
+        write_json(paths[0], self.as_json())
+        paths.append(write_text(folder / "evaluation.csv", csv_text(lines)))
+        paths.append(write_text(folder / "evaluation.tex", latex_table(self.rows())))
+        if pictures is not None and self.time_max_s:
+            curves = {name: [e.curve for e in episodes] for name, episodes in self.episodes.items()}
+            path, title = folder / f"coverage.{pictures[0]}", "held-out buildings"
+            paths.append(draw_coverage(curves, self.time_max_s, path, title, pictures[1]))
+        return paths
 
     def as_json(self) -> dict:
         """Every episode, and each policy's means and lead of the trained policy over it with 95 % half-widths."""
         table = {}
         for name, episodes in self.episodes.items():
-            means = {key: float(np.mean([getattr(e, key) for e in episodes])) for key in Episode.__slots__}
+            means = {key: float(np.mean([getattr(e, key) for e in episodes])) for key in NUMBERS}
             lead, half_width = self.ahead(name)
             table[name] = {
                 "means": means, "trained_leads": lead, "trained_leads_95": half_width,
@@ -128,7 +165,8 @@ def evaluate(
             env = (filmed if name == "trained" else None) or _team(task)
             episodes[name].append(_played(task, seed, env, choose))
         episodes["nearest-frontier"].append(_scripted(task, seed))
-    return Evaluation(tuple(seeds), {name: tuple(values) for name, values in episodes.items()})
+    time_max_s = task.max_cycles * task.config.dynamics.time_step_s
+    return Evaluation(tuple(seeds), {name: tuple(values) for name, values in episodes.items()}, time_max_s)
 
 
 def chooser_of(model_path: Path, env: twc_env.ExplorationEnv, seed: int) -> Choose:
@@ -184,6 +222,7 @@ def _scripted(task: Task, seed: int) -> Episode:
 def _played(task: Task, seed: int, env: RecordEpisodes | twc_env.ExplorationEnv, choose: Choose) -> Episode:
     observations, _ = env.reset(seed, {"map": task.held_out_map(seed)})
     reached, total, elapsed = 0.0, 0.0, 0
+    steps, covered = [0], [0.0]
     while env.agents:
         observations, _, _, _, infos = env.step(choose(observations, elapsed))
         info = infos["robot_0"]
@@ -191,4 +230,8 @@ def _played(task: Task, seed: int, env: RecordEpisodes | twc_env.ExplorationEnv,
         elapsed += took
         total += took * reached  # what a step gains is known at its end
         reached += info["reward_terms"]["coverage"]
-    return Episode(info["coverage_correct"], total / task.max_cycles, info["merged_robots"], info["wrong_merges"])
+        steps.append(elapsed)
+        covered.append(reached)
+    curve = tuple(sampled(np.array(steps), np.array(covered), task.max_cycles))
+    numbers = info["coverage_correct"], total / task.max_cycles, info["merged_robots"], info["wrong_merges"]
+    return Episode(*numbers, curve)

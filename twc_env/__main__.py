@@ -15,6 +15,7 @@ from twc_env.running.command_line import Parser, add_version, run_command
 
 COMMANDS = {
     "explore": "run one episode and write a run folder",
+    "watch": "watch a team live in a window, and drive one of its robots by the arrow keys",
     "compare": "compare several agents in the same buildings",
     "benchmark": "run one agent on many seeds and maps, and count the episodes that pass",
     "train": "train a policy (needs the extra `train`)",
@@ -34,6 +35,7 @@ COMMANDS = {
 _EXAMPLES = """\
 examples:
   twc-env explore --map twin-01 --out runs/mine
+  twc-env watch --map twin-01 --drive 0
   twc-env compare --buildings 20 --jobs 2
   twc-env maps show twin-01
   twc-env settings > mine.toml

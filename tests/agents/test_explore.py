@@ -8,14 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from twc_env.agents import explore as explore_module
-from twc_env.agents.explore import table_of
-from twc_env.agents.picture import Film, placed_in_building
+from twc_env.agents.picture import Film
 
 from twc_env import DataError
 from twc_env.__main__ import main
 from twc_env.config import digest, from_dict, override
 from twc_env.datasets.logs.g2o import read_g2o
 from twc_env.datasets.logs.tum import read_tum
+from twc_env.exploration.assessment.result_table import text_of
+from twc_env.exploration.drawing.episode_map import placed_in_building
 from twc_env.running.command_line import alone_in
 from twc_env.tasks import task_config
 
@@ -41,7 +42,7 @@ def test_a_run_folder_contains_all_documented_files(run_folder):
     pytest.importorskip("matplotlib", reason="pictures need the viz extra")
     names = {str(path.relative_to(run_folder / "run")) for path in (run_folder / "run").rglob("*") if path.is_file()}
     assert names >= {
-        "report.json", "config.json", "map.png", "episode.gif", "pose_graph.g2o", "map.pgm", "map.yaml",
+        "report.json", "config.json", "map.png", "twin-01-seed4.gif", "pose_graph.g2o", "map.pgm", "map.yaml",
         "trajectories/robot_0_true.tum", "trajectories/robot_1_estimated.tum", "trajectories/robot_1_odometry.tum",
     }  # fmt: skip
 
@@ -72,7 +73,7 @@ def test_the_picture_is_not_blank(run_folder):
     image_module = pytest.importorskip("PIL.Image", reason="pictures need the viz extra")
     with image_module.open(run_folder / "run" / "map.png") as image:
         colours = np.unique(np.asarray(image.convert("RGB")).reshape(-1, 3), axis=0)
-    with image_module.open(run_folder / "run" / "episode.gif") as film:
+    with image_module.open(run_folder / "run" / "twin-01-seed4.gif") as film:
         frames = film.n_frames
     assert len(colours) > 50
     assert frames >= 10
@@ -91,7 +92,8 @@ def test_the_legend_of_the_picture_names_every_mark_once(tmp_path, monkeypatch):
     arguments = f"explore --robots 2 --steps 20 --no-gif --out {tmp_path}".split()
     assert main(arguments) == 0
     assert len(set(named)) == len(named)
-    assert {"true walls", "access points", "signs", "start", "end", "robot 1, true", "robot 1, estimated"} <= set(named)
+    assert {"true walls", "mapped walls", "access points", "signs", "start", "end", "robot 1"} <= set(named)
+    assert "robot 0: true (wide), estimated (thin)" in named
 
 
 def test_paths_are_drawn_by_the_map_they_are_in_where_each_robot_has_its_own():
@@ -117,14 +119,14 @@ def test_a_team_in_several_maps_reports_the_reason(tmp_path, capsys):
 
 def test_many_rejected_closures_do_not_hide_the_paths(tmp_path, monkeypatch):
     axes_module = pytest.importorskip("matplotlib.axes", reason="pictures need the viz extra")
-    from twc_env.agents import picture
+    from twc_env.exploration.drawing import episode_map
 
     refused = {"status": "rejected", "target_m": (1.0, 1.0), "source_m": (2.0, 1.0)}
     drawn = []
     monkeypatch.setattr(axes_module.Axes, "add_collection", lambda _, lines: drawn.append(lines))
     figure = pytest.importorskip("matplotlib.figure").Figure()
     for count in (3, 1000):
-        picture._draw_closures(figure.add_subplot(), SimpleNamespace(closures=[refused] * count))
+        episode_map._draw_closures(figure.add_subplot(), SimpleNamespace(closures=[refused] * count))
     few, many = drawn
     assert few.get_alpha() is None and many.get_alpha() == 0.1
     assert many.get_zorder() < 2 < few.get_zorder()
@@ -241,11 +243,11 @@ def test_missing_drawing_libraries_are_reported_before_the_episode(monkeypatch, 
 
 
 def test_an_interrupted_run_writes_its_results_so_far(monkeypatch, capsys, tmp_path):
-    def interrupt(done, *_, **__):
+    def interrupt(_, done, *__):
         if done == 12:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("twc_env.commands.explore.show_count", interrupt)
+    monkeypatch.setattr("twc_env.commands.explore.Bar.show", interrupt)
     assert main(["explore", "--steps", "50", "--no-pictures", "--out", str(tmp_path / "run")]) == 130
     assert json.loads((tmp_path / "run" / "report.json").read_text())["steps"] == 12
     assert "interrupted after 12 steps" in capsys.readouterr().err
@@ -253,9 +255,11 @@ def test_an_interrupted_run_writes_its_results_so_far(monkeypatch, capsys, tmp_p
 
 def test_the_table_is_aligned_and_shows_a_dash_for_missing_values():
     report = {"steps": 3, "closures": {"accepted": 0, "proposed": 0, "precision": None}, "env_steps_per_s": None}
-    lines = table_of(report).splitlines()
-    values = [line.index(value) for line, value in ((lines[0], "3"), (lines[1], "-"))]
-    assert lines[0].startswith("steps ") and values[0] == values[1]
+    report |= {"map": "twin-01", "seed": 1, "robots": 2, "merged_robots": 2, "sim_time_s": 0.3}
+    heading, _, *lines = text_of(report).splitlines()
+    assert heading == "twin-01, seed 1, 2 robots, 3 steps"
+    values = [line.index(value) for line, value in ((lines[0], "0.3 s"), (lines[-1], "-"))]
+    assert lines[0].startswith("simulated time ") and values[0] == values[1]
     assert any(line.startswith("loop closures") and line.endswith("precision -") for line in lines)
     assert any(line.startswith("environment speed") and line.endswith(" -") for line in lines)
 
@@ -265,7 +269,7 @@ def test_a_film_of_any_length_has_a_bounded_number_of_evenly_spaced_frames():
     film = Film(every=1)
     for step in range(1000):
         if film.wants(step):
-            film.add(step, np.full((8, 8, 3), step % 250, np.uint8), "")
+            film.add(step, np.full((8, 8, 3), step % 250, np.uint8))
     assert 80 <= len(film._steps) <= 161
     assert len(set(np.diff(film._steps))) == 1
 
@@ -274,17 +278,18 @@ def test_a_film_always_ends_with_the_last_step():
     pytest.importorskip("PIL", reason="films need the viz extra")
     film = Film(every=2)
     for step in (*range(0, 320, 2), 319):
-        film.add(step, np.zeros((8, 8, 3), np.uint8), "")
+        film.add(step, np.zeros((8, 8, 3), np.uint8))
     assert film._steps == [*range(0, 320, 2), 319]
 
 
 def test_on_a_terminal_progress_is_one_line_and_an_error_begins_a_new_one(monkeypatch, capsys, tmp_path):
     def run(*arguments):
-        arguments[-1](50)
+        arguments[-1](60, 0.25)
         raise DataError("no room")
 
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setattr("twc_env.agents.explore.explore", run)
     assert main(["explore", "--steps", "100", "--no-pictures", "--out", str(tmp_path / "run")]) == 2
     first, second, _ = capsys.readouterr().err.split("\n")
-    assert (first.strip(), second) == ("50/100 steps on twin-01, seed 0", "error: no room")
+    assert "60/100 steps on twin-01, seed 0, 25.0% mapped correctly, 0:01 left at most" in first
+    assert second == "error: no room"

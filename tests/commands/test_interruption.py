@@ -69,7 +69,8 @@ def test_an_episode_ended_by_sigterm_is_saved_as_by_ctrl_c(command, report, tmp_
         "import os, signal, sys, twc_env.commands.explore as explore, twc_env.commands.record as record\n"
         "from twc_env.__main__ import main\n"
         "end = lambda done, *_, **__: done == 30 and os.kill(os.getpid(), signal.SIGTERM)\n"
-        "explore.show_count = record.show_count = end\n"
+        "record.show_count = end\n"
+        "explore.Bar.show = lambda _, done, *__: end(done)\n"
         "sys.exit(main(sys.argv[1:]))"
     )
     call = [sys.executable, "-c", program, *command, "--out", str(tmp_path)]

@@ -1,14 +1,13 @@
 import dataclasses
 import itertools
 import json
-import math
 
 import pytest
 
 from twc_env.__main__ import main
 from twc_env.__main__ import main as explore
 from twc_env.maps import load_map, map_names
-from twc_env.pictures.map_picture import draw_plan, name_rooms, name_sign
+from twc_env.pictures.map_picture import draw_plan, plan_figure
 from twc_env.world.building.floorplan_file import write_floorplan
 
 
@@ -55,41 +54,29 @@ def test_a_picture_without_suffix_is_a_png_and_its_path_is_printed(tmp_path, cap
     assert "it is a folder; name a file in it" in capsys.readouterr().err
 
 
-def test_sign_texts_are_in_front_of_their_signs_and_do_not_overlap():
+@pytest.mark.parametrize("name", ["twin-01", "gen:office:300:1"])
+def test_names_in_a_plan_stay_inside_the_axes_and_do_not_overlap(name):
     pytest.importorskip("matplotlib")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 6), dpi=100)
-    canvas = FigureCanvasAgg(figure)
-    axes = figure.add_axes((0, 0, 1, 1), xlim=(0, 6), ylim=(0, 6))
-    for x in (2.0, 2.4):
-        name_sign(axes, "A LONG TEXT", (x, 3.0), math.pi / 2, fontsize=4)
-    name_sign(axes, "EXIT", (4.0, 1.0), math.pi, fontsize=4)
-    canvas.draw()
-    first, second, exit_text = axes.texts
-    for text in (first, second):
-        assert text.get_window_extent().y0 >= 300
-        assert text.get_rotation() == 35.0
-    assert exit_text.get_window_extent().x1 <= 400 and exit_text.get_rotation() == 0.0
+    plan = load_map(name)
+    figure = plan_figure(plan)
+    (axes,) = [axes for axes in figure.axes if axes.get_xlabel() == "x [m]"]
+    frame, boxes = axes.get_window_extent(), [text.get_window_extent() for text in axes.texts]
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+    assert all(frame.x0 <= box.x0 and box.x1 <= frame.x1 and frame.y0 <= box.y0 and box.y1 <= frame.y1 for box in boxes)
+    shown = {text.get_text().replace("\n", " ") for text in axes.texts}
+    assert len(shown) >= 0.9 * len({sign.text for sign in plan.signs} | {room.name for room in plan.rooms})
 
 
-def test_no_sign_text_is_cut_off_at_the_edge_of_the_picture(tmp_path):
+def test_a_plan_is_written_in_every_format_and_the_same_each_time(tmp_path, capsys):
     pytest.importorskip("matplotlib")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 6), dpi=72)
-    canvas = FigureCanvasAgg(figure)
-    axes = figure.add_axes((0, 0, 1, 1), xlim=(0, 6), ylim=(0, 6))
-    for x, facing in ((0.1, -1), (5.9, 1)):
-        rooms = 72 * x, 72 * (6 - x)
-        name_sign(axes, "FIRE EXTINGUISHER", (x, 3.0), facing * math.pi / 2, room_points=rooms, fontsize=4.5)
-    canvas.draw()
-    for text, is_below in zip(axes.texts, (True, False), strict=True):
-        box = text.get_window_extent()
-        assert box.x0 > 0 and box.x1 < 432 and text.get_rotation() % 360 == 325.0
-        assert box.y1 < 216 if is_below else box.y0 > 216
+    for kind, begin in (("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")):
+        for folder in ("first", "again"):
+            path = tmp_path / folder / f"plan.{kind}"
+            assert run("show", "sfw-e5", "--no-signal", "--dpi", 60, "--out", path) == 0
+        assert path.read_bytes().startswith(begin)
+        assert path.read_bytes() == (tmp_path / "first" / path.name).read_bytes()
+    assert run("show", "sfw-e5", "--no-signal", "--format", "svg", "--out", tmp_path / "plan") == 0
+    assert (tmp_path / "plan.svg").exists()
 
 
 def test_a_plan_of_walls_alone_is_drawn_without_a_warning(tmp_path, recwarn):
@@ -97,22 +84,6 @@ def test_a_plan_of_walls_alone_is_drawn_without_a_warning(tmp_path, recwarn):
     plan = load_map("sfw-e1")
     draw_plan(dataclasses.replace(plan, rooms=(), signs=(), access_points=()), tmp_path / "bare.png")
     assert not [str(warning.message) for warning in recwarn if "legend" in str(warning.message)]
-
-
-def test_room_names_do_not_overlap():
-    pytest.importorskip("matplotlib")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    rooms, points_per_m = load_map("radio-ntu").rooms, 7.6
-    figure = Figure(figsize=(90 * points_per_m / 72, 64 * points_per_m / 72), dpi=72)
-    canvas = FigureCanvasAgg(figure)
-    axes = figure.add_axes((0, 0, 1, 1), xlim=(-2, 88), ylim=(-2, 62))
-    name_rooms(axes, rooms, points_per_m)
-    canvas.draw()
-    boxes = [text.get_window_extent() for text in axes.texts]
-    assert len(boxes) == len(rooms)
-    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
 
 
 def test_dollar_signs_in_names_are_not_parsed_as_formulas(tmp_path):

@@ -186,6 +186,7 @@ def test_a_browser_loads_and_plays_the_page_and_shows_the_figures_of_the_report(
     browser.get(write_page(run, run / "page.html").as_uri())
     wait.until(lambda b: b.find_element("tag name", "body").get_attribute("data-ready") == "yes")
     picture = "return Array.from(document.getElementById('stage').getContext('2d').getImageData(0, 0, 900, 400).data)"
+    assert f"step {STEPS} of {STEPS}" in browser.find_element("id", "time").text  # the page opens at the end
     before = np.array(browser.execute_script(picture))
     assert before.std() > 5.0  # something is drawn
 
@@ -204,9 +205,73 @@ def test_a_browser_loads_and_plays_the_page_and_shows_the_figures_of_the_report(
     for key in ("team_ate_m", "coverage_correct", "merged_robots", "bytes_sent", "path_length_m"):
         row = browser.find_element("css selector", f"#figures [data-key='{key}']")
         assert json.loads(row.get_attribute("data-value")) == report[key]
-        assert float(row.find_element("tag name", "b").text) == pytest.approx(report[key], abs=5e-5)
+    shown = browser.find_element("id", "figures").text
+    assert f"team ATE\n{report['team_ate_m']:.3f} m" in shown
+    assert f"floor mapped correctly\n{report['coverage_correct']:.1%}" in shown
+    assert "odometry-only figures know the true relative starts" in browser.find_element("id", "remark").text
     errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
     assert errors == []
+
+
+CONTRASTS = """
+const luminance = colour => {
+  const linear = v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+  const [r, g, b] = colour.match(/[0-9.]+/g).map(v => linear(v / 255));
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+const ground = e => {
+  while (e && getComputedStyle(e).backgroundColor === "rgba(0, 0, 0, 0)") e = e.parentElement;
+  return getComputedStyle(e || document.body).backgroundColor;
+};
+return [...document.querySelectorAll("h1,h2,p,span,b,label,summary,button")]
+  .filter(e => e.offsetParent && e.textContent.trim())
+  .map(e => {
+    const [a, b] = [getComputedStyle(e).color, ground(e)].map(luminance).sort((p, q) => p - q);
+    return [e.textContent.trim().slice(0, 30), (b + 0.05) / (a + 0.05)];
+  });
+"""
+"""WCAG contrast of every text that is shown."""
+INKS = """
+const c = document.querySelector(".curve canvas"), g = c.getContext("2d");
+const drawn = (x, y, w, h) => g.getImageData(x, y, w, h).data.filter((v, k) => k % 4 === 3 && v > 100).length;
+return [drawn(0, 0, LEFT_PX - 3, c.height), drawn(0, c.height - BOTTOM_PX + 1, c.width, BOTTOM_PX - 1)];
+"""
+"""Drawn pixels left of a curve and below it."""
+
+
+def seen(browser, page, scheme, width, height):
+    """The page in a colour scheme and a window of this size; returns a function that runs a script in it."""
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    browser.get(page.as_uri())
+    WebDriverWait(browser, 30).until(lambda b: b.find_element("tag name", "body").get_attribute("data-ready") == "yes")
+    return browser.execute_script
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "height"), [(1300, 900), (390, 800)], ids=["desktop", "phone"])
+def test_the_page_is_readable_light_and_dark_on_a_desktop_and_a_phone(run, browser, scheme, width, height):
+    script = seen(browser, write_page(run, run / "page.html"), scheme, width, height)
+    try:
+        contrasts = script(CONTRASTS)
+        assert len(contrasts) > 30
+        assert [(text, round(ratio, 2)) for text, ratio in contrasts if ratio < 4.5] == []
+        light = script("return getComputedStyle(document.body).backgroundColor")
+        assert (sum(map(int, re.findall(r"\d+", light)[:3])) > 384) == (scheme == "light")
+        assert script("return document.documentElement.scrollWidth") <= width  # nothing sticks out at the side
+        boxes = script("return [...document.querySelectorAll('.card')].map(e => e.getBoundingClientRect().toJSON())")
+        assert all(box["left"] >= 0 and box["right"] <= width for box in boxes)
+        assert (boxes[1]["top"] >= boxes[0]["bottom"]) == (width < 900)  # a phone has one column
+        inks = script(INKS)
+        assert min(inks) > 20  # numbers at both axes
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")

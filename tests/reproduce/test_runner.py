@@ -9,7 +9,7 @@ from twc_env.__main__ import main as command
 from twc_env.errors import DataError
 from twc_env.reproduce.runner import TABLES, Runner, data_folder, main, seeds_argument, table_module
 from twc_env.running import command_line
-from twc_env.running.command_line import aligned
+from twc_env.running.command_line import aligned, logging_to_terminal
 
 
 def test_finished_parts_are_read_back_after_an_interruption(tmp_path):
@@ -56,8 +56,8 @@ def test_rows_are_printed_in_aligned_columns():
     assert lines[0].index("recall") == lines[1].index("0.9877") == lines[2].index("-")
 
 
-def test_seeds_are_a_count_a_range_or_a_list():
-    assert seeds_argument("3") == [0, 1, 2] and seeds_argument("4-6") == [4, 5, 6]
+def test_seeds_mean_the_same_as_in_all_commands():
+    assert seeds_argument("3") == [3] and seeds_argument("4-6") == [4, 5, 6]
     assert seeds_argument("3,5") == [3, 5] and seeds_argument("0-1,7") == [0, 1, 7]
 
 
@@ -97,20 +97,21 @@ def test_parts_of_another_code_are_not_taken(tmp_path, monkeypatch, capsys):
     Runner("table", tmp_path, {}).each([0], lambda _: 1)
     monkeypatch.setattr("twc_env.running.finished_parts.code_digest", lambda: "other")
     capsys.readouterr()
-    assert Runner("table", tmp_path, {}).each([0], lambda _: 2) == [2]
+    with logging_to_terminal():
+        assert Runner("table", tmp_path, {}).each([0], lambda _: 2) == [2]
     assert "1 finished parts were computed by other code" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("text", ["0", "5-1", "-1", "1.5", "", "many"])
+@pytest.mark.parametrize("text", ["5-1", "-1", "1.5", "", "many"])
 def test_no_seeds_at_all_are_refused(text):
-    with pytest.raises(argparse.ArgumentTypeError, match="takes a count"):
+    with pytest.raises(argparse.ArgumentTypeError, match="seeds must be numbers and ranges"):
         seeds_argument(text)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("intel --seeds x", "takes a count like 20, or seeds like 0-9 or 0-3,7; got 'x'"),
+        ("intel --seeds x", "seeds must be numbers and ranges such as 0-9 or 1,4,7-9; got 'x'"),
         ("intel --robots 0", "must be a whole number of at least 1; got '0'"),
         ("merging --buildings 0", "must be a whole number of at least 1; got '0'"),
         ("merging --seed -1", "must be a whole number of at least 0; got '-1'"),

@@ -213,8 +213,8 @@ def test_one_gif_is_written_per_episode(tmp_path):
             env.step({agent: np.array([0.9, 0.5], np.float32) for agent in env.agents})
     env.reset(seed=2)
     env.close()
-    assert sorted(path.name for path in (tmp_path / "films").iterdir()) == ["episode-0.gif", "episode-1.gif"]
-    with image.open(tmp_path / "films" / "episode-0.gif") as film:
+    assert sorted(path.name for path in (tmp_path / "films").iterdir()) == ["twin-01-seed0.gif", "twin-01-seed1.gif"]
+    with image.open(tmp_path / "films" / "twin-01-seed0.gif") as film:
         assert film.n_frames == 5
         assert film.info["duration"] == 200  # two time steps of a tenth of a second
 
@@ -230,7 +230,7 @@ def test_long_actions_are_recorded_at_every_time_step(tmp_path):
         env.step({agent: np.array([0.9, 0.5], np.float32) for agent in env.agents})
         decisions += 1
     assert decisions < 10
-    with image.open(tmp_path / "episode-0.gif") as film:
+    with image.open(tmp_path / "twin-01-seed0.gif") as film:
         assert film.n_frames == 11
 
 
@@ -261,7 +261,7 @@ def test_a_closed_recorder_records_again_from_the_next_reset(tmp_path):
         while film.agents:
             film.step(dict.fromkeys(film.agents, np.zeros(2, np.float32)))
         film.close()
-    assert sorted(path.name for path in tmp_path.iterdir()) == [f"episode-{k}.gif" for k in range(3)]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"twin-01-seed{k}.gif" for k in range(3)]
     for path in tmp_path.iterdir():
         with image.open(path) as shown:
             assert shown.n_frames == 5
@@ -283,43 +283,24 @@ def test_the_film_of_an_abandoned_episode_ends_with_its_last_step(tmp_path, monk
     assert films == [frames] * (frames > 0)
 
 
-def test_captions_state_the_progress_of_the_team(tmp_path, monkeypatch):
-    pytest.importorskip("PIL", reason="needs the extra 'viz'")
-    from twc_env.pictures import video
+def test_films_are_960_pixels_wide_and_named_by_map_and_seed(tmp_path):
+    image = pytest.importorskip("PIL.Image", reason="needs the extra 'viz'")
+    from twc_env.exploration.drawing import palette
+    from twc_env.pictures.video import RecordEpisodes, film_name
 
-    captions, heights = [], []
-
-    made = video.film_frame
-
-    def seen(picture, caption, width_max_px):
-        frame = made(picture, caption, width_max_px)
-        captions.append(caption)
-        heights.append((picture.shape[0] * frame.width / picture.shape[1], frame.height))
-        strip = np.asarray(frame.convert("L"))[-2 * video.TEXT_PX :]
-        assert strip.min() < 80 and strip[:, -8:].min() == 255  # text is visible and not cut off at the right
-        return frame
-
-    monkeypatch.setattr(video, "film_frame", seen)
-    env = video.RecordEpisodes(shown_team(), tmp_path, every=4)
-    env.reset(seed=0)
-    while env.agents:
-        env.step({agent: np.array([0.9, 0.5], np.float32) for agent in env.agents})
-    figures = env.unwrapped.result().figures
-    assert [caption.split("   ")[0] for caption in captions] == ["0.0 s", "0.4 s", "0.8 s"]
-    assert captions[-1].split("   ")[1:] == [
-        f"{figures['merged_robots']} of 2 robots in one map",
-        f"{100 * figures['coverage_correct']:.1f} % of the floor mapped correctly",
-    ]
-    assert all(height > round(picture) for picture, height in heights)
-
-
-def test_a_long_caption_is_scaled_to_a_narrow_picture():
-    pytest.importorskip("PIL", reason="needs the extra 'viz'")
-    from twc_env.pictures.video import film_frame
-
-    frame = film_frame(np.zeros((40, 260, 3), np.uint8), "33.5 s   2 of 3 robots in one map   32% of the floor", 560)
-    strip = np.asarray(frame.convert("L"))[41:]
-    assert strip.min() < 80 and strip[:, -4:].min() == 255
+    env = RecordEpisodes(shown_team(2), tmp_path, every=1)
+    for _ in range(2):
+        env.reset(seed=7)
+        while env.agents:
+            env.step({agent: np.array([0.9, 0.5], np.float32) for agent in env.agents})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["twin-01-seed7-2.gif", "twin-01-seed7.gif"]
+    with image.open(tmp_path / "twin-01-seed7.gif") as film:
+        assert film.width == 960
+        colours = np.unique(np.asarray(film.convert("RGB")).reshape(-1, 3), axis=0)
+    violet = tuple(int(palette.CLOSURE[k : k + 2], 16) for k in (1, 3, 5))
+    assert violet in {tuple(map(int, colour)) for colour in colours}  # thin lines of the legend keep their colour
+    assert film_name("gen:office:800:7", 3) == "gen-office-800-7-seed3.gif"
+    assert film_name("plans/my flat.yaml", 0) == "my-flat-seed0.gif"
 
 
 def test_recording_needs_rgb_array_and_does_not_affect_the_episode(tmp_path, same_last=("lidar", "map")):

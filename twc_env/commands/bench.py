@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import TYPE_CHECKING, Any
 
 from twc_env.records.json_values import write_json
-from twc_env.running.command_line import add_json, add_set, aligned, assignments, count
+from twc_env.running.command_line import add_json, add_set, aligned, assignments, count, tell, terminal_width
 
 if TYPE_CHECKING:
     from twc_env.config import EnvConfig
@@ -80,7 +79,7 @@ def _bench(options: argparse.Namespace) -> None:
         figures = bench(config, options.episodes, report=_report)
     for key, value in figures.items():
         if key in ("scaling", "vector"):
-            print(aligned(value))
+            print(aligned(value, terminal_width()))
         else:
             print(f"{key:<28} {value:,.3f}" if isinstance(value, float) else f"{key:<28} {value}")
     write_json(options.json, figures)
@@ -95,7 +94,7 @@ def _bench_peers(options: argparse.Namespace) -> dict:
 
 
 def _report(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    tell(line)
 
 
 def _bench_parts(config: EnvConfig, options: argparse.Namespace) -> None:
@@ -112,5 +111,5 @@ def _bench_long(config: EnvConfig, options: argparse.Namespace) -> None:
     from twc_env.bench.long_episode import bench_long
 
     stretches = [asdict(stretch) for stretch in bench_long(config, report=_report)]
-    print(aligned(stretches))
+    print(aligned(stretches, terminal_width()))
     write_json(options.json, {"stretches": stretches})

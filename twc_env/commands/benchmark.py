@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import Any
 
 from twc_env.commands.team_options import add_agent, add_team, folder_names, paragraphs, team_config
+from twc_env.exploration.assessment.result_table import ODOMETRY_REMARK
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
-from twc_env.running.command_line import INTERRUPTED, add_folder, count, parse_seeds
+from twc_env.running.command_line import (
+    INTERRUPTED,
+    add_folder,
+    add_pictures,
+    count,
+    parse_seeds,
+    picture_options,
+    tell,
+    terminal_width,
+)
 from twc_env.suite.options import SUITE_EXAMPLES, SUITE_HELP, add_suite_options, check_options, run_suite
 
 _BENCHMARK_HELP = """\
 Run many seeds on several maps and print one table per map. Runs in the output folder with the same settings, code and
 floor plan are reused, so an interrupted benchmark continues where it stopped. A seed passes if all robots end in one
-map, no merge was wrong, team ATE is at most 0.30 m and at least 90 % of the floor is mapped correctly.
+map, no merge was wrong, team ATE is at most 0.30 m and at least 90 % of the floor is mapped correctly. The folder gets
+summary.json, summary.csv (a row per run), summary.tex (a row per map) and coverage.png (coverage over time).
 
 examples:
   twc-env benchmark --maps twin-01 twin-02 --seeds 0-9 --out runs/benchmark
@@ -34,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--jobs", type=count, default=1, help="parallel processes")
     parser.set_defaults(run=_benchmark, when_interrupted="interrupted; the same command continues from there")
     add_agent(parser)
+    add_pictures(parser)
     add_team(parser)
     add_suite_options(parser)
 
@@ -57,12 +68,14 @@ def _benchmark_maps(options: argparse.Namespace) -> int:
         load_map(name)  # an unknown map fails before the first episode
         for seed in seeds:
             folder = options.out / folders[name] / f"seed-{seed}"
-            jobs.append(benchmark.Job(config, options.agent, seed, folder, not options.no_pictures))
+            jobs.append(
+                benchmark.Job(config, options.agent, seed, folder, not options.no_pictures, options.format, options.dpi)
+            )
             names[folder] = name
     make_policy(options.agent)  # an unknown name fails before the first episode
     outdated = sum(map(benchmark.is_outdated, jobs))
     if outdated:
-        print(f"{outdated} finished runs used other code or another floor plan: running them again", file=sys.stderr)
+        tell(f"{outdated} finished runs used other code or another floor plan: running them again")
     reports: dict[str, list[dict[str, Any]]] = {name: [] for name in options.maps}
     was_interrupted = False
     try:
@@ -70,20 +83,24 @@ def _benchmark_maps(options: argparse.Namespace) -> int:
             reports[names[job.folder]].append(report)
             outcome = "passes" if benchmark.passes(report) else "fails"
             origin = " (reused)" if was_there else ""
-            print(f"[{done}/{len(jobs)}] {names[job.folder]} seed {job.seed}: {outcome}{origin}", file=sys.stderr)
+            tell(f"[{done}/{len(jobs)}] {names[job.folder]} seed {job.seed}: {outcome}{origin}")
     except KeyboardInterrupt:
         was_interrupted = True
-        finished = sum(map(len, reports.values()))
-        print(
-            f"interrupted after {finished} of {len(jobs)} runs; the same command continues from there", file=sys.stderr
-        )
     for rows in reports.values():
         rows.sort(key=lambda report: report["seed"])  # not as they came, which differs with the processes
+    places = {name: options.out / folder for name, folder in folders.items()}
+    paths = benchmark.write_tables(reports, places, options.agent, options.out, picture_options(options))
     summaries = {name: benchmark.summary_of(rows) | {"reports": rows} for name, rows in reports.items() if rows}
-    write_json(options.out / "summary.json", summaries)
     write_json(options.json, summaries)
     if options.json != TERMINAL:
         for name, rows in reports.items():
             if rows:
-                print(f"\n{name}, {options.agent}\n{benchmark.table_of(rows)}")
+                print(f"\n{name}, {options.agent}\n{benchmark.table_of(rows, terminal_width())}")
+        if any(row["merged_robots"] < row["robots"] for rows in reports.values() for row in rows):
+            print(f"\nWhere robots do not share one map: {ODOMETRY_REMARK}")
+    for path in paths:
+        tell(f"written: {path}")
+    if was_interrupted:
+        finished = sum(map(len, reports.values()))
+        tell(f"interrupted after {finished} of {len(jobs)} runs; the same command continues from there")
     return INTERRUPTED if was_interrupted else 0

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 from twc_env.commands.team_options import TEAMS, add_team, agent_names, paragraphs, team_config
 from twc_env.records.json_values import TERMINAL, write_json
-from twc_env.running.command_line import add_folder, count
+from twc_env.running.command_line import add_folder, add_pictures, count, picture_options, tell, terminal_width
 
 _COMPARE_HELP = """\
 Compare teams in the same buildings from the same start poses: how much sooner than the first team each of the others
 has mapped 90 % of the floor correctly, with a 95 % confidence interval. Episodes finished by the same code are reused.
+The folder gets compare.json, compare.csv, compare.tex, episodes.csv and coverage.png (coverage over time).
 
 examples:
   twc-env compare --buildings 20 --jobs 2
@@ -36,6 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--maps", nargs="+", metavar="MAP", help="names or files, instead of --buildings")
     add_folder(parser, "--out", "runs/compare", "folder of finished episodes")
     parser.add_argument("--jobs", type=count, default=1, help="parallel processes")
+    parser.add_argument("--no-pictures", action="store_true", help="do not draw coverage over time")
+    add_pictures(parser)
     parser.set_defaults(run=_compare)
     add_team(parser)
 
@@ -49,10 +51,10 @@ def _compare(options: argparse.Namespace) -> int:
     maps = options.maps or split_names("test", family_of(config.map))[: options.buildings]
     for name in maps:
         load_map(name)
-    found = compare.compare(
-        config, maps, options.agents, options.out, options.jobs, lambda text: print(text, file=sys.stderr)
-    )
+    found = compare.compare(config, maps, options.agents, options.out, options.jobs, tell)
     write_json(options.json, compare.as_json(found))
     if options.json != TERMINAL:
-        print(compare.table_of(found))
+        print(compare.table_of(found, terminal_width()))
+    for path in compare.write_tables(found, maps, config, options.out, picture_options(options)):
+        tell(f"written: {path}")
     return 0

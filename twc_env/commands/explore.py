@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from twc_env.commands.team_options import add_agent, add_team, folder_name, paragraphs, team_config
 from twc_env.config import EnvConfig, digest, override
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
-from twc_env.running.command_line import INTERRUPTED, end_line, natural, show_count
+from twc_env.running.command_line import INTERRUPTED, Bar, add_pictures, end_line, natural, picture_options, tell
 
 _EXPLORE_HELP = """\
 Run one episode with a scripted team and write a run folder:
-report.json (metrics, defined in docs/figures.md), config.json, map.png, episode.gif, map.pgm + map.yaml,
-pose_graph.g2o and trajectories/*.tum (readable by evo). Ctrl-C or SIGTERM ends the episode early, and the folder is
-written of the steps until then (exit status 130 or 143); a second Ctrl-C ends the command at once.
+report.json (metrics, defined in docs/figures.md), config.json, map.png, a film named by map and seed such as
+twin-01-seed0.gif, map.pgm + map.yaml, pose_graph.g2o and trajectories/*.tum (readable by evo). Ctrl-C or SIGTERM ends
+the episode early, and the folder is written of the steps until then (exit status 130 or 143); a second Ctrl-C ends the
+command at once.
 
 examples:
   twc-env explore
@@ -44,7 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run folder (default: runs/MAP-AGENT-seedSEED, plus a digest of the settings if they are not the "
         "defaults)",
     )
-    parser.add_argument("--no-gif", action="store_true", help="do not write episode.gif")
+    parser.add_argument("--no-gif", action="store_true", help="do not write the film")
+    add_pictures(parser)
     parser.set_defaults(run=_explore)
     add_agent(parser)
     add_team(parser)
@@ -52,8 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _explore(options: argparse.Namespace) -> int:
     from twc_env.agents import picture
-    from twc_env.agents.explore import explore, table_of, write_run
+    from twc_env.agents.explore import explore, write_run
     from twc_env.agents.roster import display_name
+    from twc_env.exploration.assessment.result_table import text_of
 
     config = team_config(options, options.map, options.steps)
     has_gif = not (options.no_gif or options.no_pictures)
@@ -61,22 +63,19 @@ def _explore(options: argparse.Namespace) -> int:
         picture.require_libraries(has_gif)
     folder = options.out or _run_folder(config, options.agent, options.seed)
     check_folder(folder)
-    what = f" steps on {folder_name(config.map)}, seed {options.seed}"
     film = picture.Film() if has_gif else None
+    bar = Bar(config.max_cycles, f"steps on {folder_name(config.map)}, seed {options.seed}", every=20)
     run = explore(
-        config, options.agent, options.seed, film, lambda done: show_count(done, config.max_cycles, what, every=50)
+        config, options.agent, options.seed, film, lambda done, share: bar.show(done, f"{share:.1%} mapped correctly")
     )
     end_line()
-    write_run(run, folder, not options.no_pictures)
+    write_run(run, folder, picture_options(options) is not None, options.format, options.dpi)
     write_json(options.json, run.report)
     if options.json != TERMINAL:
-        print(f"{display_name(options.agent)} on {config.map}, seed {options.seed}, {config.robots} robots\n")
-        print(table_of(run.report))
-        if run.report["merged_robots"] < run.report["robots"] and run.report["lacked"]:
-            print("\nwhy the robots do not all share one map:", *run.report["lacked"], sep="\n  ")
+        print(text_of({**run.report, "agent": display_name(options.agent)}))
         print(f"\nwritten: {folder}")
     if run.was_interrupted:
-        print(f"interrupted after {run.report['steps']} steps; the results cover these", file=sys.stderr)
+        tell(f"interrupted after {run.report['steps']} steps; the results cover these")
     return INTERRUPTED if run.was_interrupted else 0
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from twc_env.errors import MapError
 from twc_env.records.json_values import check_writable, write_json
-from twc_env.running.command_line import Fill, add_json, count, natural
+from twc_env.running.command_line import Fill, add_json, add_pictures, count, natural
 
 if TYPE_CHECKING:
     from twc_env.world.building.floorplan import Floorplan
@@ -42,7 +42,10 @@ def add_arguments(maps: argparse.ArgumentParser) -> None:
     text = "draw a map: walls, rooms, signs, access points and signal strength"
     show = _part(parts, "show", _show, text, ["show test/0003 --out building.png"])
     show.add_argument("map", metavar="MAP", help="see below")
-    show.add_argument("--out", type=Path, metavar="FILE.png", help="default: the map's name in the current folder")
+    show.add_argument(
+        "--out", type=Path, metavar="FILE", help=".png, .pdf or .svg (default: the map's name in the current folder)"
+    )
+    add_pictures(show)
     show.add_argument("--no-signal", action="store_true", help="omit the signal-strength overlay")
     _seed(show)
 
@@ -64,9 +67,10 @@ def add_arguments(maps: argparse.ArgumentParser) -> None:
 
     text = "write a map as .json (native), .yaml + .pgm (ROS map_server) or .png"
     more = "\nOnly .json keeps rooms, signs and access points."
-    give = _part(parts, "export", _export, text, ["export twin-01 twin-01.yaml"], more)
+    give = _part(parts, "export", _export, text, ["export twin-01 --out twin-01.yaml"], more)
     give.add_argument("map", metavar="MAP", help="see below")
-    give.add_argument("out", type=Path, metavar="FILE", help="the suffix selects the format")
+    give.add_argument("file", type=Path, nargs="?", metavar="FILE", help="the same as --out FILE")
+    give.add_argument("--out", type=Path, metavar="FILE", help="the suffix selects the format")
     give.add_argument(
         "--resolution", type=float, metavar="M", help="metres per pixel of a .yaml or .png (default: 0.05)"
     )
@@ -152,9 +156,11 @@ def _show(options: argparse.Namespace) -> None:
     from twc_env.pictures.map_picture import draw_plan
 
     plan = load_map(options.map, options.seed)
-    path = options.out or Path(f"{_file_stem(plan.name)}.png")
+    path = options.out or Path(f"{_file_stem(plan.name)}.{options.format}")
     check_writable(path)
-    path = draw_plan(plan, path, with_signal=not options.no_signal)
+    if not path.suffix:
+        path = path.with_name(f"{path.name}.{options.format}")
+    path = draw_plan(plan, path, not options.no_signal, options.dpi)
     print(f"{_HEAD}\n{_row(plan)}\nwritten: {path}")
 
 
@@ -193,6 +199,9 @@ def _export(options: argparse.Namespace) -> None:
     from twc_env.datasets.buildings.map_export import EXPORT_RESOLUTION_M, export_map, lost_in_export
     from twc_env.maps import load_map
 
+    if (options.file is None) == (options.out is None):
+        raise MapError("maps export writes one file: name it with --out FILE.json, .yaml or .png")
+    options.out = options.out or options.file
     resolution_m = EXPORT_RESOLUTION_M if options.resolution is None else options.resolution
     if options.resolution is not None and options.out.suffix.lower() == ".json":
         raise MapError(f"--resolution is for .yaml and .png; a native map has no pixels: omit it for {options.out}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twc_env.running.command_line import add_folder, count, natural
+from twc_env.running.command_line import add_folder, add_verbosity, count, natural
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     make.add_argument("--signs", type=count, default=40, help="signs per grid point")
     make.add_argument("--jobs", type=count, default=2, help="parallel processes")
     add_folder(make, "--cache", "runs/ocr", "folder of finished parts")
+    add_verbosity(make)
     make.set_defaults(run=_measure)
 
     show = actions.add_parser(
@@ -35,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         epilog="example:\n  twc-env ocr show --out runs/ocr.png",
     )
     show.add_argument("--out", type=Path, required=True, metavar="FILE", help="picture to write, PNG")
+    add_verbosity(show)
     show.set_defaults(run=_show)
 
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 from twc_env.commands.team_options import paragraphs
-from twc_env.running.command_line import add_folder, count, parse_seeds
+from twc_env.running.command_line import add_folder, count, parse_seeds, tell
 
 _SURVEY_HELP = """\
 Map flats from WiFi alone with one robot, once by following the walls and once by driving to where its map is least
@@ -41,9 +40,7 @@ def _radio_survey(options: argparse.Namespace) -> int:
     seeds = parse_seeds(options.seeds)
     for name in options.maps:
         load_map(name)
-    found = radio_survey.compare(
-        options.maps, seeds, options.steps, options.out, lambda text: print(text, file=sys.stderr)
-    )
+    found = radio_survey.compare(options.maps, seeds, options.steps, options.out, tell)
     for c in found:
         for agent, walked in zip(radio_survey.AGENTS, (c.along_walls, c.active), strict=True):
             print(

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from pathlib import Path
 
 from twc_env.records.json_values import check_folder
 from twc_env.running.command_line import (
     INTERRUPTED,
+    add_folder,
     add_set,
     alone_in,
     assignments,
@@ -16,6 +15,7 @@ from twc_env.running.command_line import (
     end_line,
     natural,
     show_count,
+    tell,
 )
 
 
@@ -32,7 +32,7 @@ def add_arguments(record: argparse.ArgumentParser) -> None:
     record.add_argument("--steps", type=count, default=600, help="time steps of 0.1 s")
     record.add_argument("--seed", type=natural, default=0, help="of start poses, noise and generated signs")
     add_set(record)
-    record.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="output folder")
+    add_folder(record, "--out", "runs/log", "folder of the log")
     record.set_defaults(run=_record)
 
 
@@ -62,5 +62,5 @@ def _record(options: argparse.Namespace) -> int:
         write_truth_log(options.out / "truth.npz", options.seed, env.episode.config.map, true_poses)
     print(f"{len(steps) - 1} steps of {env.config.robots} robots\nwritten: {options.out}")
     if was_interrupted:
-        print(f"interrupted after {len(steps) - 1} steps; the log holds these", file=sys.stderr)
+        tell(f"interrupted after {len(steps) - 1} steps; the log holds these")
     return INTERRUPTED if was_interrupted else 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import zipfile
 from collections.abc import Sequence
 from itertools import accumulate, zip_longest
@@ -22,6 +21,7 @@ from twc_env.running.command_line import (
     make_folder,
     refuse_code,
     show_count,
+    tell,
 )
 
 if TYPE_CHECKING:
@@ -129,14 +129,12 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     config = override(config, {**asked, **chosen})
     odom_poses: list[np.ndarray] = []
     if config.slam.oracle != "none":
-        print(f"slam.oracle = {config.slam.oracle!r}: ignored, since logs contain no ground truth", file=sys.stderr)
+        tell(f"slam.oracle = {config.slam.oracle!r}: ignored, since logs contain no ground truth")
     if config.slam.k_visibility.enabled and config.slam.k_visibility.are_transmitters_known:
         ignored = "slam.k_visibility.are_transmitters_known"
-        print(f"{ignored}: ignored, since logs contain no ground truth", file=sys.stderr)
+        tell(f"{ignored}: ignored, since logs contain no ground truth")
     if config.link.topology == "peer":
-        print(
-            "each robot has a mapper of its own: groups, closures, map and graph are those of robot 0", file=sys.stderr
-        )
+        tell("each robot has a mapper of its own: groups, closures, map and graph are those of robot 0")
     seen = 1 + max(frame.robot for frames in steps for frame in frames)
     robots = contacts[0].heard.shape[1] if contacts else seen
     engine = make_engine(config, robots)

@@ -76,7 +76,7 @@ def add_agent(parser: argparse.ArgumentParser) -> None:
     """Options of commands that run one team."""
     names = f"one of {agent_names()}, or FILE.py:CLASS"
     parser.add_argument("--agent", default="nearest-frontier", help=names)
-    parser.add_argument("--no-pictures", action="store_true", help="write neither map.png nor episode.gif")
+    parser.add_argument("--no-pictures", action="store_true", help="write neither the map picture nor the film")
 
 
 def add_team(parser: argparse.ArgumentParser) -> None:

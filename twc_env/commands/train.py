@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from twc_env.errors import DataError
 from twc_env.records.json_values import check_folder
-from twc_env.running.command_line import add_folder, add_set, assignments, natural
+from twc_env.running.command_line import add_folder, add_set, add_verbosity, assignments, natural
 
 SEEDS = 2**31
 """Seeds are below this: torch and numpy accept no larger ones, and resuming adds the number of steps."""
@@ -62,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_set(ppo)
     add_folder(ppo, "--out", "runs/ppo", "run folder")
     ppo.add_argument("--resume", action="store_true", help="continue from the model in the run folder")
+    add_verbosity(ppo)
     ppo.set_defaults(
         run=_train_ppo, when_interrupted="interrupted; --resume continues from the last saved model, if any"
     )
@@ -85,6 +86,6 @@ def _train_ppo(options: argparse.Namespace) -> int:
         overrides=assignments(options.set),
     )
     settings = ppo.Settings(seed=options.seed, workers=options.workers)
-    model_path = ppo.train(task, settings, options.steps, options.out, options.resume)
+    model_path = ppo.train(task, settings, options.steps, options.out, options.resume, show_progress=not options.quiet)
     print(f"model: {model_path}   learning curve: {options.out / 'metrics.csv'} and {options.out / 'tensorboard'}")
     return 0

@@ -36,6 +36,7 @@ from twc_env.world.building.subsampling import subsampled
 from twc_env.world.world import World
 
 if TYPE_CHECKING:
+    from twc_env.exploration.drawing.window import Window
     from twc_env.exploration.viewer import Viewer
 
 STATE_LIMIT = 1e4
@@ -313,8 +314,14 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return self.episode.result()
 
     def render(self) -> Array | None:
-        """(height, width, 3) uint8 image of truth and estimate; None without a render_mode or with a window."""
+        """(height, 960, 3) uint8 image of truth and estimate, with caption and legend (they need Pillow, extra `viz`);
+        None without a render_mode or with a window."""
         return None if self._viewer is None else self._viewer.draw(self.episode)
+
+    @property
+    def window(self) -> Window | None:
+        """The window of render_mode "human", whose held keys a program may read; None in other modes."""
+        return None if self._viewer is None else self._viewer.window
 
     def watch(self, spectator: Callable[[], None]) -> None:
         """Call `spectator` after every time step from now on, also within long actions; for example to record video.

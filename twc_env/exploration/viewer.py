@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig
 from twc_env.exploration.assessment.map_scores import GroupScore
-from twc_env.exploration.drawing.layers import HELP, Layers, layered
-from twc_env.exploration.drawing.rendering import ClosureLine, SignalLayer, render, scene_of
+from twc_env.exploration.drawing.frame import framed, legend_of
+from twc_env.exploration.drawing.layers import Layers, layered
+from twc_env.exploration.drawing.rendering import ClosureLine, SignalLayer, scene_of
 from twc_env.exploration.drawing.window import Window
 from twc_env.exploration.episode import Episode
 from twc_env.records.geometry import transform_points
@@ -23,7 +25,8 @@ class Viewer:
 
     def __init__(self, mode: str, frames_per_s: float, with_signal: bool):
         """Raises ConfigError if the mode is "human" and pygame is missing."""
-        self._window = Window("twc_env", frames_per_s) if mode == "human" else None
+        self.window = Window("twc_env", frames_per_s) if mode == "human" else None
+        """None in other modes."""
         self._layers = Layers(signal=with_signal)
         self._signal: tuple[Floorplan, SignalLayer] | None = None
         self._seen = SeenClosures()
@@ -35,31 +38,31 @@ class Viewer:
 
     def draw(self, episode: Episode) -> Array | None:
         """The picture of the present state; None if it is shown in the window. Waits while the window is paused."""
-        if self._window is None:
+        if self.window is None:
             return self._picture(episode)
         step = episode.record.count
-        while self._window.answer():
+        while self.window.answer():
             layers = self._layers
-            for key in self._window.take_keys():
+            for key in self.window.take_keys():
                 layers = layers.after(key)
             if step != self._shown_step or layers != self._layers:
                 self._layers, self._shown_step = layers, step
-                self._window.show(self._picture(episode), f"{episode.caption()}    {HELP}")
-            elif self._window.is_paused:
-                self._window.wait()
-            if not self._window.is_paused:
+                self.window.show(self._picture(episode), episode.caption())
+            elif self.window.is_paused:
+                self.window.wait()
+            if not self.window.is_paused:
                 break
         return None
 
     def follow(self, episode: Episode) -> None:
         """Draw in the window, if there is one."""
-        if self._window is not None:
+        if self.window is not None:
             self.draw(episode)
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        if self._window is not None:
-            self._window.close()
+        if self.window is not None:
+            self.window.close()
 
     def _picture(self, episode: Episode) -> Array:
         scores = episode.map_scores()
@@ -70,7 +73,9 @@ class Viewer:
             scores = [v for v in scores if layers.robot in v.view.viewers] or scores
         people_m = episode.world.people_m
         scene = scene_of(episode.floorplan, episode.engine, episode.record, scores, lines, signal, people_m)
-        return render(layered(scene, layers))
+        caption = f"{Path(episode.floorplan.name).name}, seed {episode.seed}: {episode.caption()}"
+        help_text = "" if self.window is None else self.window.help_text
+        return framed(layered(scene, layers), caption, help_text, legend_of(scene, self.window is not None))
 
     def _signal_of(self, plan: Floorplan, config: RadioConfig) -> SignalLayer:
         if self._signal is None or self._signal[0] is not plan:

@@ -19,7 +19,8 @@ from numpy.typing import NDArray as Array
 from twc_env.config import EnvConfig, from_dict
 from twc_env.datasets.logs.arrays_file import read_arrays
 from twc_env.errors import DataError, TwcError
-from twc_env.exploration.drawing.rendering import COLOURS
+from twc_env.exploration.assessment.result_table import FIGURES, remarks_of, value_of
+from twc_env.exploration.drawing import palette
 from twc_env.exploration.trace import FORMAT, TRACE_KEYS
 from twc_env.records.whole_file import whole_file
 from twc_env.world.sensors.signal_map import SIGNAL_SPAN_DBM
@@ -66,9 +67,21 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
         "time_step_s": config.dynamics.time_step_s,
         "subtitle": f"{config.robots} robots, {len(trace['true_poses']) - 1} steps of "
         f"{config.dynamics.time_step_s:g} s, configuration {report['config_digest']}, version {report['version']}. "
-        "Grey lines: the true building. White and black: the merged map (free, wall). "
-        "Disc: true pose of a robot; ring: its estimate.",
-        "colours": ["#" + bytes(colour).hex() for colour in COLOURS],
+        "Grey: the true building. Black and white: the estimated map. Disc: where a robot is; ring: where it thinks "
+        "it is. Violet: loop closures; thick with crosses: accepted, but false.",
+        "colours": list(palette.ROBOTS),
+        "palette": {
+            "true_wall": palette.TRUE_WALL,
+            "true_text": palette.TRUE_TEXT,
+            "wall": palette.WALL,
+            "floor": palette.FLOOR,
+            "unknown": palette.UNKNOWN,
+            "closure": palette.CLOSURE,
+            "ink": palette.INK,
+            "tint": palette.TINT,
+        },
+        "figures": [[key, name, value_of(report[key], form)] for name, key, form in FIGURES if key in report],
+        "remarks": remarks_of(report),
         "bounds_m": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()],
         "walls_m": _rounded(walls),
         "signs_m": _rounded(trace["signs_m"]),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, from_dict
 from twc_env.errors import ConfigError, DataError
-from twc_env.exploration.drawing.rendering import ACCEPTED, COLOURS, REJECTED
+from twc_env.exploration.drawing.rendering import CLOSURE, COLOURS
 from twc_env.exploration.trace import UNKNOWN, WALL
 from twc_env.pictures.replay_page import contradictions, read_report, read_trace
 from twc_env.records.geometry import transform_points
@@ -121,7 +121,7 @@ def _log_moment(rerun: Any, moment: dict, cells: list[Array]) -> None:
     rerun.log("team/maps", rerun.Clear(recursive=True))
     for count, (layer, kinds) in enumerate(zip(moment["layers"], cells, strict=True)):
         rerun.log(f"team/maps/{count}", _map_mesh(rerun, layer, kinds, len(moment["layers"]) - count))
-    for status, colour in (("accepted", ACCEPTED), ("rejected", REJECTED)):
+    for status, colour in (("accepted", CLOSURE), ("rejected", 0.5 * (CLOSURE + 255))):
         ends_m = [[row["target_m"], row["source_m"]] for row in moment["closures"] if row["status"] == status]
         lines_m = _lifted(np.array(ends_m, float).reshape(-1, 2), 6).reshape(-1, 2, 3)
         rerun.log(f"team/closures/{status}", rerun.LineStrips3D(lines_m, colors=colour.astype(np.uint8), radii=0.02))

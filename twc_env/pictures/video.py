@@ -9,7 +9,9 @@ per action, so use this class with robots=1 for actions that last many time step
 from __future__ import annotations
 
 import importlib.util
+import re
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +21,22 @@ from pettingzoo.utils import BaseParallelWrapper
 
 from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, DataError
+from twc_env.exploration.drawing import palette
+from twc_env.exploration.drawing.rendering import SIGNAL_OPACITY
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.records.json_values import check_folder
 from twc_env.records.whole_file import whole_file
 
-WIDTH_MAX_PX = 560
-COLOURS = 64
-TEXT_PX = 12
-INK, PAPER = (38, 44, 56), (255, 255, 255)
+BLENDS = (0.8, 0.6, 0.4, 0.25, 0.12)
+"""Shares of a line's colour where it covers a pixel in part, or fades."""
+SIGNAL_STEPS = 24
 
 
 class RecordEpisodes(BaseParallelWrapper):
-    """Writes `episode-0.gif`, `episode-1.gif`, ... to a folder, each when its episode ends.
+    """Writes a film for each episode to a folder, when the episode ends: `twin-01-seed0.gif`, named by map and seed.
 
-    The caption shows the time, how many robots share a map and the share of the floor that is mapped correctly. Every
+    Frames are 960 pixels wide and have a legend; their caption shows the time, how many robots share a map and the
+    share of the floor that is mapped correctly. Every
     `every`-th time step is recorded, also within long actions, and shown in real time. An episode abandoned before its
     first step leaves no film; one abandoned later leaves a shorter one, to its last step. After `close`, nothing is
     recorded until the next `reset`.
@@ -51,7 +55,10 @@ class RecordEpisodes(BaseParallelWrapper):
         self._frames: list[Any] = []
         self._is_late = False
         """Whether time steps were made since the last recorded one."""
-        self._episodes = 0
+        self._name = ""
+        """Name of the film of the present episode."""
+        self._written: dict[str, int] = {}
+        """How many films of each name were written."""
         env.watch(self._look)
 
     def reset(self, seed: int | None = None, options: dict | None = None):
@@ -83,7 +90,9 @@ class RecordEpisodes(BaseParallelWrapper):
     def _shoot(self) -> None:
         picture = self._team.render()
         assert picture is not None
-        self._frames.append(film_frame(picture, self._team.episode.caption(), WIDTH_MAX_PX))
+        episode = self._team.episode
+        self._name = film_name(episode.floorplan.name, episode.seed)
+        self._frames.append(film_frame(picture))
         self._is_late = False
 
     def _write(self) -> None:
@@ -92,8 +101,11 @@ class RecordEpisodes(BaseParallelWrapper):
         frames, self._frames, self._is_late = self._frames, [], False
         if len(frames) < 2:
             return
-        path = self._folder / f"episode-{self._episodes}.gif"
-        self._episodes += 1
+        name = self._name
+        self._written[name] = self._written.get(name, 0) + 1
+        if self._written[name] > 1:  # the same building and seed again
+            name = name.replace(".gif", f"-{self._written[name]}.gif")
+        path = self._folder / name
         duration_ms = round(1000 * self._every * self._team.config.dynamics.time_step_s)
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
@@ -102,23 +114,43 @@ class RecordEpisodes(BaseParallelWrapper):
         write_film(path, frames, duration_ms)
 
 
-def film_frame(picture: Array, caption: str, width_max_px: int) -> Any:
-    """A picture (height, width, 3) uint8 as a Pillow image of few colours, its caption on a strip below."""
-    from PIL import Image, ImageDraw, ImageFont
+def film_frame(picture: Array) -> Any:
+    """A picture (height, width, 3) uint8 as a Pillow image of the colours of `_film_colours`."""
+    from PIL import Image
 
-    image = Image.fromarray(np.ascontiguousarray(picture))
-    if image.width > width_max_px:
-        height = max(1, round(image.height * width_max_px / image.width))
-        image = image.resize((width_max_px, height), Image.Resampling.BOX)
-    size = TEXT_PX
-    while size > 6 and ImageFont.load_default(size).getlength(caption) > image.width - size:
-        size -= 1
-    frame = Image.new("RGB", (image.width, image.height + 2 * size), PAPER)
-    frame.paste(image)
-    ImageDraw.Draw(frame).text(
-        (size // 2, image.height + size), caption, fill=INK, font=ImageFont.load_default(size), anchor="lm"
-    )
-    return frame.quantize(COLOURS, dither=Image.Dither.NONE)
+    return Image.fromarray(np.ascontiguousarray(picture)).quantize(palette=_film_colours(), dither=Image.Dither.NONE)
+
+
+@cache
+def _film_colours() -> Any:
+    """The palette's colours and their blends with the floors that they are drawn on, as the palette of a Pillow image.
+
+    It is the same for all frames: colours chosen for each one would flicker, and lose those of thin lines.
+    """
+    from PIL import Image
+
+    plain = [palette.rgb(palette.FLOOR), palette.rgb(palette.UNKNOWN)]
+    tinted = [palette.tinted_floor(robot) for robot in range(len(palette.ROBOTS))]
+    lines = (*palette.ROBOTS, palette.TRUE_WALL, palette.WALL, palette.INK, palette.CLOSURE, palette.PERSON)
+    colours = [*plain, *tinted]
+    for line in map(palette.rgb, lines):
+        colours += [line, *(share * line + (1 - share) * ground for ground in plain for share in BLENDS)]
+    for line in map(palette.rgb, (palette.WALL, palette.CLOSURE)):
+        colours += [0.5 * line + 0.5 * ground for ground in tinted]
+    steps = np.array([palette.rgb(colour) for colour in palette.SIGNAL])
+    for share in np.linspace(0, len(steps) - 1, SIGNAL_STEPS):
+        signal = [np.interp(share, range(len(steps)), steps[:, k]) for k in range(3)]
+        colours += [SIGNAL_OPACITY * np.array(signal) + (1 - SIGNAL_OPACITY) * ground for ground in plain]
+    image = Image.new("P", (1, 1))
+    image.putpalette(np.array(colours).round().astype(np.uint8).tobytes())
+    return image
+
+
+def film_name(map_name: str, seed: int) -> str:
+    """The file name of a film: map and seed."""
+    path = Path(map_name)
+    stem = path.stem if path.suffix else map_name
+    return f"{re.sub(r'[^A-Za-z0-9_.-]+', '-', stem).strip('-') or 'map'}-seed{seed}.gif"
 
 
 def write_film(path: Path, frames: Sequence[Any], duration_ms: int | list[int]) -> None:

@@ -47,6 +47,11 @@ def digest_of(name: str) -> str:
     return content.hexdigest()[:8]
 
 
+def is_user_file(path: Path) -> bool:
+    """Whether a file lies in the folder of a class loaded so far."""
+    return path.resolve().parent in _FOLDERS
+
+
 def _file_of(name: str) -> tuple[Path, str]:
     file, _, own = name.rpartition(":")
     path = Path(file).resolve()

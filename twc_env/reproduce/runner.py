@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import os
-import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
@@ -16,7 +15,7 @@ from typing import Any, NamedTuple
 
 from twc_env.errors import ConfigError, DataError, did_you_mean
 from twc_env.records.json_values import TERMINAL, check_folder, plain, write_json
-from twc_env.running.command_line import aligned, count, end_line, parse_seeds, show_line
+from twc_env.running.command_line import aligned, end_line, parse_seeds, show_line, tell, terminal_width
 from twc_env.running.finished_parts import FinishedParts
 from twc_env.running.worker_processes import in_processes
 
@@ -95,7 +94,7 @@ class Runner:
         self._parts = FinishedParts(folder, name, settings)
         self._started = time.monotonic()
         if self._parts.remark:
-            print(self._parts.remark, file=sys.stderr)
+            tell(self._parts.remark)
         self.notes: list[str] = []
         """Sentences to print below the rows."""
 
@@ -152,16 +151,16 @@ def data_folder() -> Path:
 
 
 def seeds_argument(text: str) -> list[int]:
-    """Type of a seeds argument: a count ("20": 0 to 19), a range ("0-9") or a list ("0-3,7")."""
+    """Type of a seeds argument, as of all commands: numbers and ranges such as "0-9" or "0-3,7"."""
     try:
-        return list(range(count(text)) if text.isdecimal() else parse_seeds(text))
-    except (ConfigError, argparse.ArgumentTypeError):
-        raise argparse.ArgumentTypeError(f"takes a count like 20, or seeds like 0-9 or 0-3,7; got {text!r}") from None
+        return list(parse_seeds(text))
+    except ConfigError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def add_seeds(parser: argparse.ArgumentParser, default: str, what: str) -> None:
     """The option `--seeds` of a table."""
-    help = f"{what}: a count, or seeds like 0-9 or 0-3,7"
+    help = f"{what}: numbers and ranges such as 0-9 or 0-3,7"
     parser.add_argument("--seeds", type=seeds_argument, default=default, help=help)
 
 
@@ -198,7 +197,7 @@ def table_module(name: str) -> ModuleType:
 
 def main(name: str, module, options: argparse.Namespace) -> None:
     """Run one table, print it, write it."""
-    changes_no_part = ("run", "json", "cache", "out", "jobs", *getattr(module, "CHOOSES", ()))
+    changes_no_part = ("run", "json", "cache", "out", "jobs", "quiet", "verbose", *getattr(module, "CHOOSES", ()))
     settings = {k: v for k, v in vars(options).items() if k not in changes_no_part}
     check_folder(getattr(options, "out", None))
     runner = Runner(name, options.cache, settings)
@@ -206,11 +205,11 @@ def main(name: str, module, options: argparse.Namespace) -> None:
         rows = plain(module.rows(options, runner))
     except KeyboardInterrupt:
         end_line()
-        print("finished parts are kept: the same command continues from there", file=sys.stderr)
+        tell("finished parts are kept: the same command continues from there")
         raise
     finally:
         end_line()
-    print(aligned(rows))
+    print(aligned(rows, terminal_width()))
     print("".join(note + "\n" for note in runner.notes), end="")
     for remark in getattr(module, "remarks", lambda _: ())(rows):
         print(remark)

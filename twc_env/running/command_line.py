@@ -5,19 +5,24 @@ from __future__ import annotations
 import argparse
 import errno
 import io
+import logging
 import math
 import os
 import sys
 import textwrap
 import time
+import traceback
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from twc_env._version import __version__
 from twc_env.errors import ConfigError, DataError, TwcError, did_you_mean
 from twc_env.records.json_values import check_writable
+from twc_env.records.text_tables import aligned_text
 from twc_env.running.command_start import (
     begin_work,
     end_when_interrupted,
@@ -26,6 +31,7 @@ from twc_env.running.command_start import (
     is_loading,
 )
 from twc_env.running.file_lock import FileLock
+from twc_env.running.user_code import told_of_user_code
 
 if TYPE_CHECKING:
     from twc_env.config import EnvConfig
@@ -41,15 +47,22 @@ INTERRUPTED = 130
 """Status of a command that was interrupted and has saved what it had."""
 LOG_INTERVAL_S = 60.0
 LINE_WIDTH = 110
-_progress = {"logged_s": time.monotonic(), "is_open": False}
-"""Time of the last progress line in a log, and whether the line of the terminal shows progress."""
+RATE_COUNT = 10
+"""Counts from which the time left is estimated."""
+BAR_LEAST, BAR_MOST = 8, 40
+"""Characters of a progress bar."""
+_progress: dict[str, Any] = {"logged_s": time.monotonic(), "is_open": False, "shown": 0, "is_quiet": False}
+"""Time of the last progress line in a log, whether the line of the terminal shows progress and how many characters of
+it, and whether --quiet was given."""
+_COMMANDS = logging.getLogger("twc_env.commands")
 
 
-def exit_status(command: Callable[[], int | None], remark: str = "interrupted") -> int:
+def exit_status(command: Callable[[], int | None], remark: str = "interrupted", is_verbose: bool = False) -> int:
     """Run a command. Returns 0 or its own status when done, 130 when interrupted by Ctrl-C, 143 by SIGTERM.
 
-    2 after bad input, or when output cannot be written (one line on stderr). A reader such as `head` may close the
-    output early, and characters that a terminal cannot show are escaped. `remark` is printed on interruption.
+    2 after bad input, or when output cannot be written (one line on stderr). 1 after an exception in a user's own class
+    (FILE.py:CLASS): their line comes first, the whole traceback only if `is_verbose`. A reader such as `head` may close
+    the output early, and characters that a terminal cannot show are escaped. `remark` is printed on interruption.
     """
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the parent process
@@ -82,6 +95,14 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted") 
     except KeyboardInterrupt:
         sys.stderr.write(f"{remark}\n")
         return interrupted_status()
+    except Exception as error:
+        told = told_of_user_code(error)
+        if told is None:
+            raise
+        if is_verbose:
+            sys.stderr.write("".join(traceback.format_exception(error)))
+        sys.stderr.write(told + ("" if is_verbose else "--verbose shows the whole traceback\n"))
+        return 1
     finally:
         end_work()
         if is_loading():
@@ -99,7 +120,9 @@ def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None
         check_writable(getattr(options, "json", None))
         return options.run(options)
 
-    return exit_status(command, getattr(options, "when_interrupted", "interrupted"))
+    is_verbose = getattr(options, "verbose", False)
+    with logging_to_terminal(getattr(options, "quiet", False), is_verbose):
+        return exit_status(command, getattr(options, "when_interrupted", "interrupted"), is_verbose)
 
 
 def _silence() -> None:
@@ -159,6 +182,8 @@ class Parser(argparse.ArgumentParser):
         fill, self._fill = self._fill, None
         if fill is not None:
             fill(self)
+            if self._subparsers is None:
+                add_verbosity(self)
         return self._filled_actions
 
     @_actions.setter
@@ -191,6 +216,30 @@ def add_version(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--version", action="version", version=f"twc_env {__version__}", help="print the version and exit"
     )
+
+
+def add_verbosity(parser: argparse.ArgumentParser) -> None:
+    """The options `--quiet` and `--verbose`, which every command has."""
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument(
+        "-q", "--quiet", action="store_true", help="show results and errors only: no progress, no remarks"
+    )
+    either.add_argument(
+        "-v", "--verbose", action="store_true", help="show also what happens inside, and whole tracebacks"
+    )
+
+
+def add_pictures(parser: argparse.ArgumentParser) -> None:
+    """The options `--format` and `--dpi` of commands that write pictures, which `picture_options` reads."""
+    parser.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help="of pictures")
+    parser.add_argument("--dpi", type=number(20, 1200), help="of pictures: dots per inch (default: 130)")
+
+
+def picture_options(options: argparse.Namespace) -> tuple[str, float | None] | None:
+    """Format and dpi of pictures; None with --no-pictures or without matplotlib."""
+    if getattr(options, "no_pictures", False) or find_spec("matplotlib") is None:
+        return None
+    return options.format, options.dpi
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:
@@ -303,12 +352,53 @@ def show_count(done: int, total: int, what: str = "", every: int = 1) -> None:
         show_line(f"{done}/{total}{what}", done == total)
 
 
+class Bar:
+    """Progress as a bar with the time left; it fits terminals of any width."""
+
+    def __init__(self, total: int, what: str, every: int = 1):
+        self._total, self._what, self._every = total, what, every
+        self._latest: deque[tuple[int, float]] = deque([(0, time.monotonic())], maxlen=RATE_COUNT)
+        """The last counts with their times [s], which give the rate: a slow beginning does not count for long."""
+
+    def show(self, done: int, more: str = "") -> None:
+        """Show the progress, whenever `done` is a multiple of `every`. more: what has been reached so far."""
+        if done % self._every == 0 or done == self._total:
+            (first, since_s), now_s = self._latest[0], time.monotonic()
+            self._latest.append((done, now_s))
+            left_s = (now_s - since_s) * (self._total - done) / max(done - first, 1)
+            text = f"{done}/{self._total} {self._what}{', ' * bool(more)}{more}, {_clock(left_s)} left at most"
+            width = _width_of(sys.stderr)
+            show_line(text if width is None else bar_line(done / self._total, text, width), done == self._total)
+
+
+def bar_line(share: float, text: str, width: int) -> str:
+    """A bar and a text in at most `width` characters; without room for both, the text alone, cut at its last comma."""
+    room = width - len(text) - 4
+    if room >= BAR_LEAST:
+        full = round(min(room, BAR_MOST) * share)
+        return f"[{'#' * full}{'-' * (min(room, BAR_MOST) - full)}] {text}"
+    while len(text) > width - 1 and ", " in text:
+        text = text.rpartition(", ")[0]
+    return text[: max(width - 1, 0)]
+
+
+def _clock(seconds: float) -> str:
+    minutes, seconds = divmod(math.ceil(seconds), 60)
+    hours, minutes = divmod(int(minutes), 60)
+    return f"{hours}:{minutes:02d}:{int(seconds):02d}" if hours else f"{minutes}:{int(seconds):02d}"
+
+
 def show_line(text: str, is_last: bool = False) -> None:
-    """Show the progress of a command: on a terminal in one line that is overwritten, in a log in a line per minute."""
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r{text[:LINE_WIDTH]:<{LINE_WIDTH}}")
+    """Show the progress of a command: on a terminal in one line that is overwritten, in a log in a line per minute;
+    not at all with --quiet."""
+    if _progress["is_quiet"]:
+        return
+    width = _width_of(sys.stderr)
+    if width is not None:
+        shown = text[: max(width - 1, 0)]
+        sys.stderr.write(f"\r{shown}{' ' * (_progress['shown'] - len(shown))}")
         sys.stderr.flush()
-        _progress["is_open"] = True
+        _progress["is_open"], _progress["shown"] = True, len(shown)
         if is_last:
             end_line()
     elif time.monotonic() - _progress["logged_s"] >= LOG_INTERVAL_S:
@@ -316,21 +406,66 @@ def show_line(text: str, is_last: bool = False) -> None:
         _progress["logged_s"] = time.monotonic()
 
 
+def _width_of(stream: Any) -> int | None:
+    """Width of the terminal that a stream writes to, in characters; None if it writes to no terminal."""
+    if not stream.isatty():
+        return None
+    try:
+        return os.get_terminal_size(stream.fileno()).columns or LINE_WIDTH
+    except (OSError, ValueError):
+        return LINE_WIDTH
+
+
+def terminal_width() -> int | None:
+    """Width to which tables are folded; None if the output goes to a file or another program, which gets all."""
+    return _width_of(sys.stdout)
+
+
 def end_line() -> None:
     """End the line that shows progress, so that the next output begins a new line."""
     if _progress["is_open"]:
         sys.stderr.write("\n")
-        _progress["is_open"] = False
+        _progress["is_open"], _progress["shown"] = False, 0
 
 
-def aligned(rows: Sequence[dict[str, Any]]) -> str:
-    """Rows as a table of aligned columns, which are the keys of the first row."""
+def tell(text: str) -> None:
+    """A remark on stderr; not with --quiet."""
+    _COMMANDS.info(text)
+
+
+class _ToTerminal(logging.Handler):
+    """Writes messages to stderr, below the line that shows progress."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one message."""
+        end_line()
+        sys.stderr.write(f"{record.getMessage()}\n")
+        sys.stderr.flush()
+
+
+@contextmanager
+def logging_to_terminal(is_quiet: bool = False, is_verbose: bool = False) -> Iterator[None]:
+    """Messages of the package appear on stderr while a command runs: remarks and warnings; with --quiet only warnings,
+    with --verbose also what happens inside."""
+    package, handler, level = logging.getLogger("twc_env"), _ToTerminal(), logging.getLogger("twc_env").level
+    package.addHandler(handler)
+    package.setLevel(logging.WARNING if is_quiet else logging.DEBUG if is_verbose else logging.INFO)
+    _progress["is_quiet"] = is_quiet
+    try:
+        yield
+    finally:
+        package.removeHandler(handler)
+        package.setLevel(level)
+        _progress["is_quiet"] = False
+
+
+def aligned(rows: Sequence[dict[str, Any]], width: int | None = None) -> str:
+    """Rows as a table of aligned columns, which are the keys of the first row, folded to a width."""
     if not rows:
         return "no rows"
     columns = list(rows[0])
     lines = [columns, *([_cell(row.get(column)) for column in columns] for row in rows)]
-    widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
-    return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)
+    return aligned_text(lines, width, left=len(columns))
 
 
 def _cell(value: Any) -> str:

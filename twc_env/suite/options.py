@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 from twc_env.errors import ConfigError
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
-from twc_env.running.command_line import count
+from twc_env.running.command_line import count, tell, terminal_width
 from twc_env.tasks import SUITES
 
 SUITE_HELP = """\
@@ -77,16 +76,14 @@ def run_suite(options: argparse.Namespace) -> int:
     teams = with_references(options.agents or [name for name in known if name not in SPECIAL], known)
     tasks = suite_tasks(options.suite, options.tasks)
     planned = entries(tasks, teams, options.split, options.buildings)
-    values = play_all(
-        planned, options.out / "episodes", options.jobs, options.ray, lambda text: print(text, file=sys.stderr)
-    )
+    values = play_all(planned, options.out / "episodes", options.jobs, options.ray, tell)
     standings = standings_of(planned, values)
     origin = Origin(options.suite, options.split, options.buildings)
     for path in write_leaderboard(standings, origin, planned, options.out, not options.no_pictures):
-        print(f"written: {path}", file=sys.stderr)
+        tell(f"written: {path}")
     write_json(options.json, rows_as_json(standings))
     if options.json != TERMINAL:
-        print(text_of(standings))
+        print(text_of(standings, terminal_width()))
     if not standings.is_normalised:
-        print(raw_remark(standings), file=sys.stderr)
+        tell(raw_remark(standings))
     return 0

@@ -7,15 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from twc_env.pictures.style import INK, TEAMS, TRUE_WALL, legend_below, new_figure, save_figure, style
 from twc_env.suite.entries import REFERENCES
 from twc_env.suite.standings import THRESHOLDS, Standings
 from twc_env.suite.tables import team_name, title_of
 
-COLOURS = (
-    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#785e3c", "#6e6edc", "#7f7f7f", "#bcbd22",
-    "#b2182b", "#1b7837", "#762a83", "#f781bf",
-)  # fmt: skip
-REFERENCE_STYLE = {"random": ("#999999", ":"), "informed": ("#000000", "--")}
+REFERENCE_STYLE = {"random": (TRUE_WALL, ":"), "informed": (INK, "--")}
 """Colour and line of the teams with the scores 0 and 1."""
 COLUMNS = 3
 PANEL_IN = (4.2, 3.1)
@@ -62,18 +59,15 @@ def _style(team: str, teams: Sequence[str]) -> tuple[str, str]:
     if team in REFERENCE_STYLE:
         return REFERENCE_STYLE[team]
     number = [name for name in teams if name not in REFERENCES].index(team)
-    return COLOURS[number % len(COLOURS)], ("-", "-.")[number // len(COLOURS) % 2]
+    return TEAMS[number % len(TEAMS)], ("-", "-.")[number // len(TEAMS) % 2]
 
 
 def _panels(count: int, size_in: tuple[float, float] = PANEL_IN) -> tuple[Any, list[Any]]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     columns = min(count, COLUMNS)
     rows = math.ceil(count / columns)
-    figure = Figure(figsize=(size_in[0] * columns, size_in[1] * rows + 0.9), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(rows, columns, squeeze=False)
+    with style():
+        figure = new_figure((size_in[0] * columns, size_in[1] * rows + 0.9), DPI)
+        grid = figure.subplots(rows, columns, squeeze=False)
     panels = list(grid.ravel())
     for panel in panels[count:]:
         panel.set_visible(False)
@@ -85,5 +79,5 @@ def _panels(count: int, size_in: tuple[float, float] = PANEL_IN) -> tuple[Any, l
 
 def _finish(figure: Any, panels: list[Any], path: Path) -> None:
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 5), frameon=False, fontsize=9)
-    figure.savefig(path, metadata={"Software": None})
+    legend_below(figure, handles, labels, fontsize=9)
+    save_figure(figure, path, DPI)

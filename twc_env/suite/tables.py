@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, fields
 
+from twc_env.records.text_tables import aligned_text, latex_text
 from twc_env.suite.entries import INFORMED, REFERENCES
 from twc_env.suite.standings import ALL, Row, Standings
 
@@ -73,14 +74,12 @@ def groups_of(standings: Standings) -> list[str]:
     return list(dict.fromkeys(row.task for row in standings.rows))
 
 
-def text_of(standings: Standings) -> str:
-    """Aligned tables for the terminal."""
+def text_of(standings: Standings, width: int | None = None) -> str:
+    """Aligned tables for a terminal of this width; None: not folded."""
     parts = []
     for group in groups_of(standings):
         lines = [[short for _, short, _ in COLUMNS], *cells_of(standings.rows_of(group))]
-        widths = [max(len(line[k]) for line in lines) for k in range(len(COLUMNS))]
-        aligned = ("  ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]) for line in lines)
-        parts.append("\n".join([title_of(group), *aligned]))
+        parts.append("\n".join([title_of(group), aligned_text(lines, width)]))
     return "\n\n".join(parts)
 
 
@@ -108,19 +107,13 @@ def latex_of(standings: Standings) -> str:
     ]  # fmt: skip
     for team in order:
         shown = [_latex_cell(cells[group, team], team == best[group]) for group in groups]
-        lines.append(" & ".join([_escaped(team_name(team)), *shown]) + r" \\")
+        lines.append(" & ".join([latex_text(team_name(team)), *shown]) + r" \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
 
 
 def _latex_cell(row: Row, is_best: bool) -> str:
     score = rf"\textbf{{{_rounded(row.score)}}}" if is_best else _rounded(row.score)
     return f"{score} [{_rounded(row.low)}, {_rounded(row.high)}]" if math.isfinite(row.low) else score
-
-
-def _escaped(text: str) -> str:
-    for sign in ("\\", "&", "%", "$", "#", "_", "{", "}"):
-        text = text.replace(sign, rf"\{sign}" if sign != "\\" else "/")
-    return text
 
 
 def csv_of(standings: Standings) -> str:

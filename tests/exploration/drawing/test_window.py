@@ -64,8 +64,8 @@ def test_a_window_on_a_virtual_display_shows_the_picture_until_closed(display):
     screen = np.array(grab(xdisplay=display).convert("RGB"))
     lit = np.argwhere(screen.any(axis=2))
     (top, left), (bottom, right) = lit.min(axis=0), lit.max(axis=0) + 1
-    assert (bottom - top, right - left) == expected.shape[:2]
-    assert np.array_equal(screen[top:bottom, left:right], expected)
+    assert bottom - top > expected.shape[0] and right - left == expected.shape[1]  # with a line about the keys
+    assert np.array_equal(screen[top : top + expected.shape[0], left:right], expected)
     shown.close()
     assert not pygame.display.get_init()
     assert not np.array(grab(xdisplay=display).convert("RGB")).any()
@@ -80,7 +80,7 @@ def test_every_time_step_is_shown_once_at_the_frame_rate(pygame, monkeypatch):
     while env.agents:
         step(env)
         assert env.render() is None  # already shown
-        assert pygame.display.get_caption()[0].startswith(env.episode.caption())
+        assert pygame.display.get_caption()[0] == env.episode.caption()
     assert len(flips) == 1 + SMALL["max_cycles"]
     assert flips[-1] - flips[1] >= 0.9 * 1000 * (len(flips) - 2) / 25
     env.close()
@@ -133,7 +133,7 @@ def test_keys_toggle_layers_of_the_window(pygame):
     everything = shown("")
     without_truth = shown("t")
     assert np.abs(everything - without_truth).max() > 0
-    assert np.ptp(shown("mcp")[..., 0]) == 0  # only the background is left
+    assert np.ptp(shown("mcp")[:, 60:200, 0]) == 0  # only the background is left
     one = shown("tmcp1")
     assert (one == (213, 94, 0)).all(axis=2).any()  # the true pose of robot 1 is drawn
     viewer = env._viewer
@@ -209,9 +209,8 @@ def test_gymnasium_accepts_the_pictures_in_every_mode(pygame):
 
 def test_closures_and_the_signal_layer_are_drawn():
     from twc_env.exploration.drawing.rendering import (
-        ACCEPTED,
+        CLOSURE,
         FRESH_S,
-        REJECTED,
         ClosureLine,
         Scene,
         SignalLayer,
@@ -225,10 +224,10 @@ def test_closures_and_the_signal_layer_are_drawn():
         return int((np.abs(image - colour).max(axis=2) < 12).sum())
 
     ends_m = np.array([[4.0, 5.0], [16.0, 5.0]])
-    for is_accepted, colour in ((True, ACCEPTED), (False, REJECTED)):
+    for is_accepted, least in ((True, 300), (False, 150)):
         fresh, old = (picture(closures=(ClosureLine(ends_m, is_accepted, age),)) for age in (0.0, 2 * FRESH_S))
-        assert reddish(fresh, colour) > 300
-        assert reddish(old, colour) == 0
+        assert reddish(fresh, CLOSURE) > least
+        assert reddish(old, CLOSURE) == 0
         assert (np.abs(old - picture()).max() > 0) == is_accepted  # old rejected closures are not drawn
     share = np.tile(np.linspace(0.0, 1.0, 20), (10, 1))
     share[:, 10:12] = np.nan

@@ -22,7 +22,7 @@ def test_places_lie_at_least_three_metres_apart():
 
 @needs_data
 def test_the_logs_stray_as_the_engine_takes_them_to(written):
-    table = written("building-axes", "--seeds", "1")
+    table = written("building-axes", "--seeds", "0")
     logs = [row["std_deg"] for row in table if row["role"] == "calibrated"]
     assert len(logs) == 5 and np.median(logs) == pytest.approx(5.0, abs=0.2)
     assert all(row["std_deg"] < min(logs) for row in table if row["role"] == "reported")

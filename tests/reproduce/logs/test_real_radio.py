@@ -15,7 +15,7 @@ KEYS = ["floor", "method", "traces_joined", "traces", "error_mean_m", "error_std
 
 @needs_data
 def test_the_command_writes_its_rows(written):
-    rows = written("real-radio", "--floors", "site2_F6,uw_floor", "--traces", "8", "--seeds", "1")
+    rows = written("real-radio", "--floors", "site2_F6,uw_floor", "--traces", "8", "--draws", "1")
     assert [list(row) for row in rows] == [KEYS] * 9
     malls, (odometry, paper, ours, engine) = rows[:5], rows[5:]
     assert [row["method"] for row in (odometry, paper, ours, engine)] == ["odometry", "paper", "ours", "engine"]

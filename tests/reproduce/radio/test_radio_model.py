@@ -233,7 +233,7 @@ def test_the_crowded_mall_misses_more_at_5_ghz_than_the_one_of_the_fit():
 
 @needs_data
 def test_a_quick_run_gives_a_real_and_a_simulated_figure_for_every_quantity(written):
-    rows = written("radio-model", "--quick", "--seeds", "1", "--only", "wifi")
+    rows = written("radio-model", "--quick", "--runs", "1", "--only", "wifi")
     sets = {"wifi/sod", "wifi/uji_lib", "wifi/ble_lidar", "wifi/uw_floor"}
     assert {row["dataset"].split()[0] for row in rows} >= sets
     assert {row["role"] for row in rows} == {"calibrated", "reported"}

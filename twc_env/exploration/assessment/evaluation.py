@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, KeysView, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -14,6 +15,7 @@ from twc_env import metrics
 from twc_env._version import __version__
 from twc_env.config import EnvConfig
 from twc_env.config import digest as config_digest
+from twc_env.exploration.assessment import result_table
 from twc_env.exploration.assessment.episode_record import EpisodeRecord
 from twc_env.exploration.assessment.map_scores import GroupScore, floor_m2
 from twc_env.exploration.assessment.seen_floor import seen_share
@@ -29,9 +31,13 @@ STUCK_WINDOW_S = 10.0
 STUCK_RADIUS_M = 0.3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class EpisodeResult:
-    """All data of an episode, ground truth included; for reports, pictures and exports."""
+    """All data of an episode, ground truth included; for reports, pictures and exports.
+
+    `print(result)` shows the table of its figures, and `result["team_ate_m"]` is one of them; `plot()` draws the map,
+    `to_frame()` makes a pandas table, and `save(FOLDER)` writes all of it.
+    """
 
     config: EnvConfig
     seed: int
@@ -57,6 +63,57 @@ class EpisodeResult:
     positions target_m, source_m (building frame)."""
     graph: dict
     """The pose graph: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
+
+    def __repr__(self) -> str:
+        return result_table.text_of(self.figures)
+
+    def _repr_html_(self) -> str:
+        return result_table.html_of(self.figures)
+
+    def __getitem__(self, key: str) -> Any:
+        return self.figures[key]
+
+    def __contains__(self, key: object) -> bool:
+        return key in self.figures
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.figures)
+
+    def __len__(self) -> int:
+        return len(self.figures)
+
+    def keys(self) -> KeysView[str]:
+        """The names of the figures, so that `dict(result)` has all of them."""
+        return self.figures.keys()
+
+    def plot(self, dpi: float | None = None) -> Any:
+        """The map as a matplotlib figure, which a notebook shows: `result.plot().savefig("map.pdf")` writes it.
+
+        Raises ConfigError without matplotlib.
+        """
+        from twc_env.exploration.drawing.episode_map import map_figure
+
+        return map_figure(self, dpi)
+
+    def to_frame(self, what: str = "figures") -> Any:
+        """A pandas table: "figures", one row, to be put below those of other episodes by `pandas.concat`; or "paths",
+        one row per time step and robot, in the building frame.
+
+        Raises ConfigError without pandas, and for another table.
+        """
+        from twc_env.exploration.assessment.result_files import frame_of
+
+        return frame_of(self, what)
+
+    def save(self, folder: str | Path, format: str = "png", dpi: float | None = None) -> list[Path]:
+        """Write report.json, figures.csv, figures.tex, paths.csv, config.json and the map; returns their paths.
+
+        format: of the map, png, pdf or svg; without matplotlib there is no map. Raises DataError if the folder cannot
+        be written.
+        """
+        from twc_env.exploration.assessment.result_files import save
+
+        return save(self, Path(folder), format, dpi)
 
 
 def progress(

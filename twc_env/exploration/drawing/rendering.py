@@ -1,9 +1,9 @@
 """Draw the state of an episode as an RGB image: ground truth, estimated maps, robots and loop closures.
 
 Ground truth is grey. Estimated maps lie over it: floor white (tinted per group while the team has several maps), walls
-dark. A disc is a robot's true pose, a ring its estimated pose; people are yellow discs with a dark rim. Green lines are
-accepted closures, red dashed lines rejected ones; new ones are bold, and rejected ones fade out. The signal overlay
-shows the RSSI of the strongest access point, from dark violet (weak) to yellow (strong).
+dark. A disc is a robot's true pose, a ring its estimated pose; people are yellow discs with a dark rim. Violet lines
+are accepted closures, dashed ones rejected; new ones are bold, and rejected ones fade out. The signal overlay shows the
+RSSI of the strongest access point, from dark violet (weak) to yellow (strong).
 """
 
 from __future__ import annotations
@@ -17,37 +17,32 @@ from numpy.typing import NDArray as Array
 
 from twc_env.exploration.assessment.episode_record import EpisodeRecord
 from twc_env.exploration.assessment.map_scores import GroupScore
+from twc_env.exploration.drawing import palette
+from twc_env.exploration.drawing.primitives import draw_line, draw_path, draw_ring, draw_strokes
+from twc_env.exploration.drawing.smooth_map import BORDER, KNOWN_LEVEL, known_field, wall_strokes
 from twc_env.kernels.compiled import kernel
-from twc_env.records.geometry import compose, inverse
+from twc_env.records.geometry import compose, inverse, transform_points
 from twc_env.records.messages import GridMap
 from twc_env.slam.modes import Engine
 from twc_env.world.building.floorplan import Floorplan
 
-WIDTH_MAX_PX, HEIGHT_MAX_PX = 900, 900
+WIDTH_MAX_PX, HEIGHT_MAX_PX = 960, 820
 PIXELS_PER_METRE_MAX = 36.0
 MARGIN_M = 0.8
-COLOURS = np.array(
-    [
-        (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233), (120, 94, 60),
-        (110, 110, 220),
-    ],
-    np.uint8,
-)  # fmt: skip
-"""(colours, 3) of robots 0, 1, ... and of groups, by their first robot; distinct also with colour blindness."""
-_UNKNOWN = np.array([219, 222, 227], np.float64)
-_TRUE_WALL = np.array([158, 164, 173], np.float64)
-_FLOOR = np.array([255, 255, 255], np.float64)
-_WALL = np.array([38, 44, 56], np.float64)
-_TINT = 0.16
+COLOURS = np.array([palette.rgb(colour) for colour in palette.ROBOTS], np.uint8)
+"""(colours, 3) of robots 0, 1, ... and of groups, by their first robot."""
+_UNKNOWN, _TRUE_WALL, _FLOOR, _WALL = map(
+    palette.rgb, (palette.UNKNOWN, palette.TRUE_WALL, palette.FLOOR, palette.WALL)
+)
 TRAIL_STEPS = 150
-ACCEPTED, REJECTED = np.array([0, 158, 115], np.float64), np.array([204, 51, 17], np.float64)
-PERSON, PERSON_RADIUS_M = np.array([250, 210, 90], np.float64), 0.2
+CLOSURE = palette.rgb(palette.CLOSURE)
+PERSON, PERSON_RADIUS_M = palette.rgb(palette.PERSON), 0.2
 FRESH_S = 5.0
 """Time for which a closure is drawn as new."""
 _OLD_ACCEPTED = 0.3
 _DASH_PX = 5.0
-_SIGNAL = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
-_SIGNAL_OPACITY = 0.45
+_SIGNAL = np.array([palette.rgb(colour) for colour in palette.SIGNAL])
+SIGNAL_OPACITY = 0.45
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,21 +110,27 @@ def _paint_floor(image, left, top, metres, walls, wall_x, wall_y, wall_cell):
 
 
 @kernel
-def _paint_grid(image, left, top, metres, log_odds, grid_x, grid_y, cell, pose_map_building, floor):
-    """Paint the known cells of an estimated map over the image."""
+def _paint_known(image, left, top, metres, known, grid_x, grid_y, cell, pose_map_building, floor):
+    """Paint known space, the field `known` interpolated linearly, over the image; its edge is as wide as a pixel."""
     height, width, _ = image.shape
-    rows, columns = log_odds.shape
+    rows, columns = known.shape
     c, s = math.cos(pose_map_building[2]), math.sin(pose_map_building[2])
+    sharpness = 1.5 * cell / metres
     for v in range(height):
         y = top - (v + 0.5) * metres
         for u in range(width):
             x = left + (u + 0.5) * metres
-            column = int(math.floor((pose_map_building[0] + c * x - s * y - grid_x) / cell))
-            row = int(math.floor((pose_map_building[1] + s * x + c * y - grid_y) / cell))
-            if row < 0 or column < 0 or row >= rows or column >= columns or log_odds[row, column] == 0:
+            across = (pose_map_building[0] + c * x - s * y - grid_x) / cell + BORDER - 0.5
+            up = (pose_map_building[1] + s * x + c * y - grid_y) / cell + BORDER - 0.5
+            column, row = int(math.floor(across)), int(math.floor(up))
+            if row < 0 or column < 0 or row + 1 >= rows or column + 1 >= columns:
                 continue
+            f, g = across - column, up - row
+            below = known[row, column] + f * (known[row, column + 1] - known[row, column])
+            above = known[row + 1, column] + f * (known[row + 1, column + 1] - known[row + 1, column])
+            cover = min(1.0, max(0.0, 0.5 + sharpness * (below + g * (above - below) - KNOWN_LEVEL)))
             for k in range(3):
-                image[v, u, k] = _WALL[k] if log_odds[row, column] > 0 else floor[k]
+                image[v, u, k] += cover * (floor[k] - image[v, u, k])
 
 
 @kernel
@@ -150,46 +151,7 @@ def _paint_signal(image, left, top, metres, share, layer_x, layer_y, cell):
             k0 = min(int(at), steps - 1)
             for k in range(3):
                 colour = _SIGNAL[k0, k] + (at - k0) * (_SIGNAL[k0 + 1, k] - _SIGNAL[k0, k])
-                image[v, u, k] += _SIGNAL_OPACITY * (colour - image[v, u, k])
-
-
-@kernel
-def _draw_line(image, u0, v0, u1, v1, half_width, colour, opacity):
-    """Draw an anti-aliased line between two pixels; a disc if both are equal."""
-    height, width, _ = image.shape
-    reach = half_width + 1.0
-    du, dv = u1 - u0, v1 - v0
-    length2 = du * du + dv * dv
-    for v in range(max(0, int(min(v0, v1) - reach)), min(height, int(max(v0, v1) + reach) + 2)):
-        for u in range(max(0, int(min(u0, u1) - reach)), min(width, int(max(u0, u1) + reach) + 2)):
-            t = 0.0 if length2 == 0.0 else min(1.0, max(0.0, ((u - u0) * du + (v - v0) * dv) / length2))
-            away = math.hypot(u - u0 - t * du, v - v0 - t * dv)
-            cover = opacity * min(1.0, max(0.0, half_width + 0.5 - away))
-            if cover > 0.0:
-                for k in range(3):
-                    image[v, u, k] += cover * (colour[k] - image[v, u, k])
-
-
-@kernel
-def _draw_path(image, pixels, half_width, colour, fade):
-    """Draw lines through pixels (k, 2), with opacity from about `fade` (oldest) to 0.9."""
-    count = pixels.shape[0]
-    for k in range(count - 1):
-        opacity = fade + (0.9 - fade) * (k + 1) / count
-        _draw_line(image, pixels[k, 0], pixels[k, 1], pixels[k + 1, 0], pixels[k + 1, 1], half_width, colour, opacity)
-
-
-@kernel
-def _draw_ring(image, u0, v0, radius, half_width, colour):
-    """Draw an anti-aliased circle."""
-    height, width, _ = image.shape
-    reach = radius + half_width + 1.0
-    for v in range(max(0, int(v0 - reach)), min(height, int(v0 + reach) + 2)):
-        for u in range(max(0, int(u0 - reach)), min(width, int(u0 + reach) + 2)):
-            away = abs(math.hypot(u - u0, v - v0) - radius)
-            cover = min(1.0, max(0.0, half_width + 0.5 - away))
-            for k in range(3):
-                image[v, u, k] += cover * (colour[k] - image[v, u, k])
+                image[v, u, k] += SIGNAL_OPACITY * (colour - image[v, u, k])
 
 
 def scene_of(
@@ -224,16 +186,21 @@ def scene_of(
     )
 
 
-def render(scene: Scene) -> Array:
-    """The picture (height, width, 3) uint8 with +y up, at most 900 pixels wide and high."""
+def view_of(scene: Scene) -> tuple[tuple[int, int], tuple[float, float, float]]:
+    """(height, width) of the picture in pixels; x and y [m] of its upper left corner, and the width of a pixel [m]."""
     rows, columns = scene.walls.shape
     size_m = np.array([columns, rows]) * scene.resolution_m + 2 * MARGIN_M
     scale = float(min(WIDTH_MAX_PX / size_m[0], HEIGHT_MAX_PX / size_m[1], PIXELS_PER_METRE_MAX))
     width, height = (max(1, round(v * scale)) for v in size_m)
     left, top = scene.origin_m[0] - MARGIN_M, scene.origin_m[1] + size_m[1] - MARGIN_M
+    return (height, width), (float(left), float(top), 1.0 / scale)
+
+
+def render(scene: Scene) -> Array:
+    """The picture (height, width, 3) uint8 with +y up, at most `WIDTH_MAX_PX` wide and `HEIGHT_MAX_PX` high."""
+    (height, width), view = view_of(scene)
     image = np.empty((height, width, 3))
     walls = np.ascontiguousarray(scene.walls, dtype=bool)
-    view = (float(left), float(top), 1.0 / scale)
     _paint_floor(image, *view, walls, float(scene.origin_m[0]), float(scene.origin_m[1]), float(scene.resolution_m))
     for k in range(len(scene.grids) - 1, -1, -1):  # the largest group is painted last, on top
         _paint_estimate(image, view, scene, k)
@@ -248,31 +215,36 @@ def render(scene: Scene) -> Array:
 
 def _paint_estimate(image: Array, view: tuple, scene: Scene, group: int) -> None:
     grid = scene.grids[group]
-    floor = _FLOOR
-    if len(scene.groups) > 1:
-        floor = (1 - _TINT) * _FLOOR + _TINT * _colour(scene.groups[group][0])
-    pose_map_building = inverse(np.asarray(scene.pose_building_map, float)[group])
+    floor = palette.tinted_floor(scene.groups[group][0]) if len(scene.groups) > 1 else _FLOOR
+    pose_building_map = np.asarray(scene.pose_building_map, float)[group]
     x, y = float(grid.origin_m[0]), float(grid.origin_m[1])
-    _paint_grid(image, *view, grid.log_odds, x, y, float(grid.resolution_m), pose_map_building, floor)
+    known, cell = known_field(grid.log_odds), float(grid.resolution_m)
+    _paint_known(image, *view, known, x, y, cell, inverse(pose_building_map), floor)
+    strokes = wall_strokes(grid.log_odds)
+    for first in (0, 2):
+        ends_m = strokes[:, first : first + 2] * cell + np.asarray(grid.origin_m)
+        strokes[:, first : first + 2] = to_pixels(transform_points(pose_building_map, ends_m), view)
+    strokes[:, 4] *= cell / view[2]
+    draw_strokes(image, strokes, _WALL)
 
 
 def _paint_closures(image: Array, view: tuple, scene: Scene) -> None:
     """Draw closures, oldest first, so that new ones are on top."""
     for line in sorted(scene.closures, key=lambda line: -line.age_s):
         freshness = max(0.0, 1.0 - line.age_s / FRESH_S)
-        first, last = _to_pixels(line.ends_m, view)
+        first, last = to_pixels(line.ends_m, view)
         half_width = 0.8 + 1.0 * freshness
         if line.is_accepted:
             opacity = _OLD_ACCEPTED + (1.0 - _OLD_ACCEPTED) * freshness
-            _draw_line(image, *first, *last, half_width, ACCEPTED, opacity)
+            draw_line(image, *first, *last, half_width, CLOSURE, opacity)
             continue
         dashes = 1 + 2 * int(math.hypot(*(last - first)) / (2 * _DASH_PX))
         for k in range(0, dashes, 2):
             begin, end = first + (last - first) * k / dashes, first + (last - first) * (k + 1) / dashes
-            _draw_line(image, *begin, *end, half_width, REJECTED, freshness)
+            draw_line(image, *begin, *end, half_width, CLOSURE, freshness)
 
 
-def _to_pixels(points_m: Array, view: tuple) -> Array:
+def to_pixels(points_m: Array, view: tuple) -> Array:
     """(k, 2) points in the building frame -> (k, 2) pixels, u to the right, v down."""
     left, top, metres = view
     points_m = np.asarray(points_m, float)
@@ -281,29 +253,29 @@ def _to_pixels(points_m: Array, view: tuple) -> Array:
 
 def _paint_people(image: Array, view: tuple, scene: Scene) -> None:
     radius = max(PERSON_RADIUS_M / view[2], 3.0)
-    for u, v in _to_pixels(np.asarray(scene.people_m, float).reshape(-1, 2), view):
-        _draw_line(image, u, v, u, v, radius, PERSON, 0.9)
-        _draw_ring(image, u, v, radius, 0.6, _WALL)
+    for u, v in to_pixels(np.asarray(scene.people_m, float).reshape(-1, 2), view):
+        draw_line(image, u, v, u, v, radius, PERSON, 0.9)
+        draw_ring(image, u, v, radius, 0.6, _WALL)
 
 
 def _paint_robots(image: Array, view: tuple, scene: Scene) -> None:
     radius = max(scene.robot_radius_m / view[2], 3.5)
     for robot, trail in enumerate(scene.trails_m):
         if len(trail) > 1:
-            _draw_path(image, _to_pixels(trail, view), max(0.9, 0.28 * radius), _colour(robot), 0.15)
+            draw_path(image, to_pixels(trail, view), max(0.9, 0.28 * radius), _colour(robot), 0.15)
     for robot, pose in enumerate(np.asarray(scene.estimated_poses, float).reshape(-1, 3)):
         if np.isnan(pose[0]):
             continue
-        (u, v), ahead = _to_pixels(pose[None, :2], view)[0], 1.9 * radius
+        (u, v), ahead = to_pixels(pose[None, :2], view)[0], 1.9 * radius
         tip_u, tip_v = u + ahead * math.cos(pose[2]), v - ahead * math.sin(pose[2])
-        _draw_ring(image, u, v, 1.25 * radius, 0.8, _colour(robot))
-        _draw_line(image, u, v, tip_u, tip_v, 0.8, _colour(robot), 1.0)
+        draw_ring(image, u, v, 1.25 * radius, 0.8, _colour(robot))
+        draw_line(image, u, v, tip_u, tip_v, 0.8, _colour(robot), 1.0)
     for robot, pose in enumerate(np.asarray(scene.true_poses, float).reshape(-1, 3)):
-        u, v = _to_pixels(pose[None, :2], view)[0]
-        _draw_line(image, u, v, u, v, radius, _colour(robot), 1.0)
+        u, v = to_pixels(pose[None, :2], view)[0]
+        draw_line(image, u, v, u, v, radius, _colour(robot), 1.0)
         tip_u, tip_v = u + 0.75 * radius * math.cos(pose[2]), v - 0.75 * radius * math.sin(pose[2])
-        _draw_line(image, u, v, tip_u, tip_v, max(0.6, 0.16 * radius), _FLOOR, 1.0)
+        draw_line(image, u, v, tip_u, tip_v, max(0.6, 0.16 * radius), _FLOOR, 1.0)
 
 
 def _colour(robot: int) -> Array:
-    return COLOURS[robot % len(COLOURS)].astype(np.float64)
+    return palette.rgb(palette.robot_colour(robot))

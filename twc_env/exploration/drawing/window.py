@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.errors import ConfigError
+from twc_env.exploration.drawing.layers import HELP
 
 
 class Window:
@@ -24,7 +25,15 @@ class Window:
             raise ConfigError(
                 "render_mode='human' needs pygame: run `pip install 'twc_env[viz]'`, or choose 'rgb_array'"
             )
-        self._title, self._frames_per_s = title, frames_per_s
+        self._title = title
+        self.frames_per_s = frames_per_s
+        """Most pictures per second; 0: as many as there are."""
+        self.help_text = HELP
+        """Shown below the picture."""
+        self.held: set[str] = set()
+        """The arrow keys that are held down: up, down, left, right."""
+        self.tabs = 0
+        """How often the tab key was pressed."""
         self._screen: Any = None
         self._clock: Any = None
         self._keys: list[str] = []
@@ -47,7 +56,7 @@ class Window:
         if title:
             pygame.display.set_caption(title)
         self._screen.blit(pygame.surfarray.make_surface(np.swapaxes(picture, 0, 1)), (0, 0))
-        self._clock.tick(self._frames_per_s)
+        self._clock.tick(self.frames_per_s)
         pygame.display.flip()
 
     def answer(self) -> bool:
@@ -59,7 +68,13 @@ class Window:
                 if event.type == pygame.QUIT:
                     self.close()
                     break
-                if event.type == pygame.KEYDOWN and event.unicode == " ":
+                arrow = {pygame.K_UP: "up", pygame.K_DOWN: "down", pygame.K_LEFT: "left", pygame.K_RIGHT: "right"}
+                if event.type in (pygame.KEYDOWN, pygame.KEYUP) and event.key in arrow:
+                    change = self.held.add if event.type == pygame.KEYDOWN else self.held.discard
+                    change(arrow[event.key])
+                elif event.type == pygame.KEYDOWN and event.key == pygame.K_TAB:
+                    self.tabs += 1
+                elif event.type == pygame.KEYDOWN and event.unicode == " ":
                     self.is_paused = not self.is_paused
                 elif event.type == pygame.KEYDOWN:
                     self._keys.append(event.unicode)

@@ -28,7 +28,7 @@ LEAST_RAD = np.radians(1.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    add_seeds(parser, "2", "seeds of the walks in each place")
+    add_seeds(parser, "0-1", "seeds of the walks in each place")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--robots", type=count, nargs="+", default=[1, 3], help="numbers of robots to split the log into (default: 1 3)"
     )
     parser.add_argument("--particles", type=count, default=20, help="particles of the particle filter")
-    add_seeds(parser, "3", "seeds of the particle filter")
+    add_seeds(parser, "0-2", "seeds of the particle filter")
     parser.add_argument("--scans", type=count, default=910, help="only the first scans of the log (default: all)")
 
 

@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     parser.add_argument("--platform", choices=tuple(PRESETS), default="pioneer-intel", help="odometry preset")
     parser.add_argument("--drift", type=number(0.0, 10.0), default=1.0, help="multiplier of the preset's errors")
-    add_seeds(parser, "100", "seeds of the simulated drives")
+    add_seeds(parser, "0-99", "seeds of the simulated drives")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

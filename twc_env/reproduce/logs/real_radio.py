@@ -78,21 +78,21 @@ ENGINE: EnvConfig = from_dict(
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twc-env reproduce real-radio`."""
     add_some(parser, "--floors", (*FLOORS, ROBOT_FLOOR), "floors")
-    parser.add_argument("--seeds", type=count, default=5, metavar="N", help="number of simulated drifts for uw_floor")
+    parser.add_argument("--draws", type=count, default=5, metavar="N", help="number of simulated drifts for uw_floor")
     parser.add_argument("--traces", type=count, metavar="N", help="only the first N walks of a mall")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """{floor, method, traces_joined, traces, error_mean_m, error_std_m}; `traces` are all that were recorded."""
     folder = data_folder()
-    found = runner.each(options.floors, lambda floor: _floor(folder, floor, options.seeds, options.traces))
+    found = runner.each(options.floors, lambda floor: _floor(folder, floor, options.draws, options.traces))
     table = [dict(row) for part in found for row in part]
     for row in table:
         half_m = row.pop("error_median_m")
         runner.notes.append(f"{row['floor']}, {row['method']}: half of all scans within {half_m:.2f} m")
     if any(row["floor"] == ROBOT_FLOOR for row in table):
         runner.notes.append(
-            f"{ROBOT_FLOOR}: drift put on the surveyed path (sd, {options.seeds} draws): scale {SCALE_STD:g}, "
+            f"{ROBOT_FLOOR}: drift put on the surveyed path (sd, {options.draws} draws): scale {SCALE_STD:g}, "
             f"curl {CURL_STD_RAD_M:g} rad/m, heading {HEADING_STD_RAD:g} rad over one metre"
         )
     return table

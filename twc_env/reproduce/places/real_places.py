@@ -31,7 +31,7 @@ TOLERANCES_DB = (3.0, 4.0, 5.0, 7.0, 10.0, 14.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    add_seeds(parser, "10", "random draws")
+    add_seeds(parser, "0-9", "random draws")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -63,8 +63,8 @@ class Case:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twc-env reproduce robustness`."""
-    add_seeds(parser, "6", "seeds for `ours`")
-    parser.add_argument("--other-seeds", type=seeds_argument, default="1", help="seeds for the other methods")
+    add_seeds(parser, "0-5", "seeds for `ours`")
+    parser.add_argument("--other-seeds", type=seeds_argument, default="0", help="seeds for the other methods")
     add_some(parser, "--datasets", DATASETS, "pose graphs")
     parser.add_argument("--shares", default="0,0.2,0.5,0.8", help="shares of false closures")
     parser.add_argument("--jobs", type=count, default=2, help="parallel processes")

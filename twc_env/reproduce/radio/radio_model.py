@@ -47,7 +47,7 @@ STUDIES: tuple[Study, ...] = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     parser.add_argument(
-        "--seeds", type=count, default=6, metavar="N", help="simulated runs; four times as many for small sets"
+        "--runs", type=count, default=6, metavar="N", help="simulated runs; four times as many for small sets"
     )
     parser.add_argument(
         "--only", default="", metavar="TEXT", help="only data sets whose name contains this text (default: all)"
@@ -61,7 +61,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     if not chosen:
         raise ConfigError(f"no set is named {options.only!r}; known are {', '.join(s.name for s in STUDIES)}")
     folder = data_folder()
-    parts = [(study, seed) for study in chosen for seed in range(_EVIDENCE, options.seeds * study.runs)]
+    parts = [(study, seed) for study in chosen for seed in range(_EVIDENCE, options.runs * study.runs)]
     found = runner.each(parts, lambda part: _measure(part, folder, options.quick), _label)
     table, evidence = [], {}
     for study in chosen:

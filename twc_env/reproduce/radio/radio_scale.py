@@ -36,7 +36,7 @@ BULK, REPEATS = 4000, 5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twc-env reproduce radio-scale`."""
-    add_seeds(parser, "2", "seeds of the drives")
+    add_seeds(parser, "0-1", "seeds of the drives")
     parser.add_argument("--length", type=number(100.0, 1e6), default=10_000.0, help="path length in metres")
     parser.add_argument("--stored", type=count, default=100_000, help="number of stored fingerprints")
 

@@ -86,7 +86,7 @@ SCENES: dict[str, Corridor | Hall] = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    add_seeds(parser, "10", "seeds of the episodes of each scene")
+    add_seeds(parser, "0-9", "seeds of the episodes of each scene")
     add_some(parser, "--scenes", SCENES, "scenes")
     parser.add_argument("--robots", type=count, default=3, help="number of robots")
     parser.add_argument("--steps", type=count, default=2000, help="maximum steps per episode")

@@ -43,7 +43,7 @@ EQ7_AS_PRINTED, AS_PRINTED = "eq7", "as printed"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    add_seeds(parser, "20", "seeds of the walks")
+    add_seeds(parser, "0-19", "seeds of the walks")
     add_some(parser, "--scenes", SCENES, "scenes")
     parser.add_argument(
         "--alternatives", action="store_true", help="add rows for the other interpretations of Eq. 7 and 10"

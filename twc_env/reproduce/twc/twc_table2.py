@@ -73,7 +73,7 @@ PRINT = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
-    add_seeds(parser, "20", "seeds of the walks")
+    add_seeds(parser, "0-19", "seeds of the walks")
     add_some(parser, "--scenes", SCENES, "scenes")
     parser.add_argument("--signs", choices=SIGNS, default=SIGNS[0], help="signs on the walls")
 

@@ -25,7 +25,7 @@ CHOOSES = ("seeds",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-routers`."""
-    add_seeds(parser, "10", "noise seeds")
+    add_seeds(parser, "0-9", "noise seeds")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:

@@ -46,7 +46,7 @@ _FLAT_NOISE_SEED = 100
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-table1`."""
-    add_seeds(parser, "10", "noise seeds")
+    add_seeds(parser, "0-9", "noise seeds")
     add_some(parser, "--experiments", map(str, POINTS), "experiments")
     parser.add_argument(
         "--flats", type=natural, default=0, metavar="N", help="use N generated flats instead of the six plans"

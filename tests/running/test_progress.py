@@ -1,0 +1,111 @@
+"""Progress on terminals of any width and in logs, remarks with --quiet and --verbose."""
+
+import logging
+import os
+import sys
+
+import pytest
+
+from twc_env.__main__ import main
+from twc_env.running import command_line
+from twc_env.running.command_line import Bar, bar_line, logging_to_terminal, show_line, tell
+
+TEXT = "900/2000 steps on twin-01, seed 0, 54.5 % mapped correctly, 0:12 left at most"
+
+
+@pytest.mark.parametrize("width", [1, 5, 20, 40, 60, 80, 100, 200])
+def test_a_bar_fits_a_terminal_of_any_width(width):
+    line = bar_line(0.45, TEXT, width)
+    assert len(line) < max(width, 1) or (width == 1 and line == "")
+    if width >= 100:
+        assert line.endswith(TEXT) and line.count("#") == pytest.approx(
+            0.45 * (line.count("-") + line.count("#") - 1), abs=1
+        )
+    elif width >= 40:
+        assert line.startswith("900/2000 steps")
+
+
+@pytest.fixture
+def on_terminal(monkeypatch):
+    """A function that makes stderr a terminal of 70 characters."""
+
+    def become():
+        monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+        monkeypatch.setattr(sys.stderr, "fileno", lambda: 2, raising=False)
+        monkeypatch.setattr(os, "get_terminal_size", lambda *_: os.terminal_size((70, 20)))
+
+    yield become
+    command_line._progress.update(is_open=False, shown=0)
+
+
+def test_a_shorter_line_covers_the_one_before_it(on_terminal, capsys):
+    on_terminal()
+    show_line("a long line of progress")
+    show_line("short")
+    assert capsys.readouterr().err == "\ra long line of progress\rshort" + " " * (len("a long line of progress") - 5)
+
+
+def test_a_remark_begins_below_the_line_of_progress(on_terminal, capsys):
+    on_terminal()
+    with logging_to_terminal():
+        show_line("half")
+        tell("something")
+    assert capsys.readouterr().err == "\rhalf\nsomething\n"
+
+
+def test_a_bar_tells_how_long_it_will_take_at_the_present_rate(on_terminal, capsys, monkeypatch):
+    on_terminal()
+    clock = iter([0.0, 100.0, *(100.0 + k for k in range(1, 40))])  # a slow beginning, then one count per second
+    monkeypatch.setattr(command_line.time, "monotonic", lambda: next(clock))
+    bar = Bar(100, "steps")
+    for done in range(1, 31):
+        bar.show(done, "20 % mapped")
+    assert "30/100 steps, 20 % mapped, 1:10 left at most" in capsys.readouterr().err
+
+
+def test_a_log_gets_no_bar_and_a_line_per_minute(capsys, monkeypatch):
+    clock = [1000.0]
+    monkeypatch.setattr(command_line.time, "monotonic", lambda: clock[0])
+    monkeypatch.setitem(command_line._progress, "logged_s", 1000.0)
+    bar = Bar(100, "steps")
+    for done in range(1, 61):
+        clock[0] += 3
+        bar.show(done)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3 and all("[" not in line and "steps" in line for line in lines)
+
+
+def test_quiet_drops_progress_and_remarks_but_not_warnings(on_terminal, capsys):
+    on_terminal()
+    with logging_to_terminal(is_quiet=True):
+        show_line("half")
+        tell("something")
+        logging.getLogger("twc_env.slam").warning("careful")
+    assert capsys.readouterr().err == "careful\n"
+    with logging_to_terminal(is_verbose=True):
+        logging.getLogger("twc_env.slam").debug("inside")
+    assert capsys.readouterr().err == "inside\n"
+    logging.getLogger("twc_env.slam").debug("after the command")
+    assert capsys.readouterr().err == ""
+
+
+COMMANDS = (
+    "explore, watch, compare, benchmark, evaluate, record, replay, settings, bench, warm-up, radio-survey, maps show, "
+    "ocr show, reproduce solver, train ppo"
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS.split(", "))
+def test_every_command_has_quiet_and_verbose(command, capsys):
+    with pytest.raises(SystemExit):
+        main([*command.split(), "--help"])
+    text = capsys.readouterr().out
+    assert "--quiet" in text and "--verbose" in text
+
+
+def test_settings_are_written_to_a_file_and_quiet_says_nothing(tmp_path, capsys):
+    assert main(["settings", "lidar", "--out", str(tmp_path / "a.toml"), "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert (tmp_path / "a.toml").read_text().startswith("#")
+    assert main(["settings", "lidar", "--out", str(tmp_path / "b.toml")]) == 0
+    assert capsys.readouterr().err == f"written: {tmp_path / 'b.toml'}\n"
