@@ -81,6 +81,20 @@ def play(entry: Entry) -> dict[str, Any]:
     }
 
 
+def drive(env: ExplorationEnv, team: str, seed: int) -> None:
+    """Play a whole episode of an environment with a scripted team."""
+    from twc_env.agents.policy import begin, make_policy
+
+    policy = make_policy(team, env.config)
+    env.reset(seed=seed)
+    begin(policy, team, env, seed)
+    while env.agents:
+        beliefs = {name: env.belief(name) for name in env.agents}
+        if policy.finished(beliefs):
+            break
+        env.step(policy.act(beliefs))
+
+
 def _ready(entry: Entry) -> tuple[ExplorationEnv, Acts]:
     """The environment of an entry, and what the team does in it."""
     if is_model(entry.team):

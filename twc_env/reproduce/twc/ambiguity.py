@@ -34,6 +34,7 @@ from twc_env.reproduce.runner import Runner, add_some
 from twc_env.reproduce.twc.alike_wings import alike_wings
 from twc_env.reproduce.twc.bare_places import Corridor
 from twc_env.running.command_line import count, natural
+from twc_env.suite.player import drive
 from twc_env.tasks import task_config
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.splits import split_names
@@ -110,17 +111,9 @@ def building(kind: str, split: str, number: int) -> tuple[EnvConfig, Floorplan |
 
 def episode(split: str, agent: str, kind: str, number: int) -> dict:
     """One team."""
-    from twc_env.agents.policy import begin, make_policy
-
     config, plan = building(kind, split, number)
-    env, policy = ExplorationEnv(config=config, floorplan=plan), make_policy(agent, config)
-    env.reset(seed=number)
-    begin(policy, agent, env, number)
-    while env.agents:
-        beliefs = {name: env.belief(name) for name in env.agents}
-        if policy.finished(beliefs):
-            break
-        env.step(policy.act(beliefs))
+    env = ExplorationEnv(config=config, floorplan=plan)
+    drive(env, agent, number)
     figures = env.result().figures
     wrong_now = sum(len(score.wrong_pairs) for score in env.episode.map_scores())
     undone = sum(mapper.merges_undone for mapper in env.engine.mappers)
