@@ -25,8 +25,8 @@ def rows_of_models(
 
     `score`: interquartile mean between random (0) and informed (1); `gap_closed`: (model - best) / (informed - best) of
     the mean area under the curve, where the best scripted team is the one with the greatest mean, and None unless the
-    informed one is ahead of it with an interval above 0; `lead`: model - best of that area. All with 95 % intervals from a bootstrap over buildings, the same for all teams (percentiles, 2,000
-    resamples).
+    informed one is ahead of it with an interval above 0; `lead`: model - best of that area. All with 95 % intervals
+    from a bootstrap over buildings, the same for all teams (percentiles, 2,000 resamples).
     """
     rows = []
     for task in dict.fromkeys(entry.task for entry in entries):
