@@ -1,5 +1,7 @@
 """Rows of trained models beside the teams of a benchmark."""
 
+import math
+
 import pytest
 
 from twc_env.config import EnvConfig, override
@@ -27,6 +29,11 @@ def test_the_gap_is_that_between_the_best_scripted_team_and_the_informed_one():
     assert row["score"] == pytest.approx(0.5 / 0.8, abs=0.02)
     assert (row["wrong_merges"], row["wrong_merges_of_best"]) == (3, 3)
     assert row["low"] < row["score"] < row["high"]
+
+
+def test_there_is_no_gap_where_the_informed_team_is_not_ahead():
+    (row,) = rows({"runs/mine": 0.6, "minpos": 0.9, "random": 0.1, "informed": 0.9})
+    assert math.isnan(row["gap_closed"]) and math.isnan(row["gap_low"]) and row["lead"] == pytest.approx(-0.3)
 
 
 def test_a_team_that_loses_closes_less_than_nothing():

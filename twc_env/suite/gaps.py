@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -23,9 +24,9 @@ def rows_of_models(
     """One row per task and model that played it.
 
     `score`: interquartile mean between random (0) and informed (1); `gap_closed`: (model - best) / (informed - best) of
-    the mean area under the curve, where the best scripted team is the one with the greatest mean; `lead`: model - best
-    of that area. All with 95 % intervals from a bootstrap over buildings, the same for all teams (percentiles, 2,000
-    resamples).
+    the mean area under the curve, where the best scripted team is the one with the greatest mean, and None unless the
+    informed one is ahead of it with an interval above 0; `lead`: model - best of that area. All with 95 % intervals
+    from a bootstrap over buildings, the same for all teams (percentiles, 2,000 resamples).
     """
     rows = []
     for task in dict.fromkeys(entry.task for entry in entries):
@@ -41,13 +42,14 @@ def rows_of_models(
             scores = team_scores.normalised(areas[model], *ends)
             low, high = team_scores.iqm_interval([scores])
             mine, other, informed = areas[model], areas[best], areas[INFORMED]
-            gap, gap_low, gap_high = _with_interval(_gap_closed, mine, other, informed)
+            is_gap = _with_interval(_lead, informed, other)[1] > 0.0
+            gaps = _with_interval(_gap_closed, mine, other, informed) if is_gap else (math.nan,) * 3
             lead, lead_low, lead_high = _with_interval(_lead, mine, other)
             rows.append(
                 {
                     "task": task, "model": model, "seed": _seed_of(model), "buildings": len(mine),
                     "score": float(team_scores.interquartile_mean(scores)), "low": low, "high": high,
-                    "gap_closed": gap, "gap_low": gap_low, "gap_high": gap_high,
+                    **dict(zip(("gap_closed", "gap_low", "gap_high"), gaps, strict=True)),
                     "best_scripted": best, "lead": lead, "lead_low": lead_low, "lead_high": lead_high,
                     "wrong_merges": merges[model], "wrong_merges_of_best": merges[best],
                     "mean_coverage": {team: float(area.mean()) for team, area in areas.items()},
