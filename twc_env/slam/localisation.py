@@ -68,7 +68,7 @@ class Localiser:
     """Finds and tracks one robot, number 0, in a map. Frames of a robot must be given in order."""
 
     def __init__(self, config: EnvConfig, known: LastingMap | GridMap):
-        """known: a saved map, or any grid, as of a ROS map (`datasets.read_grid`), which has no places.
+        """known: a saved map, or any grid, as a `GridMap`, which has no places.
 
         Raises DataError for a map without walls.
         """
