@@ -37,9 +37,6 @@ of the other differ by."""
 SCANS_ALONE_MIN = 8
 """Where neither signs nor fingerprints are compared and robots do not look for each other, places this many,
 `spread_min_m` apart, must agree: rooms and whole wings of a building look alike."""
-NAMES_ALONE_MIN = 2
-"""Where fingerprints are not compared, places this many must have one name that was read nowhere else: wings may repeat
-their names too."""
 
 
 Solution = tuple[Sequence[LoopClosure], Array]
@@ -280,8 +277,7 @@ class MergeTests:
         are_tried = np.isin(robots, (*a, *b))
         are_told = are_tried & ~found_apart(texts, places[:, :2], np.where(are_tried, 0, robots + 1))[texts]
         same, _ = count_shared(texts[are_told], places[are_told], np.isin(robots[are_told], b))
-        least = self._rule.signs_read_alike_min
-        return same >= (max(least, NAMES_ALONE_MIN) if least > 0 else 0)
+        return same >= self._rule.signs_read_alike_min
 
     def _poses_with(self, b: Sequence[int], pose_a_b: Array) -> Array:
         """(n, 3) poses of all nodes, with those of `b` transformed to the map of `a`."""
