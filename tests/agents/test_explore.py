@@ -283,8 +283,8 @@ def test_a_film_always_ends_with_the_last_step():
 
 
 def test_on_a_terminal_progress_is_one_line_and_an_error_begins_a_new_one(monkeypatch, capsys, tmp_path):
-    def run(*arguments):
-        arguments[-1](60, 0.25)
+    def run(_config, _agent, _seed, _film, watch, _save):
+        watch(60, 0.25)
         raise DataError("no room")
 
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)

@@ -52,8 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="FOLDER",
-        help="folder of evaluation.json, .csv, .tex and coverage.png (default: evaluation in the model's folder); with "
-        "--suite, of finished episodes (default: runs/evaluation)",
+        help="folder of evaluation.json, .csv, .tex and coverage.png, or with --suite of finished episodes (default: "
+        "evaluation in the model's folder; runs/evaluation)",
     )
     add_pictures(parser)
     parser.add_argument("--no-pictures", action="store_true", help="do not draw coverage over time")

@@ -76,7 +76,7 @@ class Viewer:
         scene = scene_of(episode.floorplan, episode.engine, episode.record, scores, lines, signal, people_m, radii_m)
         caption = f"{Path(episode.floorplan.name).name}, seed {episode.seed}: {episode.caption()}"
         help_text = "" if self.window is None else self.window.help_text
-        return framed(layered(scene, layers), caption, help_text, legend_of(scene, self.window is not None))
+        return framed(layered(scene, layers), caption, help_text, legend_of(scene))
 
     def _signal_of(self, plan: Floorplan, config: RadioConfig) -> SignalLayer:
         if self._signal is None or self._signal[0] is not plan:

@@ -19,10 +19,11 @@ Acts = Callable[[dict[str, Any]], dict[str, Any] | None]
 
 
 def is_model(team: str) -> bool:
-    """Whether a team is a trained model: a model file, the folder of a training run, or the shipped one (`learned`)."""
+    """Whether a team is a trained model: a model file (also of 0.1.0, to refuse it), the folder of a
+    run, or the shipped one (`learned`)."""
     return (
         team == "learned"
-        or team.endswith(".safetensors")
+        or team.endswith((".safetensors", ".zip"))
         or (not is_in_file(team) and (Path(team) / "config.json").is_file())
     )
 

@@ -148,6 +148,12 @@ def between_two_poses(support: int, rival: int, differences: dict | None = None,
 
 @pytest.mark.parametrize(("support", "rival", "ambiguous"), [(4, 1, False), (4, 2, True), (9, 4, False), (9, 5, True)])
 def test_a_merge_is_ambiguous_if_half_as_many_closures_agree_on_another_pose(support, rival, ambiguous):
+    alike = {TRUE[1]: 1.0, A_SHELF_ASIDE[1]: 1.0}
+    assert between_two_poses(support, rival, alike) is ambiguous
+
+
+@pytest.mark.parametrize(("support", "rival", "ambiguous"), [(4, 3, False), (4, 4, True), (9, 8, False), (9, 9, True)])
+def test_where_radio_compares_nothing_as_many_closures_must_agree_on_another_pose(support, rival, ambiguous):
     assert between_two_poses(support, rival) is ambiguous
 
 

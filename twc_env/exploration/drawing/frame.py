@@ -68,9 +68,9 @@ def _number_robots(draw: Any, scene: Scene, left: int, top: int, size_px: tuple[
         )  # fmt: skip
 
 
-def legend_of(scene: Scene, has_signal: bool = False) -> tuple[Entry, ...]:
-    """The legend of a scene: it stays the same in an episode, so that a window keeps its size. has_signal: whether
-    signal strength may be switched on."""
+def legend_of(scene: Scene) -> tuple[Entry, ...]:
+    """The legend of a scene with all its layers: it stays the same in an episode, unless signal strength is switched
+    on, so that a window keeps its size."""
     entries: list[Entry] = []
     if scene.walls.any():
         entries.append(("bar", palette.TRUE_WALL, "true wall"))
@@ -83,7 +83,7 @@ def legend_of(scene: Scene, has_signal: bool = False) -> tuple[Entry, ...]:
     entries += [("line", palette.CLOSURE, "loop closure"), ("dashes", palette.CLOSURE, "rejected")]
     if len(scene.people_m):
         entries.append(("person", palette.PERSON, "person"))
-    if scene.signal is not None or has_signal:
+    if scene.signal is not None:
         entries.append(("ramp", "", "signal, weak to strong"))
     robots = max(len(scene.true_poses), len(scene.estimated_poses))
     return (*entries, *(("disc", palette.robot_colour(robot), f"robot {robot}") for robot in range(robots)))

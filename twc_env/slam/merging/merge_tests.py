@@ -216,7 +216,11 @@ class MergeTests:
 
     def is_ambiguous(self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal) -> bool:
         """Whether other closures between the groups agree on another pose about as well, and neither radio nor mutual
-        observations tell the two apart."""
+        observations tell the two apart.
+
+        Where radio cannot compare the two, only a rival with as many closures counts: without it, few wrong closures of
+        repeated signs would hold up every merge.
+        """
         supporting = {closure.number for closure in proposal.agreeing}
         found = [*self._graph.waiting.between(a, b), *self._graph.closures_between(a, b, "rejected")]
         others = [c for c in found if c.number not in supporting and not c.is_loose]
@@ -231,14 +235,16 @@ class MergeTests:
         there = compose(in_a[first], inverse(sources[first]))
         if self._mutual_observations is not None and self._mutual_observations.count(a, b, proposal.pose_a_b).confirm:
             return False
-        return not self.radio_prefers(a, b, proposal.pose_a_b, there)
+        preferred = self.radio_prefers(a, b, proposal.pose_a_b, there)
+        return not preferred if preferred is not None else bool(np.count_nonzero(rival) >= len(supporting))
 
-    def radio_prefers(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, other: Array) -> bool:
-        """Whether the places that the first pose brings together are clearly more alike than those of the other."""
+    def radio_prefers(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, other: Array) -> bool | None:
+        """Whether the places that the first pose brings together are clearly more alike than those of the other; None
+        if radio cannot compare them."""
         if not self._rule.wifi_check:
-            return False
+            return None
         here, there = (self.radio_difference(a, b, pose) for pose in (pose_a_b, other))
-        return here is not None and there is not None and here < TOLD_APART * there
+        return None if here is None or there is None else here < TOLD_APART * there
 
     def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool | None:
         """Whether places that the merge brings together have similar fingerprints; None with too few pairs."""
