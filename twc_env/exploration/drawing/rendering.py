@@ -265,7 +265,7 @@ def _paint_people(image: Array, view: tuple, scene: Scene) -> None:
 def sizes_of(scene: Scene) -> tuple[float, ...]:
     """Radius of each robot [m]."""
     shown = scene.true_poses, scene.estimated_poses, scene.trails_m
-    return scene.robot_radii_m or (_ROBOT_RADIUS_M,) * max(map(len, shown))
+    return scene.robot_radii_m or (_ROBOT_RADIUS_M,) * max(len(each) for each in shown)
 
 
 def _paint_robots(image: Array, view: tuple, scene: Scene) -> None:
