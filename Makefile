@@ -26,7 +26,7 @@ help: ## list the commands
 .venv/installed-test: $(PINS) | .venv/bin/python
 	@echo "installing torch and more into .venv (several minutes)"
 	$(INSTALL) torch -e '.[viz,dev,train,ocr]'
-	@$(INSTALL) -e '.[ros,docs]' || echo "rosbags or mkdocs-material is not to be had here: their tests are skipped"
+	@$(INSTALL) -e '.[viz,ros,docs]' || echo "rosbags or mkdocs-material is not to be had here: their tests are skipped"
 	@$(INSTALL) -e '.[torchrl,rerun]' sb3-contrib || echo "TorchRL, Rerun or sb3-contrib is not to be had here: their tests are skipped"
 	@touch $@
 

@@ -20,7 +20,7 @@ FOLDER = ROOT / ".venv"
 PYTHON = FOLDER / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
     "demo": ("demo", ["-e", ".[viz]"], [["-m", "twc_env", "explore", "--map", "twin-01", "--out", "runs/demo"]]),
-    "test": ("test", ["torch", "-e", ".[viz,dev,train,ocr,ros,docs]"], [["-m", "pytest", "-q"]]),
+    "test": ("test", ["torch", "-e", ".[viz,dev,train,ocr]"], [["-m", "pytest", "-q"]]),
     "docs": ("docs", ["-e", ".[viz,docs]"], [["-m", "mkdocs", "build", "--strict"]]),
 }
 """Target -> name of the mark that it is installed, what pip installs, and the commands of Python to run."""

@@ -56,7 +56,7 @@ def test_the_step_size_decreases_to_zero():
 def test_a_run_can_be_resumed_with_another_number_of_processes(train, task, settings, tmp_path):
     train(task, settings, 32, tmp_path)
     train(task, replace(settings, workers=1), 64, tmp_path, resume=True)
-    assert int(metrics_of(tmp_path)[-1]["steps"]) == 64
+    assert int(metrics_of(tmp_path)[-1]["decisions"]) == 64
 
 
 def test_the_same_seed_learns_the_same_weights(train, task, settings, run, weights_of, tmp_path):
