@@ -140,7 +140,7 @@ def test_numbers_and_names_that_make_no_table_are_refused_by_the_command_line(ar
     ("arguments", "message"),
     [
         ("merging --set robots", "--set takes KEY=VALUE"),
-        ("merging --set robotz=3", "there is no setting robotz; did you mean 'robots'?"),
+        ("merging --set robbots=3", "there is no setting robbots; did you mean 'robots'?"),
         ("merging --cache {file}", "file is a file; choose another folder"),
         ("sfw-table1 --out {file}", "file is a file; choose another folder"),
         ("robustness --shares 0,1", "a share of false closures lies in 0..1 (without 1); got 1"),

@@ -50,6 +50,11 @@ class TeamMapper:
     `home` is the robot that runs this mapper, whose scans are available at once; None for the single central mapper.
     """
 
+    prior: int | None = None
+    """The segment that stands for a map of an earlier session, if there is one (see `TeamGraph.prior`) ..."""
+    _lasting: LastingMap | None = None
+    """... and that map."""
+
     def __init__(self, config: EnvConfig, robot_count: int, home: int | None = None, prior: LastingMap | None = None):
         self._config, self._on_request = config.slam, config.link.scan_on_request
         self._turns, self._turn = (1, 0) if home is None else (robot_count, home)
@@ -101,12 +106,8 @@ class TeamMapper:
         self._signs: dict[tuple[int, ...], tuple[tuple[int, int], KnownSigns]] = {}
         self._hypotheses: tuple[tuple[int, ...], dict[int, tuple[MergeHypothesis, ...]]] = (), {}
         """Cache of `hypotheses_of` for one state of graph and groups."""
-        self.prior: int | None = None
-        """The segment that stands for a map of an earlier session ..."""
-        self._lasting, self._range_max_m = prior, config.lidar.range_max_m
-        """... and that map."""
         if prior is not None:
-            self.prior = self._take_in(prior)
+            self._lasting, self.prior = prior, self._take_in(prior)
 
     def _take_in(self, prior: LastingMap) -> int:
         """Make a map of an earlier session a member of the team, in a frame of its own; returns its segment."""
@@ -130,7 +131,7 @@ class TeamMapper:
             return self._lasting  # no robot has found it: nothing is known to have changed
         if sizes[number] == 0:
             raise DataError("there is no map to save: no robot has taken a keyframe")
-        return saved_map(self._graph, groups[number], self.grid_of(number), self._range_max_m, self._lasting)
+        return saved_map(self._graph, groups[number], self.grid_of(number), self._maps.range_max_m, self._lasting)
 
     def update(self, step: int, keyframes: Sequence[Keyframe], scans: Sequence[tuple[int, int]] = ()) -> bool:
         """Add keyframes and requested scans; verify, merge and optimise within this step's budget.

@@ -48,6 +48,19 @@ _CONTACT, _UNCACHED = -1, -2
 """Return values of `_move_and_sense` if a contact is possible, and if the wall crossings at robot 0 are not cached."""
 
 
+class _WifiRates:
+    """When which robot completes a WiFi scan."""
+
+    def __init__(self, periods: list[int]):
+        self.periods, self.period = periods, min(periods)
+        """Steps per scan of each robot, and the least."""
+        self.is_regular = len(set(periods)) == 1
+        """Whether all robots scan at one rate."""
+        self.numbers: dict[tuple[int, ...], int] = {}
+        """Numbers in `World._scanning_robots` of turns of robots that scan at different rates, as they occur."""
+        self.laser_shape = 0, 0
+
+
 class World:
     """Ground truth of an episode. Call `sense` once after each `step`, as it samples the noise of the step.
 
@@ -67,13 +80,8 @@ class World:
         self._home = plan.home
         self._is_moved = bool(plan.pose_building_home.any())
         self._radio = _radio_model(config.radio, self._home)
-        self._own = robot_configs(config)
-        """Settings of each robot."""
-        self._wifi_periods = [_period_steps(own.radio.scan_period_s, config) for own in self._own]
-        self._wifi_period = min(self._wifi_periods)
-        self._is_regular = len(set(self._wifi_periods)) == 1
-        """Whether all robots scan at one rate."""
-        self._scanning_robots = _turns(self._wifi_period, config.robots)
+        self._rates = _WifiRates([_period_steps(own.radio.scan_period_s, config) for own in robot_configs(config)])
+        self._scanning_robots = _turns(self._rates.period, config.robots)
         """For each step of a WiFi period, the robots that complete a scan; see `_turn`."""
         self._run: Callable[..., int] | None = None
         """`_move_and_sense` with its constant arguments, valid while the crossing table's arrays are
@@ -87,7 +95,8 @@ class World:
         """
         seed = whole_number("seed", seed, 0)
         config, robots = self.config, self.config.robots
-        own, radius = self._own, np.array([each.dynamics.robot_radius_m for each in self._own])
+        own = robot_configs(config)
+        radius = np.array([each.dynamics.robot_radius_m for each in own])
         starts_home = start_poses(self.plan, robots, radius, seed, starts)
         self._walls = self._home.wall_index.buckets()
         dynamics = self._dynamics = Dynamics([each.dynamics for each in own], self._home.wall_index, starts_home)
@@ -110,9 +119,8 @@ class World:
         ]
         self._wifi = WifiReceivers(self._radio, self._receivers)
         self._scans_compiled = self._receivers[0].is_plain
-        self._turn_numbers: dict[tuple[int, ...], int] = {}
-        """Numbers in `_scanning_robots` of turns of robots that scan at different rates, as they occur."""
-        if not self._is_regular:
+        self._rates.numbers.clear()
+        if not self._rates.is_regular:
             self._scanning_robots = []
         self._listeners = [np.array(turn if self._scans_compiled else (), np.int64) for turn in self._scanning_robots]
         """For each step of a WiFi period, the robots whose scans are computed by `_move_and_sense`."""
@@ -120,7 +128,7 @@ class World:
         """For each step of a WiFi period, output arrays: poses, odometry, turn rates, ranges, scans."""
         self._is_laser_compiled = self._lidar.is_plain and self._scanners is None
         laser = (robots, lidar.beam_count) if self._is_laser_compiled else (0, 0)
-        self._laser_shape = laser
+        self._rates.laser_shape = laser
         self._shapes = [_step_shapes(robots, laser, len(turn), len(self._radio.macs)) for turn in self._listeners]
         self._cameras = SignCameras(config, self._home, seed)
         self._bound_crossings = None
@@ -199,7 +207,8 @@ class World:
         step, dynamics = self._step, self._dynamics or _raise_not_reset()
         if step // STEPS != self._noise_block:
             self._draw_noise()
-        turn = step % self._wifi_period if self._is_regular else self._turn(step)
+        rates = self._rates
+        turn = step % rates.period if rates.is_regular else self._turn(step)
         poses, odometry, turn_rates, ranges, heard = next(self._buffers[turn], None) or self._allocate_steps(turn)
         if commands is None:
             commands, poses = _NO_COMMANDS, dynamics.poses
@@ -238,15 +247,16 @@ class World:
 
     def _turn(self, step: int) -> int:
         """Number in `_scanning_robots` of the robots that complete a WiFi scan in a step, each at its own rate."""
-        robots = tuple([i for i, period in enumerate(self._wifi_periods) if (step + i) % period == 0])
-        if robots not in self._turn_numbers:
-            self._turn_numbers[robots] = len(self._scanning_robots)
+        rates = self._rates
+        robots = tuple([i for i, period in enumerate(rates.periods) if (step + i) % period == 0])
+        if robots not in rates.numbers:
+            rates.numbers[robots] = len(self._scanning_robots)
             self._scanning_robots.append(robots)
             self._listeners.append(np.array(robots if self._scans_compiled else (), np.int64))
             self._buffers.append(iter(()))
             listeners = len(self._listeners[-1])
-            self._shapes.append(_step_shapes(self.config.robots, self._laser_shape, listeners, len(self._radio.macs)))
-        return self._turn_numbers[robots]
+            self._shapes.append(_step_shapes(self.config.robots, rates.laser_shape, listeners, len(self._radio.macs)))
+        return rates.numbers[robots]
 
     def _carry(self) -> None:
         """Put down elsewhere the robots that are carried before this step; their odometry does not see it."""
@@ -261,7 +271,7 @@ class World:
 
     def _show_people(self, crowd: Crowd, step: int, poses: Array, ranges: Array, has_signs: bool) -> None:
         """Let scanners and cameras at poses (n, 3) see the people, and note who is touched."""
-        lidar = self._own[0].lidar
+        lidar = self._lidar.config
         crowd.meet(poses)
         self.contacts = self.contacts | crowd.is_touched
         if self._scanners is None:  # it has cast its beams at the legs itself
@@ -276,7 +286,7 @@ class World:
         if self._is_laser_compiled:
             self._lidar.noise.hold(self._step)
         if self._scans_compiled:
-            self._wifi.hold(self._step // self._wifi_period)
+            self._wifi.hold(self._step // self._rates.period)
 
     def _allocate_steps(self, turn: int) -> tuple:
         """Allocate the outputs of the next steps at this step of a WiFi period; returns those of the first one."""
@@ -298,7 +308,7 @@ class World:
         dynamics = self._dynamics or _raise_not_reset()
         apparatus = (
             *self._walls, *dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
-            *self._wifi.arguments, *self._bodies, *self._cameras.arguments, self._sensed_poses, self._wifi_period,
+            *self._wifi.arguments, *self._bodies, *self._cameras.arguments, self._sensed_poses, self._rates.period,
         )  # fmt: skip
         held = Lent(apparatus)
         run = rebound(self._run, held) or bound(_move_and_sense, held, _NO_COMMANDS, *arguments)

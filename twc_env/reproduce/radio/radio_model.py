@@ -31,7 +31,7 @@ from twc_env.reproduce.radio.radio_surveys import FLATS, LIBRARIES
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.running.command_line import count
 
-CHOOSES = ("seeds", "only")
+CHOOSES = ("runs", "only")
 
 _EVIDENCE, _SPREAD, _REAL = -3, -2, -1
 _NAMES = {_EVIDENCE: "evidence", _SPREAD: "spread", _REAL: "real"}

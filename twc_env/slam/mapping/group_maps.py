@@ -250,6 +250,11 @@ class GroupMaps:
     def _new_grid(self) -> OccupancyGrid:
         return OccupancyGrid(self._resolution_m, self._lidar.range_max_m, self._lidar.circle_beam_count)
 
+    @property
+    def range_max_m(self) -> float:
+        """Of the scanners."""
+        return self._lidar.range_max_m
+
     def _may_draw_all(self, group: int) -> bool:
         """Whether missing scans may be drawn, too: a robot alone in its map draws them itself (central mapper)."""
         return self._home is None and len(self.groups[group].robots) == 1

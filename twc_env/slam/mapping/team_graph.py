@@ -32,6 +32,10 @@ class TeamGraph(GraphArrays):
     odometry has a systematic scale error (`shared_errors`), for engines without scan matching.
     """
 
+    prior: int | None = None
+    """The robot that stands for a map of an earlier session, whose poses never change; its nodes come first. An
+    attribute of the object only where there is one: more than 29 make access to all of them slower."""
+
     def __init__(
         self,
         robot_count: int,
@@ -60,8 +64,6 @@ class TeamGraph(GraphArrays):
         self._odometry_only = OdometryOnlyMotions(robot_count)
         self._readings = SignReadings(robot_count)
         self._edge_of_closure: dict[int, int] = {}
-        self.prior: int | None = None
-        """The robot that stands for a map of an earlier session, whose poses never change; its nodes come first."""
 
     @property
     def sign_news(self) -> list[int]:

@@ -40,7 +40,8 @@ class Lidar:
         glass: tuple[int, ...] = (),
     ):
         """robot_radius_m: of all robots, or of each (robots,); glass: numbers of the walls that a beam may pass."""
-        self._config = config
+        self.config = config
+        """Of the scanner."""
         self._solid = index.buckets()
         self._glass_m = index.walls_m[:0]
         self._sees_through = bool(glass) and config.glass_return_probability < 1.0
@@ -69,7 +70,7 @@ class Lidar:
 
     def scan(self, poses: Array) -> Array:
         """True poses (n, 3) of all robots -> ranges (n, beams) [m]; the maximum range if there is no return."""
-        config, ranges = self._config, np.empty((len(poses), self._config.beam_count))
+        config, ranges = self.config, np.empty((len(poses), self.config.beam_count))
         words = self.noise.next()
         sweep(*self._solid, poses, *self._fixed, words, ranges)
         if self._sees_through:
