@@ -403,7 +403,9 @@ class TeamMapper:
             return False
         if self._tests.signs_disagree(robots_a, robots_b, pose_a_b):
             return False
-        if not proposal.is_proven and self._tests.is_ambiguous(robots_a, robots_b, proposal):
+        # Without scan matching maps drift, and the earliest merge is the best one.
+        is_exact = self._trials is None
+        if is_exact and not proposal.is_proven and self._tests.is_ambiguous(robots_a, robots_b, proposal):
             self.ambiguous.add((robots_a, robots_b))
             return False
         if self._on_request and self._maps.ask_for(self._tests.overlap(robots_a, robots_b, pose_a_b, OVERLAP_REACH_M)):
