@@ -14,8 +14,14 @@ pytestmark = pytest.mark.usefixtures("torch")
 
 def test_a_trained_model_is_evaluated_against_random_actions(run, tmp_path, capsys):
     figures = tmp_path / "figures.json"
-    assert main(["evaluate", "--model", str(run / "model.safetensors"), "--seeds", "0-1", "--json", str(figures)]) == 0
+    asked = ["evaluate", "--model", str(run / "model.safetensors"), "--seeds", "0-1", "--out", str(tmp_path / "out")]
+    assert main([*asked, "--json", str(figures)]) == 0
     table = capsys.readouterr().out.splitlines()
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {
+        "evaluation.json",
+        "evaluation.csv",
+        "evaluation.tex",
+    }
     written = json.loads(figures.read_text())
     assert set(written) == {"trained", "random", "nearest", "nearest-frontier"}
     assert all(f"{of['means']['coverage']:.3f}" in line for of, line in zip(written.values(), table[1:], strict=True))
