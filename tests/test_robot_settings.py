@@ -81,11 +81,12 @@ def test_an_invalid_robot_is_refused_in_one_line_that_names_it(robot, message):
 
 
 def test_every_setting_of_a_robot_is_a_setting_of_the_team():
-    flat = to_dict(EnvConfig())
+    missing = []
     for key in ROBOT_SETTINGS:
-        node = flat
+        node = to_dict(EnvConfig())
         for part in key.split("."):
-            node = node[part]
+            node = node.get(part, {}) if isinstance(node, dict) and part in node else missing.append(key)
+    assert ROBOT_SETTINGS and missing == []
 
 
 def test_a_team_shares_circles_of_the_best_scanner_and_keeps_sizes_and_assumptions():
