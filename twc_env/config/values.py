@@ -9,7 +9,7 @@ import json
 import tomllib
 import typing
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,11 @@ from twc_env.config.world_presets import WORLD_PRESETS
 from twc_env.errors import ConfigError, did_you_mean
 from twc_env.records.class_file import is_in_file
 from twc_env.records.json_values import table_of
+
+
+@cache
+def _types_of(cls: type) -> dict[str, Any]:
+    return typing.get_type_hints(cls)
 
 
 def radio_preset(name: str) -> RadioConfig:
@@ -106,7 +111,7 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
     """
     if not isinstance(values, dict):
         raise ConfigError(f"{where or 'a config'} must be a table of settings; got {values!r}")
-    types = typing.get_type_hints(cls)
+    types = _types_of(cls)
     arguments: dict = {}
     if cls is EnvConfig and ("robot" in values or "team" in values):
         values = _with_robots(values, values)

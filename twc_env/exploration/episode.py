@@ -125,7 +125,7 @@ class Episode:
             values = self._tick(macro_actions.commands(self._beliefs))
             if watch is not None:
                 watch(self)
-            sums = [{k: s[k] + v[k] for k in v} for s, v in zip(sums, values, strict=True)] if sums else values
+            sums = rewards.added(sums, values) if sums else values
             if macro_actions.is_decision_due(self._failures.is_alive(self.steps)) or self.is_over:
                 return sums
 

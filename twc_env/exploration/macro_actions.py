@@ -14,7 +14,7 @@ from twc_env.errors import ActionError
 from twc_env.exploration.actions import action_array, check_agents
 from twc_env.exploration.observation.observation_blocks import EXTRA_CHOICES
 from twc_env.planning.candidates import NOTHING, Candidates, find_candidates
-from twc_env.planning.driver import Driver, map_id
+from twc_env.planning.drivers import Drivers, map_id
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
 from twc_env.records.geometry import transform_points
@@ -77,13 +77,15 @@ class MacroActions:
         count = config.robots
         own = robot_configs(config)
         self._radii_m = [each.dynamics.robot_radius_m for each in own]
-        self._drivers = [Driver(each.dynamics, self._finder, config.people.count > 0) for each in own]
+        self._drivers = Drivers([each.dynamics for each in own], self._finder, config.people.count > 0)
         self._search = CandidateSearch(config, self._finder)
         self._are_candidates_used = config.action.kind == "frontier" or config.observation.frontiers
         self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()
         """(robots,) whether the robot's action counts in the next step; if not, it still executes its last one."""
         self._stay_until = np.zeros(count, np.int64)
         self._terrains: dict[tuple[float, GridMap], Terrain] = {}
+        self._terrains_of: Sequence[Belief] = ()
+        """The beliefs of which the terrains are."""
         self._ticks = 0
         self._deadline = 0
         self._seconds = 1.0 / config.dynamics.time_step_s
@@ -107,7 +109,7 @@ class MacroActions:
 
     def look(self, beliefs: Sequence[Belief]) -> None:
         """Update the candidates of the robots that decide now, unless nothing shows or chooses them."""
-        self._terrains.clear()
+        self._forget_terrains(beliefs)
         if self._are_candidates_used:
             self._search.look(beliefs, self.is_deciding, self._terrains)
 
@@ -131,19 +133,16 @@ class MacroActions:
 
     def commands(self, beliefs: Sequence[Belief]) -> Array:
         """(robots, 2) speed [m/s] and turn rate [rad/s] for the next tick."""
-        self._terrains.clear()
+        self._forget_terrains(beliefs)
         self._ticks += 1
-        return np.array(
-            [driver.command(belief, self._terrain) for driver, belief in zip(self._drivers, beliefs, strict=True)]
-        )
+        return self._drivers.commands(beliefs, self._terrain)
 
     def is_decision_due(self, is_alive: Array) -> bool:
         """Whether the step ends now; if so, updates `is_deciding`. Failed robots are not waited for and never decide.
 
         is_alive: (robots,) bool.
         """
-        is_free = np.array([driver.status != "driving" for driver in self._drivers])
-        is_free &= self._stay_until <= self._ticks
+        is_free = ~self._drivers.is_driving & (self._stay_until <= self._ticks)
         late, awaited = self._ticks >= self._deadline, is_free[is_alive]
         has_come = awaited.all() if self._action.timing == "synchronous" else awaited.any()
         due = late or (len(awaited) > 0 and has_come)
@@ -170,10 +169,16 @@ class MacroActions:
     def _begin(self, robot: int, belief: Belief, goal: tuple[str, Array] | None) -> None:
         self._stay_until[robot] = 0
         if goal is None:
-            self._drivers[robot].stop()
+            self._drivers.stop(robot)
             self._stay_until[robot] = self._ticks + max(1, round(self._action.stay_s * self._seconds))
         else:
-            self._drivers[robot].start(goal[1], belief, goal[0])
+            self._drivers.start(robot, goal[1], belief, goal[0])
+
+    def _forget_terrains(self, beliefs: Sequence[Belief]) -> None:
+        """Terrains show where the robots stand: those of other beliefs are out of date."""
+        if beliefs is not self._terrains_of:
+            self._terrains.clear()
+            self._terrains_of = beliefs
 
     def _terrain(self, belief: Belief, squeeze: float) -> Terrain:
         return terrain_of(self._terrains, belief, squeeze * self._radii_m[belief.robot])

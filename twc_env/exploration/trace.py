@@ -21,7 +21,7 @@ from twc_env.errors import DataError
 from twc_env.exploration.assessment import evaluation
 from twc_env.exploration.assessment.map_scores import GroupScore
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.planning.driver import map_id
+from twc_env.planning.drivers import map_id
 from twc_env.records.geometry import compose, inverse
 from twc_env.world.sensors.signal_map import signal_map_dbm
 

@@ -53,9 +53,9 @@ def find_candidates(
     range_m: of the scanner, to compute `gains_m2`; 0: do not.
     """
     here = belief.pose_map_robot
-    if not finder.spread(terrain, here[:2]):
-        return NOTHING
     sizes = terrain.frontier_sizes
+    if not finder.spread_to_frontiers(terrain, here[:2], sizes >= CELLS_MIN, count_max):
+        return NOTHING
     lengths_m, places_m = finder.nearest_of_labels(terrain, terrain.labels, len(sizes) - 1)
     usable = np.flatnonzero(np.isfinite(lengths_m) & (sizes >= CELLS_MIN))
     chosen = usable[np.lexsort((usable, lengths_m[usable]))][:count_max]

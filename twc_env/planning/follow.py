@@ -26,6 +26,8 @@ SLOWDOWN_M = 0.22
 HORIZON_STEPS = 6
 """Steps ahead for which a command is checked."""
 BRAKING_M_S2 = 1.2
+LOOK_AHEAD_M = 0.5
+"""Distance along the path to the point that is steered to."""
 DETOUR_LENGTH_M = 0.5
 DETOUR_STEP_RAD = 0.2
 """If the straight line is blocked, bearings this far apart are tried on both sides."""
@@ -129,7 +131,18 @@ def _steer(
 
 
 @kernel
-def _look_ahead_point(path, index, x, y, look_ahead):
+def steer_along(ranges, points, target_x, target_y, speed_max, turn_max, time_step, radius, patience):
+    """Speed and turn rate toward a target in the robot frame, avoiding the obstacles in ranges (beams,); points (beams,
+    2) is scratch."""
+    count = _points_in_range(ranges, OBSTACLE_RANGE_M, points)
+    return _steer(
+        points, count, target_x, target_y, speed_max, turn_max, time_step, radius, MARGIN_M, SLOWDOWN_M, HORIZON_STEPS,
+        patience,
+    )  # fmt: skip
+
+
+@kernel
+def look_ahead_point(path, index, x, y, look_ahead):
     """The point `look_ahead` along path (k, 2) after the point nearest to (x, y); searches from segment `index` on.
 
     Returns (segment of the nearest point, x, y, distance to the path).
@@ -164,7 +177,7 @@ class Follower:
     """Follows one path by steering toward the point `look_ahead_m` further along it."""
 
     dynamics: DynamicsConfig
-    look_ahead_m: float = 0.5
+    look_ahead_m: float = LOOK_AHEAD_M
     path_m: Array = field(default_factory=lambda: np.empty((0, 2)))
     _index: int = 0
 
@@ -191,7 +204,7 @@ class Follower:
         """Speed [m/s] and turn rate [rad/s] for the next step; (0, 0) without a path."""
         if not self.has_path:
             return 0.0, 0.0
-        self._index, x, y, _ = _look_ahead_point(self.path_m, self._index, pose[0], pose[1], self.look_ahead_m)
+        self._index, x, y, _ = look_ahead_point(self.path_m, self._index, pose[0], pose[1], self.look_ahead_m)
         c, s = math.cos(pose[2]), math.sin(pose[2])
         dx, dy = x - pose[0], y - pose[1]
         return drive_to(c * dx + s * dy, -s * dx + c * dy, ranges_m, self.dynamics, patience)
@@ -208,11 +221,9 @@ def drive_to(
     patience: slow down before obstacles, but make no detour around them.
     """
     ranges = _NO_RANGES if ranges_m is None else np.asarray(ranges_m, dtype=np.float64)
-    points = np.empty((len(ranges), 2))
-    count = _points_in_range(ranges, OBSTACLE_RANGE_M, points)
-    return _steer(
-        points, count, x_m, y_m, dynamics.speed_max_m_s, dynamics.turn_rate_max_rad_s, dynamics.time_step_s,
-        dynamics.robot_radius_m, MARGIN_M, SLOWDOWN_M, HORIZON_STEPS, patience,
+    return steer_along(
+        ranges, np.empty((len(ranges), 2)), x_m, y_m, dynamics.speed_max_m_s, dynamics.turn_rate_max_rad_s,
+        dynamics.time_step_s, dynamics.robot_radius_m, patience,
     )  # fmt: skip
 
 

@@ -85,8 +85,13 @@ def _nearest_enterable(cost, row, column, reach):
 
 
 @kernel
-def _cheapest_goal(cost, labels, penalty, least_edge, start, spent, parent, following, preceding, opened, opened_count):
+def _cheapest_goal(
+    cost, labels, penalty, awaited, left, least_edge, start, spent, parent, following, preceding, opened, opened_count
+):
     """Dijkstra with a bucket queue from flat cell `start` to the labelled cell of least path cost + penalty[label].
+
+    It ends early once `left` of the labels for which `awaited` (labels,) is 1 were reached, and all cells as near; if
+    left is 0, never. Labels reached become 0 there.
 
     cost, labels (h, w) have a closed border; `least_edge` is the least edge cost. The other arrays are flat scratch
     that persists between calls: `spent` must be FAR except at opened[:opened_count]. Returns (goal or -1, its path
@@ -101,13 +106,13 @@ def _cheapest_goal(cost, labels, penalty, least_edge, start, spent, parent, foll
     spent[start], parent[start], following[start], preceding[start] = 0, -1, -1, -1
     head[0], opened[0] = start, start
     count, waiting, now = 1, 1, 0
-    best, best_total = -1, FAR
+    best, best_total, last = -1, FAR, int(FAR)
     while waiting:
         cell = head[now % BUCKETS]
         if cell < 0:
             now += 1
             continue
-        if now >= best_total:
+        if now >= best_total or now > last:
             break
         head[now % BUCKETS] = following[cell]
         if following[cell] >= 0:
@@ -117,6 +122,11 @@ def _cheapest_goal(cost, labels, penalty, least_edge, start, spent, parent, foll
         label = label_of[cell]
         if label > 0 and now + penalty[label] < best_total:
             best, best_total = cell, now + penalty[label]
+        if left > 0 and label > 0 and awaited[label]:
+            awaited[label] = 0
+            left -= 1
+            if left == 0:
+                last = now
         for k in range(8):
             neighbour = cell + steps[k]
             old = spent[neighbour]
@@ -249,12 +259,19 @@ class PathFinder:
         self._undo_cell, self._undo_cost = np.empty(200_000, np.int64), np.empty(200_000, np.int16)
 
     def cheapest(
-        self, terrain: Terrain, start_m: Array, labels: Array, penalty_m: Array, discs: Iterable[Disc] = ()
+        self,
+        terrain: Terrain,
+        start_m: Array,
+        labels: Array,
+        penalty_m: Array,
+        discs: Iterable[Disc] = (),
+        awaited: tuple[Array, int] = (np.zeros(0, np.int8), 0),
     ) -> Plan | None:
         """The path to the labelled cell of least path cost + penalty_m[label]; None if none can be reached.
 
         start_m (2,) in the map frame; labels (h, w) int32 over the terrain's cells, 0 for no goal; penalty_m (labels,),
-        infinite to exclude a label. The costs of `discs` apply to this search only.
+        infinite to exclude a label. The costs of `discs` apply to this search only. awaited: labels (labels,) int8,
+        and how many of them end the search once they are reached.
         """
         self._reserve(terrain.cost.size)
         cell = terrain.resolution_m
@@ -269,8 +286,8 @@ class PathFinder:
         discs = tuple(discs)
         changed = self._raise_costs(terrain, discs) if discs else 0
         goal, spent, self._opened_count = _cheapest_goal(
-            terrain.cost, labels, penalty, STRAIGHT * OPEN_COST, start, self._spent, self._parent, self._following,
-            self._preceding, self._opened, self._opened_count,
+            terrain.cost, labels, penalty, *awaited, STRAIGHT * OPEN_COST, start, self._spent, self._parent,
+            self._following, self._preceding, self._opened, self._opened_count,
         )  # fmt: skip
         corners = np.empty((0, 2))
         if goal >= 0:
@@ -287,6 +304,16 @@ class PathFinder:
         `nearest_of_labels` and `nearest_to` read the result of the last search.
         """
         self.cheapest(terrain, start_m, np.zeros_like(terrain.labels), np.zeros(1))
+        return self._opened_count > 0
+
+    def spread_to_frontiers(self, terrain: Terrain, start_m: Array, is_wanted: Array, count_max: int) -> bool:
+        """`spread` until the `count_max` nearest of the frontiers for which is_wanted (clusters + 1,) were found.
+
+        Afterwards `nearest_of_labels` is right for these; others are further away than all of them, or not reached.
+        """
+        penalty_m = np.full(len(is_wanted), np.inf)  # no goal: the search goes on
+        awaited = is_wanted.astype(np.int8), min(count_max, int(is_wanted.sum()))
+        self.cheapest(terrain, start_m, terrain.labels, penalty_m, (), awaited)
         return self._opened_count > 0
 
     def nearest_of_labels(self, terrain: Terrain, labels: Array, count: int) -> tuple[Array, Array]:

@@ -161,22 +161,30 @@ def _flood_fill(cost, labels, row, column, label, clusters):
 
 
 @kernel
-def _has_wall_near(log_odds, rows, columns, wall_above, reach):
-    """Whether a wall cell lies within `reach` cells of any of the points (rows, columns) [cells]."""
+def is_wall_near(log_odds, row, column, wall_above, reach):
+    """Whether the centre of a wall cell lies within `reach` cells of the point (row, column) [cells]."""
     height, width = log_odds.shape
     limit = reach * reach
     span = int(reach) + 1
-    for k in range(rows.shape[0]):
-        row, column = math.floor(rows[k]), math.floor(columns[k])
-        for r in range(max(0, row - span), min(height, row + span + 1)):
-            for c in range(max(0, column - span), min(width, column + span + 1)):
-                if log_odds[r, c] > wall_above and (r + 0.5 - rows[k]) ** 2 + (c + 0.5 - columns[k]) ** 2 < limit:
-                    return True
+    middle_row, middle_column = math.floor(row), math.floor(column)
+    for r in range(max(0, middle_row - span), min(height, middle_row + span + 1)):
+        for c in range(max(0, middle_column - span), min(width, middle_column + span + 1)):
+            if log_odds[r, c] > wall_above and (r + 0.5 - row) ** 2 + (c + 0.5 - column) ** 2 < limit:
+                return True
     return False
 
 
 @kernel
-def _has_frontier_near(log_odds, row, column, reach, free_below):
+def _has_wall_near(log_odds, rows, columns, wall_above, reach):
+    """Whether `is_wall_near` holds for any of the points (rows, columns) [cells]."""
+    found, k = False, 0
+    while k < rows.shape[0] and not found:
+        found, k = is_wall_near(log_odds, rows[k], columns[k], wall_above, reach), k + 1
+    return found
+
+
+@kernel
+def has_frontier_near(log_odds, row, column, reach, free_below):
     """Whether a free cell within `reach` cells of (row, column) has an unknown neighbour."""
     height, width = log_odds.shape
     for r in range(max(1, row - reach), min(height - 1, row + reach + 1)):
@@ -277,7 +285,7 @@ def path_is_blocked(grid: GridMap, points_m: Array, robot_radius_m: float) -> bo
 def is_frontier(grid: GridMap, point_m: Array, reach_m: float) -> bool:
     """Whether the grid has a frontier in the square of half side `reach_m` around a point."""
     column, row = (math.floor(v) for v in (np.asarray(point_m) - grid.origin_m) / grid.resolution_m)
-    return bool(_has_frontier_near(grid.log_odds, row, column, round(reach_m / grid.resolution_m), Terrain.FREE_BELOW))
+    return bool(has_frontier_near(grid.log_odds, row, column, round(reach_m / grid.resolution_m), Terrain.FREE_BELOW))
 
 
 def _cost_factors(limit_cells: float, reach_cells: int) -> Array:

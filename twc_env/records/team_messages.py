@@ -247,6 +247,16 @@ class TeamBeliefs(_Team[Belief]):
         self.signs, self.contact_steps = signs, contact_steps
         self.teammates, self.teammate_poses = teammates, teammate_poses
 
+    @property
+    def map_versions(self) -> Sequence[int]:
+        """`Belief.map_version` of each robot."""
+        return [belief.map_version for belief in self]
+
+    @property
+    def ranges_m(self) -> Sequence[Array | None] | Array:
+        """The latest scan of each robot; an array (robots, beams) where all are of one length."""
+        return [belief.ranges_m for belief in self]
+
     def teammates_of(self, robot: int) -> dict[int, Array]:
         """`Belief.teammates` of a robot."""
         teammates = zip(self.teammates[robot].tolist(), read_only(self.teammate_poses[robot]), strict=True)

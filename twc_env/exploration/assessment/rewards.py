@@ -103,6 +103,14 @@ def quiet(uneventful: list[dict[str, float]], bytes_per_robot: float) -> list[di
     return [common] * len(uneventful)
 
 
+def added(sums: list[dict[str, float]], values: list[dict[str, float]]) -> list[dict[str, float]]:
+    """The sum of the terms of each robot; robots that share a dict in both still do."""
+    first, second = sums[0], values[0]
+    if all(own is first for own in sums) and all(own is second for own in values):
+        return [{name: first[name] + value for name, value in second.items()}] * len(sums)
+    return [{name: own[name] + value for name, value in more.items()} for own, more in zip(sums, values, strict=True)]
+
+
 def _gains(before: list[float], after: list[float]) -> tuple[float, float, float]:
     return after[0] - before[0], after[1] - before[1], after[2] - before[2]
 

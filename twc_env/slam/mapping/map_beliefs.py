@@ -34,6 +34,16 @@ class MapBeliefs(TeamBeliefs):
         self.poses, self.since_closure_m, self.grids, self.signs = poses, since_closure_m, maps[0], maps[1]
         self.teammates, self.teammate_poses, self.contact_steps = teammates, teammate_poses, contact_steps
 
+    @property
+    def map_versions(self) -> Sequence[int]:
+        """As in `TeamBeliefs`."""
+        return self._maps[2]
+
+    @property
+    def ranges_m(self) -> Sequence[Array] | Array:
+        """As in `TeamBeliefs`."""
+        return self._ranges_m
+
     def _make(self) -> list[Belief]:
         beliefs, since_m, poses = [], self.since_closure_m.tolist(), read_only(self.poses)
         for robot, (grid, signs, version, radio) in enumerate(zip(*self._maps, strict=True)):

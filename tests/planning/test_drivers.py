@@ -1,0 +1,67 @@
+"""Driving a team: as each of its robots alone, and the check of paths ahead as that of the points along them."""
+
+import numpy as np
+
+from twc_env.config import DynamicsConfig
+from twc_env.planning import Driver, PathFinder, Terrain, path_is_blocked
+from twc_env.planning.drivers import _COLUMNS, _CORNERS, _RADIUS, _SEGMENT, Drivers, _is_blocked
+from twc_env.records.geometry import points_along, travelled_m
+from twc_env.records.messages import Belief, GridMap
+
+CELL_M = 0.1
+
+
+def walled_room(version: int = 0) -> GridMap:
+    """6 x 4 m, with a wall that leaves a door."""
+    log_odds = np.full((44, 64), -20, np.int16)
+    log_odds[[1, -2], 1:-1] = log_odds[1:-1, 1] = log_odds[1:-1, -2] = 40
+    log_odds[1:28, 30] = 40
+    return GridMap(log_odds, np.array([-0.2, -0.2]), CELL_M)
+
+
+def belief_of(robot: int, grid: GridMap, pose: np.ndarray, version: int = 0) -> Belief:
+    return Belief(robot, 0, pose, grid, {}, ranges_m=np.full(36, 3.0), map_version=version)
+
+
+def terrain_of(belief: Belief, factor: float) -> Terrain:
+    return Terrain.of(belief, 0.2 * factor)
+
+
+def test_a_team_drives_as_each_of_its_robots_alone():
+    dynamics, grid, random = DynamicsConfig(), walled_room(), np.random.default_rng(0)
+    team, alone = Drivers([dynamics] * 3, PathFinder()), [Driver(dynamics, PathFinder()) for _ in range(3)]
+    poses = np.array([[1.0, 1.0, 0.0], [2.0, 3.0, 1.0], [4.5, 1.0, 3.0]])
+    goals = np.array([[4.5, 1.0], [1.0, 0.6], [0.8, 1.0]])
+    for robot, goal in enumerate(goals):
+        team.start(robot, goal, belief_of(robot, grid, poses[robot]))
+        alone[robot].start(goal, belief_of(robot, grid, poses[robot]))
+    statuses = set()
+    for tick in range(200):
+        beliefs = [belief_of(robot, grid, pose.copy(), tick // 90) for robot, pose in enumerate(poses)]
+        commands = team.commands(beliefs, terrain_of)
+        singly = [each.command(belief, terrain_of) for each, belief in zip(alone, beliefs, strict=True)]
+        assert np.array_equal(commands, singly)
+        statuses |= {team.status(robot) for robot in range(3)}
+        assert [team.status(robot) for robot in range(3)] == [each.status for each in alone]
+        if tick < 120:  # later they are held: stuck, out of the corner, failed
+            step = commands * dynamics.time_step_s
+            poses[:, 0] += step[:, 0] * np.cos(poses[:, 2])
+            poses[:, 1] += step[:, 0] * np.sin(poses[:, 2])
+            poses[:, 2] += step[:, 1] + 0.01 * random.standard_normal(3)
+    assert {"driving", "arrived"} <= statuses
+
+
+def test_a_path_is_blocked_where_a_wall_is_near_a_point_of_its_next_three_metres():
+    grid, random = walled_room(), np.random.default_rng(1)
+    found = []
+    for _ in range(300):
+        path = np.zeros((9, 2))
+        path[:6] = np.cumsum(random.uniform(-1.0, 1.0, (6, 2)), axis=0) + (3.0, 2.0)
+        pose, own = np.array([*random.uniform(1.0, 3.0, 2), 0.0]), np.zeros(_COLUMNS)
+        own[_CORNERS], own[_SEGMENT], own[_RADIUS] = 6, random.integers(6), 0.18
+        corners = np.vstack([pose[:2], path[int(own[_SEGMENT]) + 1 : 6]])
+        points = points_along(corners, np.arange(0.0, min(3.0, travelled_m(corners)[-1]) + 1e-9, 0.1))
+        is_blocked = _is_blocked(own, path, pose, grid.log_odds, grid.origin_m, CELL_M)
+        assert is_blocked == path_is_blocked(grid, points, 0.18)
+        found.append(is_blocked)
+    assert 30 < sum(found) < 270
