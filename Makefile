@@ -4,7 +4,7 @@ PY := .venv/bin/python
 INSTALL := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
 PINS := pyproject.toml constraints.txt
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test docs test-bounds test-ray train-torchrl soak check clean
+.PHONY: help setup demo test docs test-bounds test-ray train-torchrl train-benchmarl soak check clean
 
 help: ## list the commands
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1 \t/' | expand -t 20
@@ -64,13 +64,23 @@ soak: .venv/installed-test ## hours: 1,000,000 steps, malformed actions, maps, l
 .venv-ray/installed: pyproject.toml
 	$(PYTHON) -m venv .venv-ray || { rm -rf .venv-ray; exit 1; }
 	@echo "installing ray into .venv-ray (several minutes)"
-	.venv-ray/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ray]' pytest hypothesis
+	.venv-ray/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ray,viz]' torch pytest hypothesis
 	@touch $@
 
-test-ray: .venv-ray/installed ## RLlib plays a team, Ray plays a benchmark (in .venv-ray: ray asks for an older gymnasium)
+test-ray: .venv-ray/installed ## RLlib trains a team, Ray plays a benchmark (in .venv-ray: ray asks for an older gymnasium)
 	.venv-ray/bin/python -c 'import ray.rllib'
 	.venv-ray/bin/python -m pytest -q -k "rllib or RLlib" tests/vector/test_tools.py tests/docs/test_snippets.py
 	.venv-ray/bin/python -m pytest -q tests/suite/test_ray.py
+	.venv-ray/bin/python docs/tutorials/rllib_ppo.py 1200 runs/rllib twc/ExploreQuick-v1
+
+.venv-benchmarl/installed: pyproject.toml
+	$(PYTHON) -m venv .venv-benchmarl || { rm -rf .venv-benchmarl; exit 1; }
+	@echo "installing BenchMARL into .venv-benchmarl (several minutes)"
+	.venv-benchmarl/bin/python -m pip install --quiet --disable-pip-version-check -e '.[viz]' 'benchmarl>=1.5' torch
+	@touch $@
+
+train-benchmarl: .venv-benchmarl/installed ## BenchMARL trains MAPPO on a task v1 (in .venv-benchmarl: it asks for an older TorchRL)
+	.venv-benchmarl/bin/python docs/tutorials/benchmarl_mappo.py 1200 runs/benchmarl twc/ExploreQuick-v1
 
 train-torchrl: .venv/installed-test ## TorchRL trains MAPPO on a task v1 for a few iterations
 	$(PY) training/torchrl_mappo.py --task ExploreQuick-v1 --iterations 3

@@ -2,9 +2,11 @@
 
     py make.py demo       install into .venv (no torch), run one episode; pictures in runs/demo
     py make.py test       install torch too and run all tests
-    py make.py docs       build the documentation site into build/site
+    py make.py docs       build the documentation site into build/site; with --repository OWNER/NAME, where the
+                          project lies on GitHub, notebooks get links to Colab
+    py make.py train-benchmarl   MAPPO of BenchMARL on a task, in .venv-benchmarl
 
-The same as `make demo`, `make test` and `make docs`. Needs Python 3.11 or newer.
+The same as `make` of that name. Needs Python 3.11 or newer.
 """
 
 from __future__ import annotations
@@ -16,14 +18,22 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
-FOLDER = ROOT / ".venv"
-PYTHON = FOLDER / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+PINS = ["-c", "constraints.txt"]
 TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
-    "demo": ("demo", ["-e", ".[viz]"], [["-m", "twc_env", "explore", "--map", "twin-01", "--out", "runs/demo"]]),
-    "test": ("test", ["torch", "-e", ".[viz,dev,train,ocr]"], [["-m", "pytest", "-q"]]),
-    "docs": ("docs", ["-e", ".[viz,docs]"], [["-m", "mkdocs", "build", "--strict"]]),
+    "demo": (
+        ".venv/installed-demo",
+        [*PINS, "-e", ".[viz]"],
+        [["-m", "twc_env", "explore", "--map", "twin-01", "--out", "runs/demo"]],
+    ),
+    "test": (".venv/installed-test", [*PINS, "torch", "-e", ".[viz,dev,train,ocr]"], [["-m", "pytest", "-q"]]),
+    "docs": (".venv/installed-docs", [*PINS, "-e", ".[viz,docs]"], [["-m", "mkdocs", "build", "--strict"]]),
+    "train-benchmarl": (
+        ".venv-benchmarl/installed",
+        ["-e", ".[viz]", "benchmarl>=1.5", "torch"],
+        [["docs/tutorials/benchmarl_mappo.py", "1200", "runs/benchmarl", "twc/ExploreQuick-v1"]],
+    ),
 }
-"""Target -> name of the mark that it is installed, what pip installs, and the commands of Python to run."""
+"""Target -> the mark that it is installed, what pip installs, and the commands of Python to run."""
 
 
 def main(arguments: list[str]) -> int:
@@ -31,29 +41,32 @@ def main(arguments: list[str]) -> int:
     if sys.version_info < (3, 11):  # noqa: UP036 that is what this line is for
         print("twc_env needs Python 3.11 or newer; on Windows: py -3.12 make.py ...")
         return 1
+    if arguments[:1] == ["docs"] and arguments[1:2] == ["--repository"] and len(arguments) == 3:
+        os.environ["GITHUB_REPOSITORY"] = arguments.pop()
+        arguments.pop()
     if len(arguments) != 1 or arguments[0] not in TARGETS:
         print(__doc__)
         return 2
     mark, packages, commands = TARGETS[arguments[0]]
-    if not PYTHON.exists():
-        venv.create(FOLDER, with_pip=True)
-    done = FOLDER / f"installed-{mark}"
+    done = ROOT / mark
+    python = done.parent / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    if not python.exists():
+        venv.create(done.parent, with_pip=True)
     pins = [ROOT / "pyproject.toml", ROOT / "constraints.txt"]
     if not done.exists() or done.stat().st_mtime < max(pin.stat().st_mtime for pin in pins):
-        print("installing into .venv (a minute or more)", flush=True)
-        pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-c", "constraints.txt"]
-        if status := run([*pip, *packages]):
+        print(f"installing into {done.parent.name} (a minute or more)", flush=True)
+        if status := run(python, ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", *packages]):
             return status
         done.touch()
     for command in commands:
-        if status := run(command):
+        if status := run(python, command):
             return status
     return 0
 
 
-def run(arguments: list[str]) -> int:
-    """The exit status of the Python of .venv with these arguments."""
-    return subprocess.run([str(PYTHON), *arguments], cwd=ROOT).returncode
+def run(python: Path, arguments: list[str]) -> int:
+    """The exit status of this Python with these arguments."""
+    return subprocess.run([str(python), *arguments], cwd=ROOT).returncode
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -62,6 +64,39 @@ def test_the_wheel_has_the_version_of_the_package(installed):
 
     (metadata,) = installed.glob("*.dist-info/METADATA")
     assert f"\nVersion: {twc_env.__version__}\n" in metadata.read_text()
+
+
+def metadata_of(built_in: Path, kind: str, into: Path, **env: str) -> str:
+    """What the wheel or the sdist built there says of itself."""
+    command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(into)]
+    subprocess.run(command, cwd=built_in, check=True, capture_output=True, env={**os.environ, **env})
+    if kind == "sdist":
+        (file,) = into.glob("*.tar.gz")
+        with tarfile.open(file) as archive:
+            archive.extractall(into, filter="data")
+        (text,) = into.glob("*/PKG-INFO")
+        return text.read_text(encoding="utf-8")
+    (file,) = into.glob("*.whl")
+    with zipfile.ZipFile(file) as archive:
+        (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        return archive.read(name).decode()
+
+
+def test_a_build_that_knows_the_repository_has_project_urls_and_absolute_links(installed, tmp_path):
+    here = {"GITHUB_REPOSITORY": "some-one/twc.env", "GITHUB_WORKSPACE": str(ROOT)}
+    (plain,) = (path.read_text() for path in installed.glob("*.dist-info/METADATA"))
+    strange = metadata_of(ROOT, "wheel", tmp_path / "1", **{**here, "GITHUB_WORKSPACE": str(tmp_path)})
+    assert not re.search("^Project-URL:", plain + strange, re.MULTILINE) and "](docs/results.md)" in plain
+    known = metadata_of(ROOT, "sdist", tmp_path / "2", **here)
+    assert "\nProject-URL: Repository, https://github.com/some-one/twc.env\n" in known
+    assert "](https://github.com/some-one/twc.env/blob/main/docs/results.md)" in known
+    assert "](https://raw.githubusercontent.com/some-one/twc.env/main/docs/pictures/episode.gif)" in known
+    assert not re.search(r"\]\((?!https://|#)", known)
+    (unpacked,) = (tmp_path / "2").glob("*/PKG-INFO")
+    again = metadata_of(unpacked.parent, "wheel", tmp_path / "3", GITHUB_REPOSITORY="other/project")
+    assert [line for line in again.splitlines() if "URL" in line] == [
+        line for line in known.splitlines() if "URL" in line
+    ]
 
 
 def test_the_wheel_has_the_command_the_teams_and_the_learners(installed):

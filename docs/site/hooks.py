@@ -6,6 +6,8 @@
 - A line `<!-- made: NAME -->` is replaced by what the function `made_NAME` says, so no table of tasks can be out of
   date, and `<!-- file: PATH -->` by the file.
 - Parts of the navigation that do not exist yet are left out.
+- Where GITHUB_REPOSITORY is OWNER/NAME, as in GitHub Actions, there are links to the repository and, for notebooks, to
+  Colab. Colab opens the notebooks of the site, published as the branch gh-pages, which install twc_env from there.
 """
 
 from __future__ import annotations
@@ -47,10 +49,22 @@ OUTSIDE = {"twc_env.agents": "agents", "twc_env.training": "training"}
 """Packages that stand beside twc_env in a clone."""
 
 
+def _repository() -> str:
+    """OWNER/NAME on GitHub; empty if it is not known."""
+    named = os.environ.get("GITHUB_REPOSITORY", "")
+    if named and not re.fullmatch(r"[\w.-]+/[\w.-]+", named):
+        from mkdocs.exceptions import PluginError
+
+        raise PluginError(f"GITHUB_REPOSITORY must be OWNER/NAME, or not be set; it is {named!r}")
+    return named
+
+
 def on_config(config: Any) -> Any:
-    """Anchors as on code hosting sites, since the same pages are read there."""
+    """Anchors as on code hosting sites, since the same pages are read there; a link to the repository in the footer."""
     from pymdownx.slugs import slugify
 
+    if repository := _repository():
+        config["copyright"] += f' · <a href="https://github.com/{repository}">{repository} on GitHub</a>'
     os.chdir(ROOT)  # mkdocstrings reads the sources from here
     config["mdx_configs"].setdefault("toc", {})["slugify"] = slugify(case="lower")
     return config
@@ -260,18 +274,22 @@ def _commands() -> str:
 
 
 def _notebooks() -> dict[str, str | bytes]:
-    """Every notebook as a page, with the outputs that it stores, and the notebook itself to download."""
+    """Every notebook as a page, with the outputs that it stores, and the notebook itself to download and for Colab."""
     made: dict[str, str | bytes] = {}
+    repository = _repository()
+    source = f"\\1 @ git+https://github.com/{repository}'".encode() if repository else rb"\1'"
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
-        made[f"notebooks/{path.name}"] = path.read_bytes()
+        made[f"notebooks/{path.name}"] = re.sub(rb"('twc_env\[[\w,]+\])'", source, path.read_bytes())
         parts = []
         for number, cell in enumerate(json.loads(path.read_text(encoding="utf-8"))["cells"]):
             text = "".join(cell["source"])
             parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
             for output in cell.get("outputs", []):
                 parts.append(_shown(output, f"notebooks/{path.stem}-{number}", made))
-        link = f'<a href="{path.name}" download>Download this notebook</a>'
-        title = f"\n{link}: it runs in Jupyter and in Colab.\n"
+        title = f'\n<a href="{path.name}" download>Download this notebook</a> for Jupyter.\n'
+        if repository:
+            place = f"https://colab.research.google.com/github/{repository}/blob/gh-pages/notebooks/{path.name}"
+            title = f'\n<a href="{place}">Open in Colab</a>, or{title[1:].replace("Download", "download")}'
         parts[0] = parts[0].replace("\n", f"\n{title}\n", 1) if "\n" in parts[0] else parts[0] + "\n" + title
         made[f"notebooks/{path.stem}.md"] = "\n\n".join(parts) + "\n"
     return made

@@ -48,6 +48,19 @@ def test_a_notebook_begins_with_a_title_and_ends_with_three_exercises(path):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_the_first_cell_installs_the_package_only_where_it_is_missing(path, monkeypatch):
+    cell = cells_of(path)[0].source
+    extras = re.findall(r"^    %pip install --quiet 'twc_env\[([\w,]+)\]'$", cell, re.MULTILINE)
+    assert extras == ["viz,train" if path.stem in NEEDS else "viz"]
+    code, asked = cell.replace("%pip", "asked.append('pip') #"), []
+    exec(code, {"asked": asked})
+    assert asked == []
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    exec(code, {"asked": asked})
+    assert asked == ["pip"]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_the_notebook_runs_from_top_to_bottom(path, tmp_path):

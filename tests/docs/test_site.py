@@ -4,6 +4,7 @@ import functools
 import http.server
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -41,18 +42,21 @@ class Page(HTMLParser):
             self.loads.append(given["href"])
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
+def built(folder: Path, repository: str = "") -> Path:
     """The folder of the built site."""
     for module in ("mkdocs", "material", "mkdocstrings"):
         pytest.importorskip(module, reason="needs the extra 'docs'")
-    folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
-    env = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    env = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "GITHUB_REPOSITORY": repository}
     done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "WARNING" not in done.stdout + done.stderr
     return folder
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    return built(tmp_path_factory.mktemp("site"))
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +112,19 @@ def test_every_notebook_is_a_page_with_a_download(site):
     for path in (ROOT / "notebooks").glob("*.ipynb"):
         assert (site / "notebooks" / path.name).read_bytes() == path.read_bytes()
         assert f'href="{path.name}"' in (site / "notebooks" / f"{path.stem}.html").read_text(encoding="utf-8")
+
+
+def test_where_the_repository_is_known_notebooks_open_in_colab_and_install_from_it(tmp_path):
+    site = built(tmp_path, "some-one/twc.env")
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        page = (site / "notebooks" / f"{path.stem}.html").read_text(encoding="utf-8")
+        place = f"github/some-one/twc.env/blob/gh-pages/notebooks/{path.name}"
+        assert f'href="https://colab.research.google.com/{place}"' in page
+        shown, kept = (json.loads(p.read_text(encoding="utf-8")) for p in (site / "notebooks" / path.name, path))
+        line = "".join(shown["cells"][1]["source"]).splitlines()[-1]
+        assert re.fullmatch(r" +%pip .* 'twc_env\[[\w,]+\] @ git\+https://github.com/some-one/twc.env'", line)
+        assert shown["cells"][2:] == kept["cells"][2:]
+    assert 'href="https://github.com/some-one/twc.env"' in (site / "index.html").read_text(encoding="utf-8")
 
 
 def test_every_page_of_docs_is_in_the_navigation(site):

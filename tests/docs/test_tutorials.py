@@ -14,6 +14,8 @@ NEEDS = {
     "sb3": ("stable_baselines3",),
     "maskable_ppo": ("sb3_contrib",),
     "torchrl_ppo": ("torchrl", "tensordict"),
+    "rllib_ppo": ("ray", "torch"),
+    "benchmarl_mappo": ("benchmarl",),
     "one_file": ("torch",),
 }
 """Script -> modules without which it cannot run."""

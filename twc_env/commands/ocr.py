@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twc_env.running.command_line import add_folder, add_verbosity, count, natural
+from twc_env.running.command_line import add_folder, add_verbosity, count, natural, number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         description="Draw sample signs with their readings and the error rates of the table.",
         epilog="example:\n  twc-env ocr show --out runs/ocr.png",
     )
-    show.add_argument("--out", type=Path, required=True, metavar="FILE", help="picture to write, PNG")
+    show.add_argument("--out", type=Path, required=True, metavar="FILE", help="picture to write: .png, .pdf or .svg")
+    show.add_argument("--dpi", type=number(20, 1200), help="dots per inch (default: 130)")
     add_verbosity(show)
     show.set_defaults(run=_show)
 
@@ -52,5 +53,4 @@ def _measure(options: argparse.Namespace) -> None:
 def _show(options: argparse.Namespace) -> None:
     from twc_env.reproduce.ocr.ocr_picture import draw_table
 
-    draw_table(options.out)
-    print(f"written: {options.out}")
+    print(f"written: {draw_table(options.out, options.dpi)}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from functools import partial
 
-from twc_env.running.command_line import add_folder, add_json
+from twc_env.running.command_line import add_folder, add_json, add_pictures
 
 _EPILOG = """\
 example:
@@ -38,5 +38,7 @@ def _add_table(name: str, parser: argparse.ArgumentParser) -> None:
     parser.description, parser.epilog = module.__doc__, _EPILOG.format(name=name)
     module.add_arguments(parser)
     add_json(parser, ", and pictures beside it" if hasattr(module, "draw") else "")
+    if hasattr(module, "draw"):
+        add_pictures(parser)
     add_folder(parser, "--cache", "runs/reproduce", "folder of finished parts")
     parser.set_defaults(run=partial(main, name, module))

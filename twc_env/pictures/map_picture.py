@@ -73,7 +73,7 @@ def plan_figure(plan: Floorplan, with_signal: bool = True) -> Any:
             look: dict[str, Any] = {"ls": "", "marker": "^", "ms": 6, "color": TRUE_TEXT, "mec": FLOOR, "mew": 0.6}
             axes.plot(*places.T, zorder=5, **look)
             entries.append((Line2D([], [], **look), f"access points ({len(places)})"))
-        contents = f"{plan.floor_area_m2:,.0f} m2 of floor, {len(plan.rooms)} rooms, {len(plan.signs)} signs"
+        contents = f"{plan.floor_area_m2:,.0f} m² of floor, {len(plan.rooms)} rooms, {len(plan.signs)} signs"
         set_title(figure, [f"{plan.name}: {contents}"])
         legend_below(figure, [handle for handle, _ in entries], [name for _, name in entries])
         fit_height(figure, axes, height_m / width_m, HEIGHT_MAX_INCHES)

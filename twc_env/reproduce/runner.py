@@ -14,6 +14,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from twc_env.errors import ConfigError, DataError, did_you_mean
+from twc_env.pictures.style import style
 from twc_env.records.json_values import TERMINAL, check_folder, plain, write_json
 from twc_env.running.command_line import aligned, end_line, parse_seeds, show_line, tell, terminal_width
 from twc_env.running.finished_parts import FinishedParts
@@ -210,7 +211,9 @@ def table_module(name: str) -> ModuleType:
 
 def main(name: str, module, options: argparse.Namespace) -> None:
     """Run one table, print it, write it."""
-    changes_no_part = ("run", "json", "cache", "out", "jobs", "quiet", "verbose", *getattr(module, "CHOOSES", ()))
+    changes_no_part = ["run", "json", "cache", "out", "jobs", "quiet", "verbose", *getattr(module, "CHOOSES", ())]
+    if hasattr(module, "draw"):  # afterwards, not within the parts
+        changes_no_part += ["format", "dpi"]
     settings = {k: v for k, v in vars(options).items() if k not in changes_no_part}
     check_folder(getattr(options, "out", None))
     runner = Runner(name, options.cache, settings)
@@ -228,6 +231,9 @@ def main(name: str, module, options: argparse.Namespace) -> None:
         print(remark)
     write_json(options.json, rows)
     if options.json not in (None, TERMINAL):
-        paths = getattr(module, "draw", lambda *_: ())(options, runner, options.json.parent)
+        paths: list[Path] = []
+        if hasattr(module, "draw"):
+            with style():
+                paths = module.draw(options, runner, options.json.parent)
         end_line()
         print("".join(f"written: {path}\n" for path in paths), end="")

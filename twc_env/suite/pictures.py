@@ -30,9 +30,11 @@ def draw_curves(standings: Standings, path: Path) -> None:
             if all(map(math.isfinite, curve["low"])):
                 panel.fill_between(curve["time_s"], curve["low"], curve["high"], color=colour, alpha=0.15, lw=0)
         panel.set(title=title_of(task), ylim=(0, 1.02), xlim=(0, curve["time_s"][-1]))
-    for panel in panels:
-        panel.set_xlabel("simulated time [s]")
-        panel.set_ylabel("floor mapped correctly")
+    for k, panel in enumerate(panels):
+        if k % COLUMNS == 0:
+            panel.set_ylabel("floor mapped correctly")
+        if k + COLUMNS >= len(panels):
+            panel.set_xlabel("simulated time [s]")
     _finish(figure, panels, path)
 
 

@@ -43,10 +43,12 @@ def test_pictures_are_drawn_of_what_an_earlier_run_found(tmp_path, monkeypatch, 
     main(command)
     monkeypatch.setattr(radio_table1, "outcomes", lambda *_: pytest.fail("worked out again"))
     main([*command, "--out", str(tmp_path / "pictures"), "--json", str(tmp_path / "alone" / "rows.json")])
-    main([*command, "--json", str(tmp_path / "rows" / "rows.json")])
+    main([*command, "--json", str(tmp_path / "rows" / "rows.json"), "--format", "pdf"])
     names = [f"semi-indoor-{what}.png" for what in ("map", "models", "trajectories")]
     assert [path.name for path in sorted((tmp_path / "pictures").iterdir())] == names
+    names = [name.replace(".png", ".pdf") for name in names]
     assert [path.name for path in sorted((tmp_path / "rows").iterdir())] == ["rows.json", *names]
+    assert (tmp_path / "rows" / names[0]).read_bytes().startswith(b"%PDF")
     assert [path.name for path in (tmp_path / "alone").iterdir()] == ["rows.json"]
     assert str(tmp_path / "rows" / names[0]) in capsys.readouterr().out
 

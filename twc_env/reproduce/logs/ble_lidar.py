@@ -28,11 +28,11 @@ from twc_env.datasets.surveys.ble_drive import DRIVES, Drive, read_ble_drive
 from twc_env.datasets.surveys.ble_flat import read_flat
 from twc_env.records.geometry import compose, poses_along
 from twc_env.records.messages import SensorFrame
-from twc_env.reproduce.drawing import draw_grid, new_figure
+from twc_env.reproduce.drawing import draw_grid, new_figure, save_picture
 from twc_env.reproduce.logs.intel import place_frames
 from twc_env.reproduce.radio_places import flat
 from twc_env.reproduce.runner import Runner, add_some, data_folder
-from twc_env.running.command_line import count
+from twc_env.running.command_line import count, picture_options
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.matching.scan_matching import LineField, scan_points
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid
@@ -186,6 +186,5 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
             axes.plot(*path[:, :2].T, color="tab:blue", linewidth=0.8)
             low, top = ring.min(axis=0) - 1, ring.max(axis=0) + 1
             axes.set(xlim=(low[0], top[0]), ylim=(low[1], top[1]), title=f"{run}: {method}", xlabel="x [m]")
-        written.append(folder / f"ble-lidar-{run}.png")
-        figure.savefig(written[-1])
+        written.append(save_picture(figure, folder / f"ble-lidar-{run}", picture_options(options)))
     return written

@@ -37,9 +37,9 @@ from twc_env.datasets.logs.scan_log import (
 from twc_env.errors import ConfigError
 from twc_env.records.geometry import between, compose
 from twc_env.records.messages import SensorFrame
-from twc_env.reproduce.drawing import draw_grid, new_figure
+from twc_env.reproduce.drawing import draw_grid, new_figure, save_picture
 from twc_env.reproduce.runner import Runner, add_seeds, data_folder
-from twc_env.running.command_line import count
+from twc_env.running.command_line import count, picture_options
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.front_end.particle_filter import ParticleFilterSettings, map_frames
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid
@@ -182,6 +182,5 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
         near = poses[inside, :2]
         axes.set(xlim=(near[:, 0].min() - 6, near[:, 0].max() + 6), ylim=(near[:, 1].min() - 6, near[:, 1].max() + 6))
         axes.set(xlabel="x [m]", ylabel="y [m]", title=f"Intel Lab, {robots} robot(s)")
-        written.append(folder / f"intel-{robots}.png")
-        figure.savefig(written[-1])
+        written.append(save_picture(figure, folder / f"intel-{robots}", picture_options(options)))
     return written

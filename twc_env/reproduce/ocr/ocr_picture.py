@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twc_env.pictures.style import SIGNAL_MAP, TEAMS, save_figure, style
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.drawing import new_figure
 from twc_env.reproduce.ocr.ocr import held_out_texts, rates
@@ -29,14 +30,19 @@ SAMPLES = (
 DRAWS = 300
 
 
-def draw_table(path: Path) -> None:
-    """Write the picture: sample signs with their readings, then rates against height, incidence and blur."""
-    figure = new_figure(13.0, 7.2, dpi=110)
-    top, bottom = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.0, 1.7))[:, 0]
-    _draw_samples(top.subplots(2, 4))
-    _draw_rates(bottom.subplots(1, 3))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+def draw_table(path: Path, dpi: float | None = None) -> Path:
+    """Write the picture: sample signs with their readings, then rates against height, incidence and blur.
+
+    The suffix names the format; returns the path.
+    """
+    with style():
+        figure = new_figure(11.0, 6.6)
+        top, bottom = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.0, 1.6))[:, 0]
+        top.suptitle("Signs as a camera sees them, and what the OCR reads", fontsize=10)
+        bottom.suptitle("How often it reads rightly, by size, angle and blur of a sign", fontsize=10)
+        _draw_samples(top.subplots(2, 4))
+        _draw_rates(bottom.subplots(1, 3))
+    return save_figure(figure, path, dpi)
 
 
 def _draw_samples(axes) -> None:
@@ -45,7 +51,7 @@ def _draw_samples(axes) -> None:
         plate = draw_plate(random)
         (reading,) = read_signs([text], [plate], [view], random)
         axis.imshow(expose(picture(text, plate, view, random), random))
-        axis.set_title(f"{view.height_px:g} px: {f'“{reading}”' if reading else 'not read'}", fontsize=9)
+        axis.set_title(f"{view.height_px:g} px: {f'“{reading}”' if reading else 'not read'}")
         axis.axis("off")
 
 
@@ -56,15 +62,27 @@ def _draw_rates(axes) -> None:
     clear = np.array([[_rates(h, a, 0.0) for a in np.linspace(0.0, table.incidence_rad[-1], 12)] for h in heights])
     for axis, which, name in ((axes[0], 0, "read exactly"), (axes[1], 1, "mean similarity to the truth")):
         image = axis.pcolormesh(
-            heights, np.linspace(0.0, degrees[-1], 12), clear[:, :, which].T, vmin=0, vmax=1, shading="gouraud"
+            heights,
+            np.linspace(0.0, degrees[-1], 12),
+            clear[:, :, which].T,
+            vmin=0,
+            vmax=1,
+            shading="gouraud",
+            cmap=SIGNAL_MAP,
         )
         axis.set(xscale="log", xlabel="capital height [px]", ylabel="incidence [degrees]", title=name)
         axis.figure.colorbar(image, ax=axis)
-    for blur in (0.0, 0.2, 0.4, 0.55):
+    for blur, colour in zip((0.0, 0.2, 0.4, 0.55), TEAMS, strict=False):
         curve = [_rates(h, 0.0, blur)[1] for h in heights]
-        axes[2].plot(heights, curve, label=f"{blur:g}")
-    axes[2].set(xscale="log", xlabel="capital height [px]", title="mean similarity, head-on", ylim=(0, 1))
-    axes[2].legend(title="blur [capital heights]", loc=(0.51, 0.46), fontsize=8)
+        axes[2].plot(heights, curve, color=colour)
+        axes[2].annotate(
+            f"blur {blur:g}", (heights[-1], curve[-1]), (4, -9 if blur == 0.2 else 0), textcoords="offset points",
+            va="center", color=colour,
+        )  # fmt: skip
+    axes[2].set(xscale="log", xlabel="capital height [px]", ylabel="mean similarity", ylim=(0, 1))
+    axes[2].set(title="head-on, by blur in capital heights", xlim=(4.5, 62))
+    axes[2].grid(alpha=0.3)
+    axes[2].spines[["top", "right"]].set_visible(False)
     for axis in axes:
         axis.set_xticks([5, 7, 10, 15, 20, 40], ["5", "7", "10", "15", "20", "40"])
         axis.minorticks_off()

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.maps import load_map
+from twc_env.pictures.style import ROBOTS, fit_height, legend_below
 from twc_env.records.geometry import inverse, transform_points
 from twc_env.records.messages import GridMap
-from twc_env.reproduce.drawing import new_figure
+from twc_env.reproduce.drawing import Kind, new_figure, save_picture
 from twc_env.reproduce.radio.radio_methods import Outcome
 
-PATHS = {"odometry": "0.5", "lte": "tab:orange", "wifi": "tab:blue"}
+PATHS = {"odometry": ROBOTS[1], "lte": ROBOTS[2], "wifi": ROBOTS[0]}
 """Methods whose paths are drawn, and their colours; `lte` and `wifi` have models too."""
 LOG_ODDS_SCALE, LOG_ODDS_MAX = 10.0, 6.0
 DIGITS = 2
@@ -54,31 +55,34 @@ def _picture(grid: GridMap, start: Array) -> dict[str, Any]:
     return {**place, "cells": packed}
 
 
-def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> list[Path]:
-    """Write `NAME-models.png`, `NAME-trajectories.png` and `NAME-map.png`, if the walk (`content_of`) has the content.
+def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any], kind: Kind | None = None) -> list[Path]:
+    """Write pictures NAME-models, NAME-trajectories and NAME-map, if the walk (`content_of`) has the content.
 
     `twin` names the map. Returns the paths. Raises DataError without matplotlib.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     figures = {}
     if walk["models"]:
         figure = new_figure(8, 4, dpi=110)
         axes = figure.add_subplot()
-        for kind, model in walk["models"].items():
+        for cue, model in walk["models"].items():
             centre, mean, std = (np.array(model[key]) for key in ("centre", "mean_m", "std_m"))
-            axes.plot(centre, mean, color=PATHS[kind], label=kind)
-            axes.fill_between(centre, mean - std, mean + std, color=PATHS[kind], alpha=0.2, lw=0)
+            axes.plot(centre, mean, color=PATHS[cue], label=cue)
+            axes.fill_between(centre, mean - std, mean + std, color=PATHS[cue], alpha=0.2, lw=0)
         axes.set(xlabel="similarity", ylabel="distance [m], mean and deviation", title=name, ylim=(0, None))
         axes.legend()
         figures["models"] = figure
     if walk["paths"]:
-        figure = new_figure(10, 7, dpi=110)
+        figure = new_figure(9, 6, dpi=110)
         axes = figure.add_subplot()
-        axes.plot(*_walls_of(twin).T, color="0.75", lw=0.8)
+        walls_m = _walls_of(twin)
+        axes.plot(*walls_m.T, color="0.8", lw=0.8, label="walls")
         for method, path in walk["paths"].items():
-            axes.plot(*np.transpose(path), color=PATHS.get(method, "k"), lw=0.9, label=method)
-        axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=name)
-        axes.legend(loc="upper right")
+            axes.plot(*np.transpose(path), color=PATHS.get(method, "k"), lw=1.2, label=method)
+        axes.set(xlabel="x [m]", ylabel="y [m]", title=f"{name}: paths by method, and the building")
+        axes.set_aspect("equal", adjustable="datalim")
+        legend_below(figure, *axes.get_legend_handles_labels())
+        wide, high = np.ptp(np.concatenate([walls_m, *map(np.array, walk["paths"].values())]), axis=0)
+        fit_height(figure, axes, high / wide, 9.0)
         figures["trajectories"] = figure
     for method, picture in walk["maps"].items():
         figure = new_figure(10, 7, dpi=110)
@@ -92,10 +96,7 @@ def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any]) -> list[Pa
         axes.set(aspect="equal", xlabel="x from the start [m]", ylabel="y [m]", xlim=extent[:2], ylim=extent[2:])
         axes.set_title(f"{name}: occupancy map of {method} and, red, the true walls")
         figures["map"] = figure
-    paths = {what: folder / f"{name}-{what}.png" for what in figures}
-    for what, figure in figures.items():
-        figure.savefig(paths[what])
-    return list(paths.values())
+    return [save_picture(figure, folder / f"{name}-{what}", kind) for what, figure in figures.items()]
 
 
 def _walls_of(twin: str) -> Array:

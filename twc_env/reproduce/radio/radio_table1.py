@@ -27,7 +27,7 @@ from twc_env.reproduce.radio import radio_figures, radio_sweep
 from twc_env.reproduce.radio.radio_methods import METHODS, location_errors_m, means, outcomes
 from twc_env.reproduce.radio.radio_twins import PLACES
 from twc_env.reproduce.runner import Runner, add_seeds, add_some
-from twc_env.running.command_line import count, number
+from twc_env.running.command_line import count, number, picture_options
 
 CHOOSES = ("seeds", "places")
 SURVEY_PRINTED_S = 8619.2
@@ -67,8 +67,8 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
             runner.notes.append(
                 f"{name}, wifi: other scans of the walk are located to {error_m:.2f} m by its map, {way}"
             )
-        if options.out:
-            runner.notes += map(str, radio_figures.draw(options.out, name, PLACES[name].twin, found[0]["drawn"]))
+        if options.out and (kind := picture_options(options)):
+            runner.notes += map(str, radio_figures.draw(options.out, name, PLACES[name].twin, found[0]["drawn"], kind))
     _note_survey(runner, table)
     runner.notes.append("gmapping and wifi+lidar run semi-indoor only, as in print")
     runner.notes.append("settings were chosen on other walks: seeds 0 to 3 of all places, 100 to 105 semi-indoor")
@@ -83,7 +83,7 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
     return [
         path
         for name, (walk,) in first.items()
-        for path in radio_figures.draw(folder, name, PLACES[name].twin, walk["drawn"])
+        for path in radio_figures.draw(folder, name, PLACES[name].twin, walk["drawn"], picture_options(options))
     ]
 
 

@@ -33,6 +33,7 @@ from twc_env.reproduce.runner import Runner, add_seeds, add_some
 from twc_env.reproduce.twc.published import PRINT, over_known
 from twc_env.reproduce.twc.sign_pass_scores import COMBINED, METHODS, RECALL_LEVELS, TEXT, WIFI, score_all, score_some
 from twc_env.reproduce.twc.twc_scenes import AS_DRAWN, DEPARTMENTS, SCENES, scene_config, walk_scene
+from twc_env.running.command_line import picture_options
 from twc_env.slam.places.rssi_similarity import BY_DISTANCE, COSINES
 
 RSSI_MODES = (*BY_DISTANCE, *COSINES, "paper")
@@ -228,5 +229,5 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
     }
     path = folder / "twc-table1-curves.json"
     path.write_text(json.dumps({"recall": RECALL_LEVELS.tolist(), "precision": curves}, indent=2) + "\n")
-    figures = draw_figures(options.scenes, AS_DRAWN, options.seeds[0], runner, folder)
-    return [path, draw_curves(RECALL_LEVELS, curves, folder), *figures]
+    figures = draw_figures(options.scenes, AS_DRAWN, options.seeds[0], runner, folder, picture_options(options))
+    return [path, draw_curves(RECALL_LEVELS, curves, folder, picture_options(options)), *figures]

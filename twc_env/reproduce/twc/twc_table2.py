@@ -32,6 +32,7 @@ from twc_env import metrics
 from twc_env.config import EnvConfig, override, shared_config
 from twc_env.maps import load_map
 from twc_env.records.random_streams import random_stream
+from twc_env.reproduce.drawing import Kind
 from twc_env.reproduce.routes import Walk
 from twc_env.reproduce.runner import Runner, add_seeds, add_some
 from twc_env.reproduce.twc.offline_mapping import (
@@ -48,6 +49,7 @@ from twc_env.reproduce.twc.offline_mapping import (
 from twc_env.reproduce.twc.published import PRINT as PRINT_TABLE1
 from twc_env.reproduce.twc.published import over_known
 from twc_env.reproduce.twc.twc_scenes import SCENES, SIGNS, mixed_config, scene_config, walk_scene
+from twc_env.running.command_line import picture_options
 from twc_env.slam.team import TeamMapper
 
 CHOOSES = ("seeds", "scenes")
@@ -259,10 +261,12 @@ def reductions(baseline: Sequence[float], improved: Sequence[float]) -> tuple[fl
 
 def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
     """The paper's figures 4 to 6 for the first walk of each scene."""
-    return draw_figures(options.scenes, options.signs, options.seeds[0], runner, folder)
+    return draw_figures(options.scenes, options.signs, options.seeds[0], runner, folder, picture_options(options))
 
 
-def draw_figures(scenes: Sequence[str], signs: str, seed: int, runner: Runner, folder: Path) -> list[Path]:
+def draw_figures(
+    scenes: Sequence[str], signs: str, seed: int, runner: Runner, folder: Path, kind: Kind | None
+) -> list[Path]:
     """The paper's figures 4 to 6 for one walk of each scene."""
     from twc_env.reproduce.twc.twc_pictures import draw_scene
 
@@ -270,5 +274,5 @@ def draw_figures(scenes: Sequence[str], signs: str, seed: int, runner: Runner, f
     for scene in scenes:
         runner.say(f"drawing {scene} seed {seed}")
         walks = walk_scene(scene_config(scene), scene, signs, seed)
-        paths += draw_scene(scene, walks, maps_of(scene, walks), folder)
+        paths += draw_scene(scene, walks, maps_of(scene, walks), folder, kind)
     return paths

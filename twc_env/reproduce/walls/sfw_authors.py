@@ -26,11 +26,12 @@ from twc_env.datasets.surveys.sfw_authors import (
     read_lidar_map,
 )
 from twc_env.metrics.k_visibility import walls_crossed_in_raster
+from twc_env.reproduce.drawing import Kind
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.walls import sfw_scoring as scoring
 from twc_env.reproduce.walls.sfw_registration import Registration, register
 from twc_env.reproduce.walls.sfw_walks import WalkReadings
-from twc_env.running.command_line import add_folder
+from twc_env.running.command_line import add_folder, add_pictures, picture_options
 from twc_env.world.building.floor_cells import Cells
 
 AS_COVERED = "ours, as covered"
@@ -42,13 +43,16 @@ _GAP_CELLS = 5.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-authors`."""
     add_folder(parser, "--out", "runs/sfw-authors", "folder for pictures")
+    add_pictures(parser)
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per walk and method."""
     folder = data_folder() / "sfw_authors"
     walks = runner.each(
-        (1, 2), lambda routers: measure(routers, folder, options.out), lambda n: f"walk {n}, drawn in {options.out}"
+        (1, 2),
+        lambda routers: measure(routers, folder, options.out, picture_options(options)),
+        lambda n: f"walk {n}, drawn in {options.out}",
     )
     return [row for walk in walks for row in walk]
 
@@ -64,7 +68,7 @@ def remarks(table: list[dict]) -> list[str]:
     ]
 
 
-def measure(routers: int, folder: Path, out: Path | None) -> list[dict]:
+def measure(routers: int, folder: Path, out: Path | None, kind: Kind | None = None) -> list[dict]:
     """The rows of one walk."""
     laid = lay(folder, routers)
     walk, fit, cells, placed = laid.walk, laid.fit, laid.cells, laid.placed
@@ -81,7 +85,8 @@ def measure(routers: int, folder: Path, out: Path | None) -> list[dict]:
     experiment, accuracy, iou = _PRINTED[routers]
     if out is not None:
         scoring.draw_maps(
-            out / f"experiment-{experiment}.png",
+            out / f"experiment-{experiment}",
+            kind,
             f"authors' log, {('one router', 'two routers')[routers - 1]}",
             placed,
             cells,

@@ -19,10 +19,11 @@ import numpy as np
 
 from twc_env.datasets.surveys.ble_flat import read_ble_run, read_flat
 from twc_env.reproduce import radio_places as places
+from twc_env.reproduce.drawing import Kind
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.walls import sfw_scoring as scoring
 from twc_env.reproduce.walls.sfw_walks import WalkReadings
-from twc_env.running.command_line import add_folder
+from twc_env.running.command_line import add_folder, add_pictures, picture_options
 from twc_env.slam.walls.k_clusters import k_means, predict_walls, sliding_window
 from twc_env.slam.walls.k_visibility_signal import fit_identical_routers
 from twc_env.slam.walls.path_bins import bin_along_path
@@ -39,13 +40,16 @@ _TRUE_SIGNAL = (-50.7, 0.77, 6.0)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-ble`."""
     add_folder(parser, "--out", "runs/sfw-ble", "folder for pictures")
+    add_pictures(parser)
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per drive, k_max and method, over all transmitters."""
     folder = data_folder() / "wifi" / "ble_lidar"
     runs = runner.each(
-        RUNS, lambda run: measure(run, folder, options.out), lambda run: f"{run}, drawn in {options.out}"
+        RUNS,
+        lambda run: measure(run, folder, options.out, picture_options(options)),
+        lambda run: f"{run}, drawn in {options.out}",
     )
     table = []
     for name, run in zip(RUNS, runs, strict=True):
@@ -68,7 +72,7 @@ def remarks(table: list[dict]) -> list[str]:
     ]
 
 
-def measure(run: str, folder: Path, out: Path | None) -> dict:
+def measure(run: str, folder: Path, out: Path | None, kind: Kind | None = None) -> dict:
     """True and estimated k of every reading heard, by method and k_max."""
     survey = read_ble_run(folder, run.partition(",")[0])
     if run == TEST:
@@ -98,6 +102,6 @@ def measure(run: str, folder: Path, out: Path | None) -> dict:
         figures |= {f"{method} {k_max}": np.minimum(walls, k_max)[heard] for method, walls in found.items()}
     if out is not None:
         scoring.draw_maps(
-            out / f"{run}.png", f"flat, {run} (k of the strongest transmitter)", walk, cells, {"map": mapped}
+            out / run, kind, f"flat, {run} (k of the strongest transmitter)", walk, cells, {"map": mapped}
         )
     return figures

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,12 +19,13 @@ from twc_env.datasets.buildings.house_expo import read_house_expo
 from twc_env.errors import DataError, MapError
 from twc_env.metrics import path_length_m
 from twc_env.metrics.k_visibility import UNKNOWN, WALL, calibration_error, reliability
-from twc_env.reproduce.drawing import can_draw, new_figure
+from twc_env.pictures.style import style
+from twc_env.reproduce.drawing import Kind, new_figure, save_picture
 from twc_env.reproduce.radio_places import WALL_FACES
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.walls import sfw_scoring as scoring
 from twc_env.reproduce.walls.sfw_walks import read_walk, resampled, wall_following_route
-from twc_env.running.command_line import add_folder, count
+from twc_env.running.command_line import add_folder, add_pictures, count, picture_options
 from twc_env.world.building.floorplan import Floorplan
 
 CHOOSES = ("plans",)
@@ -39,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `reproduce sfw-houseexpo`."""
     parser.add_argument("--plans", type=count, default=30, help="number of plans, smallest files first")
     add_folder(parser, "--out", "runs/sfw-houseexpo", "folder for pictures")
+    add_pictures(parser)
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
@@ -62,7 +65,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     if cells and table:
         both = np.concatenate(cells)
         table[-1]["calibration_error"] = calibration_error(both[:, 0], both[:, 1] > 0.5)
-        draw_reliability(options.out / "reliability.png", both[:, 0], both[:, 1] > 0.5)
+        draw_reliability(options.out / "reliability", picture_options(options), both[:, 0], both[:, 1] > 0.5)
     return [row for run in runs for row in run["rows"]] + table
 
 
@@ -80,7 +83,7 @@ def measure(path: Path, options: argparse.Namespace) -> dict | None:
     walk = read_walk(plan, radio, route, seed=0, faces_per_wall=WALL_FACES)
     cells = plan.cells(scoring.RESOLUTION_M)
     maps = {"paper": scoring.by_paper(walk, cells), "ours": scoring.by_ours(walk, cells, seed=0)}
-    scoring.draw_maps(options.out / f"{path.stem[:8]}.png", path.stem, walk, cells, maps)
+    scoring.draw_maps(options.out / path.stem[:8], picture_options(options), path.stem, walk, cells, maps)
     ours = maps["ours"]
     told = np.isfinite(ours.probability) & (ours.truth != UNKNOWN)
     pairs = np.column_stack([ours.probability[told], ours.truth[told] == WALL]).round(3)
@@ -130,10 +133,14 @@ def _names(rows_: list[dict]) -> str:
     return ", ".join(row["plan"] for row in rows_) or "none"
 
 
-def draw_reliability(path: Path, probability: np.ndarray, is_wall: np.ndarray) -> None:
-    """Draw the share of walls among cells by probability. Does nothing without matplotlib."""
-    if not can_draw():
-        return
+def draw_reliability(place: Path, kind: Kind | None, probability: np.ndarray, is_wall: np.ndarray) -> None:
+    """Draw the share of walls among cells by probability. Does nothing without a kind."""
+    if kind is not None:
+        with style():
+            save_picture(_reliability_figure(probability, is_wall), place, kind)
+
+
+def _reliability_figure(probability: np.ndarray, is_wall: np.ndarray) -> Any:
     mean, share, count = reliability(probability, is_wall)
     figure = new_figure(5, 5)
     axes = figure.add_subplot()
@@ -144,5 +151,4 @@ def draw_reliability(path: Path, probability: np.ndarray, is_wall: np.ndarray) -
             axes.annotate(f"{n:,}", (x, y), fontsize=7)
     axes.set(xlabel="probability of a wall", ylabel="share that are walls", aspect="equal")
     axes.set_title(f"expected calibration error {calibration_error(probability, is_wall):.3f}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    return figure

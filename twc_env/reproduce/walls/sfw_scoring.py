@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -15,7 +16,8 @@ from twc_env.metrics.k_visibility import (
     truth_map,
     walls_crossed_map,
 )
-from twc_env.reproduce.drawing import can_draw, new_figure
+from twc_env.pictures.style import ROBOTS, legend_below, style
+from twc_env.reproduce.drawing import Kind, new_figure, save_picture
 from twc_env.reproduce.walls.sfw_walks import WalkReadings
 from twc_env.slam.walls import k_visibility_rules as published
 from twc_env.slam.walls.k_clusters import compensate_distance, k_means, predict_walls, silhouette_k, sliding_window
@@ -238,21 +240,32 @@ def _scores(k: Counted, classes: Array, probability: Array, truth: Array, struct
     return Mapped(k, score, error, classes, truth, probability, structure)
 
 
-def draw_maps(path: Path, title: str, walk: WalkReadings, cells: Cells, maps: dict[str, Mapped]) -> None:
-    """Draw the truth and the map of each method. Does nothing without matplotlib."""
-    if not can_draw():
-        return
+def draw_maps(
+    place: Path, kind: Kind | None, title: str, walk: WalkReadings, cells: Cells, maps: dict[str, Mapped]
+) -> None:
+    """Draw the truth and the map of each method. Does nothing without a kind."""
+    if kind is not None:
+        with style():
+            save_picture(_maps_figure(title, walk, cells, maps), place, kind)
+
+
+def _maps_figure(title: str, walk: WalkReadings, cells: Cells, maps: dict[str, Mapped]) -> Any:
     rows, columns = cells.free.shape
-    figure = new_figure(5.0 * (len(maps) + 1), 5.0 * rows / columns + 1.2)
-    figure.suptitle(f"{title} (walls black, floor white, unknown grey; green: the path, red: routers)")
-    axes = figure.subplots(1, len(maps) + 1)
+    across = 2 if columns > rows else 3
+    down = -(-(len(maps) + 1) // across)
+    figure = new_figure(5.0 * across, (5.0 * rows / columns + 0.6) * down + 0.6, dpi=130)
+    figure.suptitle(f"{title}: walls black, floor white, unknown grey")
+    panels = figure.subplots(down, across, squeeze=False)
+    axes = panels.ravel()
+    for axis in axes[len(maps) + 1 :]:
+        axis.set_visible(False)
     x0, y0 = cells.origin_m
     extent = (x0, x0 + columns * cells.resolution_m, y0, y0 + rows * cells.resolution_m)
     shown = {"truth": next(iter(maps.values())).truth, **{name: made.classes for name, made in maps.items()}}
-    for axis, (name, image) in zip(axes, shown.items(), strict=True):
+    for axis, (name, image) in zip(axes, shown.items(), strict=False):
         axis.imshow(image, origin="lower", extent=extent, cmap="gray", vmin=0, vmax=255)
-        axis.plot(*walk.position_m.T, color="tab:green", linewidth=0.4)
-        axis.plot(*walk.router_m.T, "r^", markersize=5)
+        axis.plot(*walk.position_m.T, color=ROBOTS[0], linewidth=0.6, label="path")
+        axis.plot(*walk.router_m.T, "^", color=ROBOTS[1], markersize=6, label="router")
         if name in maps:
             score = maps[name].score
             name += (
@@ -260,8 +273,11 @@ def draw_maps(path: Path, title: str, walk: WalkReadings, cells: Cells, maps: di
                 f"coverage {score.coverage:.2f}"
             )
         axis.set_title(name, fontsize=9)
-        axis.set_xlabel("x [m]")
         axis.set_aspect("equal")
-    axes[0].set_ylabel("y [m]")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    for axis in panels[:, 0]:
+        axis.set_ylabel("y [m]")
+    for k, axis in enumerate(axes[: len(maps) + 1]):
+        if k + across > len(maps):
+            axis.set_xlabel("x [m]")
+    legend_below(figure, *axes[0].get_legend_handles_labels())
+    return figure

@@ -24,12 +24,13 @@ import numpy as np
 from twc_env.config import radio_preset
 from twc_env.maps import load_map
 from twc_env.metrics import path_length_m
+from twc_env.reproduce.drawing import Kind
 from twc_env.reproduce.runner import Runner, add_seeds, add_some
 from twc_env.reproduce.walls import sfw_scoring as scoring
 from twc_env.reproduce.walls.sfw_flats import flat
 from twc_env.reproduce.walls.sfw_slam import slam_walk
 from twc_env.reproduce.walls.sfw_walks import read_walk, resampled, wall_following_route
-from twc_env.running.command_line import add_folder, natural
+from twc_env.running.command_line import add_folder, add_pictures, natural, picture_options
 from twc_env.slam.walls.radio_structure import update_reading
 from twc_env.world.building.floorplan import Floorplan
 
@@ -56,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--flats", type=natural, default=0, metavar="N", help="use N generated flats instead of the six plans"
     )
     add_folder(parser, "--out", "runs/sfw-table1", "pictures")
+    add_pictures(parser)
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
@@ -70,7 +72,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
     runs = runner.each(
         parts,
-        lambda part: measure(part[0], part[1], drawn_in(part)),
+        lambda part: measure(part[0], part[1], drawn_in(part), picture_options(options)),
         lambda part: f"experiment {part[0]} seed {part[1]}" + (f", drawn in {options.out}" if drawn_in(part) else ""),
     )
     table = []
@@ -89,7 +91,7 @@ def _flat_rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     parts = [(number, routers) for routers in (1, 2) for number in range(options.flats)]
     runs = runner.each(
         parts,
-        lambda part: measure_flat(part[0], part[1], options.out),
+        lambda part: measure_flat(part[0], part[1], options.out, picture_options(options)),
         lambda part: f"flat {part[0]}, {part[1]} router(s), drawn in {options.out}",
     )
     table = []
@@ -144,21 +146,21 @@ def remarks(table: list[dict]) -> list[str]:
     return missed + (why if any("k_accuracy" in text for text in missed) else []) + paper + below
 
 
-def measure(experiment: int, seed: int, out: Path | None) -> dict:
+def measure(experiment: int, seed: int, out: Path | None, kind: Kind | None = None) -> dict:
     """All methods on one walk of an experiment: {method: figures}."""
-    picture = None if out is None else out / f"experiment-{experiment}.png"
-    return _measured(load_map(f"sfw-e{experiment}"), POINTS[experiment], seed, picture)
+    picture = None if out is None else out / f"experiment-{experiment}"
+    return _measured(load_map(f"sfw-e{experiment}"), POINTS[experiment], seed, picture, kind)
 
 
-def measure_flat(number: int, routers: int, out: Path) -> dict:
+def measure_flat(number: int, routers: int, out: Path, kind: Kind | None = None) -> dict:
     """All methods on one generated flat: {method: figures}, and the number of readings under `points`."""
     plan = flat(number, routers)
     points = round(_READINGS_PER_M * path_length_m(wall_following_route(plan)))
-    picture = out / f"{plan.name}-{routers}.png"
-    return {"points": points, **_measured(plan, points, _FLAT_NOISE_SEED + number, picture)}
+    picture = out / f"{plan.name}-{routers}"
+    return {"points": points, **_measured(plan, points, _FLAT_NOISE_SEED + number, picture, kind)}
 
 
-def _measured(plan: Floorplan, points: int, seed: int, picture: Path | None) -> dict:
+def _measured(plan: Floorplan, points: int, seed: int, picture: Path | None, kind: Kind | None) -> dict:
     route = wall_following_route(plan)
     walk = read_walk(plan, radio_preset("sfw"), resampled(route, points), seed)
     cells = plan.cells(scoring.RESOLUTION_M)
@@ -171,7 +173,7 @@ def _measured(plan: Floorplan, points: int, seed: int, picture: Path | None) -> 
     driven = dataclasses.replace(read_walk(plan, radio_preset("sfw"), true_m, seed), position_m=believed_m)
     maps[WITH_SLAM] = scoring.by_ours(driven, cells, seed)
     if picture is not None:
-        scoring.draw_maps(picture, picture.stem, walk, cells, {name: maps[name] for name in DRAWN})
+        scoring.draw_maps(picture, kind, picture.name, walk, cells, {name: maps[name] for name in DRAWN})
     maps[scoring.BY_SILHOUETTE] = scoring.by_paper(walk, cells, k_by_silhouette=True)
     maps[scoring.ALGORITHM_1] = scoring.by_algorithm_1(walk, cells)
     maps[scoring.DENSE] = scoring.by_dense_inverse(walk, cells)
