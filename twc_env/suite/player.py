@@ -78,6 +78,7 @@ def play(entry: Entry) -> dict[str, Any]:
         "is_covered": is_covered,
         "ate_m": round(figures["team_ate_m"], DIGITS),
         "path_m": round(figures["path_length_m"], 3),
+        "stuck_share": round(figures["commanded_stuck_share"], DIGITS),
         **{key: figures[key] for key in taken},
     }
 
