@@ -24,7 +24,8 @@ def values_of(level: float, number: int, **changes) -> dict:
     return {
         "period_s": 1.0, "coverage": [level + 0.01 * number] * 50, "merged_s": 10.0 + number, "is_covered": False,
         "ate_m": 0.02 * (number + 1), "path_m": 100.0, "steps": 500, "sim_time_s": 50.0, "merged_robots": 3,
-        "wrong_merges": number, "bytes_sent": 2_000_000, "collisions": 1, **changes,
+        "wrong_merges": number, "bytes_sent": 2_000_000, "collisions": 1,
+        "stuck_share": 0.02, **changes,
     }  # fmt: skip
 
 

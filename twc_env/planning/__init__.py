@@ -3,7 +3,9 @@
 from twc_env.planning.candidates import Candidates, find_candidates
 from twc_env.planning.covering_walk import WalkGraph, covering_walk, walk_graph
 from twc_env.planning.driver import Driver
+from twc_env.planning.floor_views import FloorViews, place_graph
 from twc_env.planning.follow import Follower, as_action, drive_to, room_around_m
+from twc_env.planning.latency_tours import LatencyTours, TeamState
 from twc_env.planning.moving_obstacles import MovingObstacles
 from twc_env.planning.path_finder import Disc, PathFinder, Plan
 from twc_env.planning.terrain import FREE, UNKNOWN, WALL, Terrain, is_frontier, path_is_blocked
@@ -16,11 +18,14 @@ __all__ = [
     "Candidates",
     "Disc",
     "Driver",
+    "FloorViews",
     "Follower",
+    "LatencyTours",
     "MovingObstacles",
     "PathFinder",
     "Plan",
     "RandomTree",
+    "TeamState",
     "Terrain",
     "ViewGain",
     "WalkGraph",
@@ -30,6 +35,7 @@ __all__ = [
     "find_candidates",
     "is_frontier",
     "path_is_blocked",
+    "place_graph",
     "room_around_m",
     "walk_graph",
 ]

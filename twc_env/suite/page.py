@@ -26,6 +26,7 @@ DEFINITIONS = {
     "times": "medians of simulated time: until all robots share one correct map, and until 50, 90 and 99 % of the "
     "floor are mapped correctly; - if half of the teams never get there",
     "ATE, sent, path, collisions": "means over buildings, of the whole team",
+    "stuck": "share of the time in which a robot that was told to move stayed in place",
 }
 
 

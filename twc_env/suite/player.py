@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from twc_env.exploration.assessment.evaluation import EpisodeResult
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.records.class_file import digest_of, is_in_file
 from twc_env.running.finished_parts import code_digest
@@ -66,9 +67,12 @@ def play(entry: Entry) -> dict[str, Any]:
 
     observations, _ = env.reset(seed=entry.number)
     env.watch(note)
+    commands = []
     while env.agents and (actions := acts(observations)) is not None:
+        commands.append(actions)
         observations = env.step(actions)[0]
-    figures, is_covered = env.result().figures, env.episode.is_covered
+    result, is_covered = env.result(), env.episode.is_covered
+    figures = result.figures
     env.close()
     taken = "steps", "sim_time_s", "merged_robots", "wrong_merges", "bytes_sent", "collisions"
     return {
@@ -78,8 +82,19 @@ def play(entry: Entry) -> dict[str, Any]:
         "is_covered": is_covered,
         "ate_m": round(figures["team_ate_m"], DIGITS),
         "path_m": round(figures["path_length_m"], 3),
+        "stuck_share": round(_stuck_share(result, commands, env.possible_agents), DIGITS),
         **{key: figures[key] for key in taken},
     }
+
+
+def _stuck_share(result: EpisodeResult, actions: Sequence[dict[str, Any]], agents: Sequence[str]) -> float:
+    """`commanded_stuck_share`; of robots whose actions are goals, also while they wait."""
+    from twc_env.agents.explore import commanded, commanded_stuck_share
+
+    is_driven = result.config.action.kind == "velocity"
+    steps = len(actions) if is_driven else len(result.true_poses) - 1
+    commands = [commanded(each, agents) for each in actions] if is_driven else [[True] * len(agents)] * steps
+    return commanded_stuck_share(result, commands)
 
 
 def drive(env: ExplorationEnv, team: str, seed: int) -> None:

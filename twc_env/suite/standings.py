@@ -53,6 +53,8 @@ class Row:
     """Mean, of the whole team, as the next two."""
     path_m: float
     collisions: float
+    stuck_share: float
+    """Mean share of the time in which a robot that was told to move stayed in place (`commanded_stuck_share`)."""
     to_50_s: float
     """Median time until this share of the floor was mapped correctly."""
     to_90_s: float
@@ -118,7 +120,7 @@ class _Episodes:
             merged_s=float(np.median([math.inf if each["merged_s"] is None else each["merged_s"]
                                       for each in self.values])),
             ate_m=self.mean("ate_m"), bytes_sent=self.mean("bytes_sent"), path_m=self.mean("path_m"),
-            collisions=self.mean("collisions"),
+            collisions=self.mean("collisions"), stuck_share=self.mean("stuck_share"),
             **{f"to_{share * 100:.0f}_s": float(np.median(self.times_to(share))) for share in SHARES},
             ended_share=self.mean("is_covered"),
         )  # fmt: skip
@@ -209,7 +211,16 @@ def _overall(
         own = [played[task, team].row(task, team, scores[task, team], math.nan, "") for task in tasks]
         low, high = team_scores.iqm_interval(strata[team])
         improvement, over = _improvement(strata, team)
-        averaged = ("coverage_mean", "coverage_end", "ate_m", "bytes_sent", "path_m", "collisions", "ended_share")
+        averaged = (
+            "coverage_mean",
+            "coverage_end",
+            "ate_m",
+            "bytes_sent",
+            "path_m",
+            "collisions",
+            "stuck_share",
+            "ended_share",
+        )
         rows.append(
             Row(
                 task=ALL,

@@ -42,6 +42,7 @@ COLUMNS: tuple[tuple[str, str, Callable[[Row], str]], ...] = (
     ("sent [MB]", "MB", lambda row: _plain(".2f", 1e-6)(row.bytes_sent)),
     ("path [m]", "path m", lambda row: _plain(".0f")(row.path_m)),
     ("collisions", "coll.", lambda row: _plain(".1f")(row.collisions)),
+    ("stuck [%]", "stuck %", lambda row: f"{100 * row.stuck_share:.1f}"),
     ("to 50 % [s]", "50 % s", lambda row: _plain(".0f")(row.to_50_s)),
     ("to 90 % [s]", "90 % s", lambda row: _plain(".0f")(row.to_90_s)),
     ("to 99 % [s]", "99 % s", lambda row: _plain(".0f")(row.to_99_s)),

@@ -1,0 +1,91 @@
+"""Tours that show the floor of a known plan early, and what is in view from its places."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twc_env.planning import FloorViews, LatencyTours, TeamState, Terrain, place_graph
+from twc_env.records.messages import GridMap
+
+ROOMS = 4
+
+
+@pytest.fixture(scope="module")
+def views() -> FloorViews:
+    """Four rooms of 6 x 5 m in a row, each with a door of 1 m to the next."""
+    levels = np.ones((54, 60 * ROOMS + 4), np.int16)
+    for room in range(ROOMS):
+        levels[2:52, 60 * room + 2 : 60 * room + 60] = -1
+    levels[22:32, 2:-2] = -1
+    terrain = Terrain(GridMap(levels, np.zeros(2), 0.1), 0.2)
+    graph = place_graph(terrain, np.array([3.0, 2.5]), 1.2)
+    return FloorViews.of(terrain, graph, 5.0, 2.5)
+
+
+def _team(views: FloorViews, *starts_m: tuple[float, float], common_min: int = 4, links=None):
+    state = TeamState.begin(len(starts_m), views)
+    for robot, start_m in enumerate(starts_m):
+        state.pass_place(robot, int(np.argmin(np.hypot(*(views.graph.places_m - start_m).T))), views)
+    return state, LatencyTours(views, np.ones(len(starts_m)), common_min, links)
+
+
+def test_ways_pass_doors_and_are_nearly_the_shortest(views):
+    places_m = views.graph.places_m
+    first, last = (int(np.argmin(np.hypot(*(places_m - at).T))) for at in ((1.0, 2.7), (23.0, 2.7)))
+    apart_m = np.hypot(*(places_m[first] - places_m[last]))
+    assert apart_m - 1e-9 <= views.graph.lengths_m[first, last] < 1.1 * apart_m
+    assert np.isfinite(views.graph.lengths_m).all()
+
+
+def test_walls_hide_floor(views):
+    place = int(np.argmin(np.hypot(*(views.graph.places_m - (3.0, 4.5)).T)))
+    seen_m = views.cells_m[views.is_seen(place)]
+    assert len(seen_m) > 100
+    assert seen_m[:, 0].max() < 8.0  # its own room, and a little through the door
+    words = views.as_words(views.is_seen(place))
+    assert sum(int(word).bit_count() for word in words) == len(seen_m)
+
+
+def test_tours_show_all_floor_and_changes_make_them_better(views):
+    state, greedy = _team(views, (3.0, 2.5), (21.0, 2.5))
+    _, better = _team(views, (3.0, 2.5), (21.0, 2.5))
+    unchanged = greedy.plan(state, 120.0, 0, np.random.default_rng(0))
+    improved = better.plan(state, 120.0, 1000, np.random.default_rng(0))
+    assert len(views.bits) > improved > unchanged > 0.5 * len(views.bits)
+    assert improved == pytest.approx(better.value(state, 120.0))
+
+
+def test_robots_without_a_common_map_meet(views):
+    """Floor counts in the largest map only, so merging maps is worth it, and having merged them too."""
+    state, apart = _team(views, (3.0, 2.5), (21.0, 2.5), common_min=10_000)
+    _, meeting = _team(views, (3.0, 2.5), (21.0, 2.5))
+    never = apart.plan(state, 120.0, 300, np.random.default_rng(0))
+    assert meeting.plan(state, 120.0, 300, np.random.default_rng(0)) > never
+    state.is_merged[:] = True
+    state.seen[:] = state.seen[0] | state.seen[1]
+    _, together = _team(views, (3.0, 2.5), (21.0, 2.5))
+    assert together.plan(state, 120.0, 300, np.random.default_rng(0)) >= meeting.value(state, 120.0) - 1.0
+
+
+def test_with_a_mapper_each_maps_are_passed_on_in_range_only(views):
+    state, _ = _team(views, (3.0, 2.5), (9.0, 2.5))
+    state.is_merged[:] = True
+    places = len(views.graph.places_m)
+    values = []
+    for links in (np.ones((places, places), bool), np.eye(places, dtype=bool)):
+        _, tours = _team(views, (3.0, 2.5), (9.0, 2.5), links=links)
+        tours.tours[:, 0] = [
+            int(np.argmin(np.hypot(*(views.graph.places_m - at).T))) for at in ((1.0, 1.0), (21.0, 2.5))
+        ]
+        values.append(tours.value(state, 60.0))
+    assert values[0] > values[1]
+
+
+def test_the_same_seed_gives_the_same_tours(views):
+    found = []
+    for _ in range(2):
+        state, tours = _team(views, (3.0, 2.5), (21.0, 2.5))
+        tours.plan(state, 120.0, 200, np.random.default_rng(3))
+        found.append(tours.tours)
+    assert np.array_equal(*found)

@@ -1,0 +1,200 @@
+"""Places on the floor of a plan, the ways between them, and what is in view from each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.kernels.compiled import kernel
+from twc_env.planning.covering_walk import WalkGraph
+from twc_env.planning.terrain import FREE, Terrain
+
+CELL = 4
+"""Cells of the terrain along a cell of the floor; 8 x 8 of these are the bits of a word."""
+BEAMS = 180
+NEIGHBOUR_COUNT = 30
+"""Nearest places of each that `WalkGraph.near` names."""
+STRAIGHT, DIAGONAL = 5, 7
+"""Lengths of steps between cells."""
+
+
+def place_graph(terrain: Terrain, start_m: Array, spacing_m: float) -> WalkGraph:
+    """The graph of all floor that is connected to start_m (2,): about one place per square of side `spacing_m`.
+
+    Each cell belongs to the place that is nearest by its way, and places are neighbours whose cells touch, so that no
+    door is missed: the ways are at most a few percent longer than the shortest ones.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+
+    stride = max(2, round(spacing_m / terrain.resolution_m))
+    cells = _widest_cells(terrain.cost, stride)
+    owner, length = np.full(terrain.cost.shape, -1, np.int32), np.full(terrain.cost.shape, 2**30, np.int32)
+    _spread_from_all(terrain.cost, cells, owner, length)
+    edges: dict[tuple[int, int], int] = {}
+    for axis in (0, 1):
+        low, high = (slice(None, -1), slice(None)), (slice(1, None), slice(None))
+        a, b = (low, high) if axis == 0 else (low[::-1], high[::-1])
+        touching = (owner[a] != owner[b]) & (owner[a] >= 0) & (owner[b] >= 0)
+        ways = (length[a] + length[b] + STRAIGHT)[touching]
+        first, second = owner[a][touching], owner[b][touching]
+        for u, v, way in zip(np.minimum(first, second), np.maximum(first, second), ways, strict=True):
+            edges[u, v] = min(edges.get((u, v), 2**30), int(way))
+    pairs = np.array(list(edges), np.int32).reshape(-1, 2)
+    ways_m = np.array(list(edges.values()), float) * terrain.resolution_m / STRAIGHT
+    graph = coo_array((ways_m, tuple(pairs.T)), shape=(len(cells), len(cells))).tocsr()
+    places_m = terrain.to_metres(cells + 0.5)
+    first = int(np.argmin(np.hypot(*(places_m - start_m).T)))
+    kept = np.flatnonzero(np.isfinite(dijkstra(graph, directed=False, indices=first)))
+    lengths_m, via = dijkstra(graph[kept][:, kept], directed=False, return_predecessors=True)
+    near = np.argsort(lengths_m, axis=1, kind="stable")[:, 1 : NEIGHBOUR_COUNT + 1]
+    return WalkGraph(places_m[kept], lengths_m, via.astype(np.int32), near.astype(np.int32))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FloorViews:
+    """Which parts of the floor are in view from each place of a graph."""
+
+    graph: WalkGraph
+    cells_m: Array
+    """(cells, 2) centres of the cells of the floor."""
+    bits: Array
+    """(cells,) the bit of each: 64 times its word, plus its number there."""
+    words: int
+    seen_words: Array
+    """(places, k) int32: words in which cells are in view from each place, -1 for none ..."""
+    seen_bits: Array
+    """... and these cells, uint64."""
+    trail: Array
+    """(places, k) int32: places so near to each that robots at both can match their scans, itself first; -1: none."""
+
+    @classmethod
+    def of(cls, terrain: Terrain, graph: WalkGraph, range_m: float, trail_m: float) -> FloorViews:
+        """All views of a range [m] on a terrain without unknown floor."""
+        is_floor = terrain.kind[CELL // 2 :: CELL, CELL // 2 :: CELL] == FREE
+        rows, columns = np.nonzero(is_floor)
+        across = -(-is_floor.shape[1] // 8)
+        words = across * -(-is_floor.shape[0] // 8)
+        bits = 64 * (rows // 8 * across + columns // 8) + rows % 8 * 8 + columns % 8
+        places = np.ascontiguousarray(terrain.to_cells(graph.places_m), float)
+        reach = range_m / terrain.resolution_m
+        most = (math.ceil(2 * reach / (8 * CELL)) + 1) ** 2
+        seen_words = np.full((len(places), most), -1, np.int32)
+        seen_bits = np.zeros((len(places), most), np.uint64)
+        _find_views(terrain.kind, is_floor, places, reach, BEAMS, across, words, seen_words, seen_bits)
+        is_near = (graph.lengths_m < 2 * trail_m) & (
+            np.hypot(*(graph.places_m[:, None] - graph.places_m).transpose(2, 0, 1)) < trail_m
+        )
+        np.fill_diagonal(is_near, False)
+        trail = np.full((len(places), 1 + int(is_near.sum(axis=1).max(initial=0))), -1, np.int32)
+        trail[:, 0] = np.arange(len(places))
+        for place, near in enumerate(is_near):
+            trail[place, 1 : 1 + near.sum()] = np.flatnonzero(near)
+        cells_m = terrain.to_metres(np.column_stack([rows, columns]) * CELL + CELL // 2 + 0.5)
+        return cls(graph, cells_m, bits, words, seen_words, seen_bits, trail)
+
+    def is_seen(self, place: int) -> Array:
+        """(cells,) bool: which cells are in view from a place."""
+        view = np.zeros(self.words, np.uint64)
+        used = self.seen_words[place] >= 0
+        view[self.seen_words[place, used]] = self.seen_bits[place, used]
+        found: Array = (view[self.bits // 64] >> (self.bits % 64).astype(np.uint64)) & np.uint64(1) > 0
+        return found
+
+    def as_words(self, is_in: Array) -> Array:
+        """(words,) uint64 of the cells for which is_in (cells,) holds."""
+        found = np.zeros(self.words, np.uint64)
+        bits = self.bits[is_in]
+        np.bitwise_or.at(found, bits // 64, np.uint64(1) << (bits % 64).astype(np.uint64))
+        return found
+
+
+@kernel
+def _widest_cells(cost, stride):
+    """(k, 2) one open cell per square of side `stride`: the one with the most room, the most central of those."""
+    height, width = cost.shape
+    found = np.empty(((height // stride + 1) * (width // stride + 1), 2), np.int64)
+    count = 0
+    for top in range(0, height, stride):
+        for left in range(0, width, stride):
+            best, least, nearest = -1, 2**30, 1e18
+            for r in range(top, min(top + stride, height)):
+                for c in range(left, min(left + stride, width)):
+                    away = (r - top - 0.5 * stride) ** 2 + (c - left - 0.5 * stride) ** 2
+                    if cost[r, c] > 0 and (cost[r, c] < least or (cost[r, c] == least and away < nearest)):
+                        best, least, nearest = r * width + c, cost[r, c], away
+            if best >= 0:
+                found[count, 0], found[count, 1] = best // width, best % width
+                count += 1
+    return found[:count]
+
+
+@kernel
+def _spread_from_all(cost, cells, owner, length):
+    """Fill owner and length (h, w) with the nearest of cells (k, 2) over open cells, and the length of the way to it.
+
+    Dijkstra's algorithm with buckets; cost has a closed border.
+    """
+    width = cost.shape[1]
+    flat, whose, far = cost.reshape(-1), owner.reshape(-1), length.reshape(-1)
+    head = np.full(DIAGONAL + 1, -1, np.int64)
+    entry, following = np.empty(8 * flat.shape[0], np.int64), np.empty(8 * flat.shape[0], np.int64)
+    count = 0
+    for k in range(cells.shape[0]):
+        cell = cells[k, 0] * width + cells[k, 1]
+        whose[cell], far[cell] = k, 0
+        entry[count], following[count], head[0] = cell, head[0], count
+        count += 1
+    steps = np.array([1, -1, width, -width, width + 1, width - 1, -width + 1, -width - 1], np.int64)
+    now, empty = 0, 0
+    while empty <= DIAGONAL:
+        bucket = now % (DIAGONAL + 1)
+        if head[bucket] < 0:
+            now, empty = now + 1, empty + 1
+            continue
+        empty = 0
+        cell = entry[head[bucket]]
+        head[bucket] = following[head[bucket]]
+        if far[cell] != now:
+            continue
+        for k in range(8):
+            neighbour = cell + steps[k]
+            if flat[neighbour] == 0:
+                continue
+            if k >= 4:  # a diagonal step needs both adjacent cells open
+                down = cell + (width if k < 6 else -width)
+                if flat[down] == 0 or flat[neighbour - (down - cell)] == 0:
+                    continue
+            way = now + (STRAIGHT if k < 4 else DIAGONAL)
+            if way < far[neighbour]:
+                far[neighbour], whose[neighbour] = way, whose[cell]
+                at = way % (DIAGONAL + 1)
+                entry[count], following[count], head[at] = neighbour, head[at], count
+                count += 1
+
+
+@kernel
+def _find_views(kind, is_floor, places, reach, beams, across, words, seen_words, seen_bits):
+    """Fill seen_words, seen_bits (places, k) with the cells of the floor on rays that end at whatever is not free."""
+    height, width = kind.shape
+    view = np.zeros(words, np.uint64)
+    for i in range(places.shape[0]):
+        view[:] = 0
+        for b in range(beams):
+            angle = 2.0 * math.pi * b / beams
+            dr, dc = math.sin(angle), math.cos(angle)
+            for k in range(int(reach) + 1):
+                r, c = math.floor(places[i, 0] + k * dr), math.floor(places[i, 1] + k * dc)
+                if r < 0 or c < 0 or r >= height or c >= width or kind[r, c] != FREE:
+                    break
+                r, c = r // CELL, c // CELL
+                if r < is_floor.shape[0] and c < is_floor.shape[1] and is_floor[r, c]:
+                    view[r // 8 * across + c // 8] |= np.uint64(1) << np.uint64(r % 8 * 8 + c % 8)
+        found = 0
+        for w in range(words):
+            if view[w] != 0 and found < seen_words.shape[1]:
+                seen_words[i, found], seen_bits[i, found] = w, view[w]
+                found += 1

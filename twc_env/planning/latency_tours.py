@@ -1,0 +1,406 @@
+"""Tours of several robots over a known plan that show its floor early, with meetings after which floor counts.
+
+Minimising the sum of the times at which each part of the floor is first seen is the travelling repairman problem
+(Afrati et al., "The complexity of the travelling repairman problem", RAIRO 20, 1986), here with several robots, views
+that overlap, and views on the way. Floor counts for the team only in its largest common map: two robots share a map
+once one has passed enough places where the other has been. Tours are built greedily, by the gain of a view for its way
+(Gonzalez-Banos and Latombe 2002), from several first meetings; the best is improved by moving, reversing and exchanging
+parts (Or-opt and 2-opt: Or 1976; Croes 1958), each judged by playing the tours.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray as Array
+
+from twc_env.kernels.compiled import kernel
+from twc_env.planning.floor_views import FloorViews
+
+STOPS_MAX = 64
+"""Most stops of a tour."""
+OTHERS_WEIGHT = 0.1
+"""What floor is worth that is only in other maps than the largest, against floor in that."""
+GAIN_MIN_CELLS = 6
+"""A stop shows at least so many cells."""
+LINK_PERIOD_S = 2.0
+"""Robots with a mapper each pass on their maps at most this often."""
+
+
+@dataclass(slots=True, eq=False)
+class TeamState:
+    """Where a team is and what it has done."""
+
+    places: Array
+    """(robots,) int64: the place of each robot."""
+    seen: Array
+    """(robots, words) uint64: floor in the map of each robot; robots with a common map have the same."""
+    is_merged: Array
+    """(robots, robots) bool: which share a map."""
+    was_at: Array
+    """(robots, places) bool: where each robot has been ..."""
+    trails: Array
+    """(robots, places) bool: ... and the places near to those."""
+    common: Array
+    """(robots, robots) int64: places that one of a pair passed where the other had been."""
+
+    @classmethod
+    def begin(cls, robots: int, views: FloorViews) -> TeamState:
+        """Nobody has been anywhere."""
+        places = len(views.graph.places_m)
+        return cls(
+            np.zeros(robots, np.int64), np.zeros((robots, views.words), np.uint64), np.eye(robots, dtype=bool),
+            np.zeros((robots, places), bool), np.zeros((robots, places), bool), np.zeros((robots, robots), np.int64),
+        )  # fmt: skip
+
+    def arrays(self) -> tuple[Array, ...]:
+        """For kernels."""
+        return self.places, self.seen, self.is_merged, self.was_at, self.trails, self.common
+
+    def pass_place(self, robot: int, place: int, views: FloorViews) -> None:
+        """Note that a robot is at a place."""
+        self.places[robot] = place
+        _pass(robot, place, self.was_at, self.trails, self.common, views.trail)
+
+
+@dataclass(slots=True, eq=False)
+class LatencyTours:
+    """Plans the tours of a team."""
+
+    views: FloorViews
+    speeds_m_s: Array
+    """(robots,) mean speed of each."""
+    common_min: int
+    """Robots merge their maps after so many common places."""
+    links: Array | None = None
+    """(places, places) bool: whether robots at two places hear each other; None: all maps are made by a central mapper
+    that hears everyone."""
+    meetings_max: int = 24
+    """Most places that are tried for a first meeting."""
+    tours: Array = field(init=False)
+    """(robots, `STOPS_MAX`) int64: the stops of each robot, in their order; -1 after the last."""
+
+    def __post_init__(self) -> None:
+        self.tours = np.full((len(self.speeds_m_s), STOPS_MAX), -1, np.int64)
+
+    def plan(self, state: TeamState, horizon_s: float, tries: int, random: np.random.Generator) -> float:
+        """Improve the tours from here on; returns the mean number of cells that count over the horizon.
+
+        tries: how many changes are judged.
+        """
+        fixed = self._fixed(horizon_s)
+        robots, places = state.was_at.shape
+        starts = [self.tours.copy()]
+        starts += [np.full_like(self.tours, -1) for _ in range(2)]
+        if not state.is_merged.all() or self.links is not None:
+            for place in random.choice(places, min(self.meetings_max, places), replace=False):
+                starts.append(np.full_like(self.tours, -1))
+                starts[-1][:, 0] = place
+            for robot in range(robots):  # all others drive to it, or to where they find its trail
+                starts.append(np.full_like(self.tours, -1))
+                starts[-1][np.arange(robots) != robot, 0] = state.places[robot]
+        best, best_value = self.tours, -1.0
+        for k, start in enumerate(starts):
+            _fill(start, 0.1 if k % 2 else 0.25, state.arrays(), fixed)
+            value = _value(start, state.arrays(), fixed)
+            if value > best_value:
+                best, best_value = start, value
+        self.tours = best
+        if tries and places > 1:
+            best_value = _improve(self.tours, state.arrays(), fixed, self.views.graph.near, random.random((tries, 6)))
+        return float(best_value / max(horizon_s, 1e-9))
+
+    def value(self, state: TeamState, horizon_s: float) -> float:
+        """The mean number of cells that count over the horizon, if the team drives these tours."""
+        return float(_value(self.tours, state.arrays(), self._fixed(horizon_s)) / max(horizon_s, 1e-9))
+
+    def advance(self, robot: int) -> None:
+        """Drop the next stop of a robot."""
+        self.tours[robot, :-1] = self.tours[robot, 1:]
+        self.tours[robot, -1] = -1
+
+    def _fixed(self, horizon_s: float) -> tuple:
+        views, graph = self.views, self.views.graph
+        links = np.ones((1, 1), bool) if self.links is None else self.links
+        return (
+            graph.lengths_m, graph.via, views.seen_words, views.seen_bits, views.trail, self.speeds_m_s,
+            links, self.links is not None, self.common_min, horizon_s,
+        )  # fmt: skip
+
+
+@kernel
+def _ones(word):
+    """Number of bits of a word that are set."""
+    word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
+
+
+@kernel
+def _pass(robot, place, was_at, trails, common, trail):
+    """Note that a robot is at a place."""
+    if not was_at[robot, place]:
+        was_at[robot, place] = True
+        for other in range(was_at.shape[0]):
+            if other != robot and trails[other, place]:
+                common[robot, other] += 1
+                common[other, robot] += 1
+    for k in range(trail.shape[1]):
+        if trail[place, k] < 0:
+            break
+        trails[robot, trail[place, k]] = True
+
+
+@kernel
+def _look(mask, place, seen_words, seen_bits):
+    """Add what is in view to a mask (words,); returns how many cells are new."""
+    new = 0
+    for k in range(seen_words.shape[1]):
+        w = seen_words[place, k]
+        if w < 0:
+            break
+        bits = seen_bits[place, k] & ~mask[w]
+        if bits != 0:
+            new += _ones(bits)
+            mask[w] |= bits
+    return new
+
+
+@kernel
+def _count_new(mask, place, seen_words, seen_bits):
+    """How many cells in view are not in a mask (words,)."""
+    new = 0
+    for k in range(seen_words.shape[1]):
+        w = seen_words[place, k]
+        if w < 0:
+            break
+        new += _ones(seen_bits[place, k] & ~mask[w])
+    return new
+
+
+@kernel
+def _fill(tours, decay, state, fixed):
+    """Extend the tours greedily until nothing is left to see or the time is over."""
+    places, seen = state[0], state[1]
+    lengths, via, seen_words, seen_bits, _, speeds, _, _, _, horizon = fixed
+    robots = tours.shape[0]
+    mask = np.zeros(seen.shape[1], np.uint64)
+    at, ends, counts = places.copy(), np.zeros(robots), np.zeros(robots, np.int64)
+    for robot in range(robots):
+        mask |= seen[robot]
+    for robot in range(robots):
+        while counts[robot] < tours.shape[1] and tours[robot, counts[robot]] >= 0:
+            goal = tours[robot, counts[robot]]
+            ends[robot] += lengths[at[robot], goal] / speeds[robot]
+            while at[robot] != goal:
+                at[robot] = via[goal, at[robot]]
+                _look(mask, at[robot], seen_words, seen_bits)
+            counts[robot] += 1
+    while True:
+        robot = -1
+        for other in range(robots):
+            is_free = ends[other] < horizon and counts[other] < tours.shape[1]
+            if is_free and (robot < 0 or ends[other] < ends[robot]):
+                robot = other
+        if robot < 0:
+            return
+        best, most = -1, 0.0
+        for place in range(lengths.shape[0]):
+            worth = math.exp(-decay * lengths[at[robot], place])
+            if worth * 64 * seen_words.shape[1] <= most:
+                continue
+            new = _count_new(mask, place, seen_words, seen_bits)
+            if new >= GAIN_MIN_CELLS and new * worth > most:
+                best, most = place, new * worth
+        if best < 0 or at[robot] == best:
+            ends[robot] = horizon
+            if best >= 0:
+                _look(mask, best, seen_words, seen_bits)
+            continue
+        tours[robot, counts[robot]] = best
+        counts[robot] += 1
+        ends[robot] += lengths[at[robot], best] / speeds[robot]
+        while at[robot] != best:
+            at[robot] = via[best, at[robot]]
+            _look(mask, at[robot], seen_words, seen_bits)
+
+
+@kernel
+def _value(tours, state, fixed):
+    """Integral over time [s] of the cells in the largest common map, and a little of those in others only."""
+    lengths, via, seen_words, seen_bits, trail, speeds, links, is_peer, common_min, horizon = fixed
+    at, seen, is_merged = state[0].copy(), state[1].copy(), state[2].copy()
+    was_at, trails, common = state[3].copy(), state[4].copy(), state[5].copy()
+    robots, words = seen.shape
+    held = np.arange(robots)  # the mask of each robot: that of the first robot of its group with a central mapper
+    area, passed_s = np.zeros(robots, np.int64), np.full((robots, robots), -1e9)
+    for a in range(robots):
+        if not is_peer:
+            for b in range(a):
+                if is_merged[a, b] and held[a] == a:
+                    held[a] = held[b]
+        for b in range(robots):  # one more common place will do where enough was not enough
+            common[a, b] = min(common[a, b], common_min - 1)
+        for w in range(words):
+            area[a] += _ones(seen[a, w])
+    together, total = np.zeros(words, np.uint64), 0
+    for w in range(words):
+        for a in range(robots):
+            together[w] |= seen[a, w]
+        total += _ones(together[w])
+    stop, due, ahead = np.zeros(robots, np.int64), np.full(robots, np.inf), at.copy()
+    for a in range(robots):
+        while stop[a] < tours.shape[1] and tours[a, stop[a]] == at[a]:
+            stop[a] += 1
+        if stop[a] < tours.shape[1] and tours[a, stop[a]] >= 0:
+            ahead[a] = via[tours[a, stop[a]], at[a]]
+            due[a] = lengths[at[a], ahead[a]] / speeds[a]
+    now, value = 0.0, 0.0
+    while True:
+        most = 0
+        for a in range(robots):
+            if held[a] == a:
+                most = max(most, area[a])
+        r = int(np.argmin(due))
+        step = min(due[r], horizon) - now
+        value += step * (most + OTHERS_WEIGHT * (total - most))
+        if due[r] >= horizon:
+            return value
+        now, at[r] = due[r], ahead[r]
+        _pass(r, at[r], was_at, trails, common, trail)
+        total += _look(together, at[r], seen_words, seen_bits)
+        area[held[r]] += _look(seen[held[r]], at[r], seen_words, seen_bits)
+        for b in range(robots):
+            if b == r or (not is_peer and held[b] == held[r]):
+                continue
+            if is_peer and (not links[at[r], at[b]] or now - passed_s[r, b] < LINK_PERIOD_S):
+                continue
+            if not is_merged[r, b]:
+                shared = 0
+                for c in range(robots):
+                    for d in range(robots):
+                        if (c == r or is_merged[c, r]) and (d == b or is_merged[d, b]):
+                            shared += common[c, d]
+                if shared < common_min:
+                    continue
+                for c in range(robots):
+                    for d in range(robots):
+                        if (c == r or is_merged[c, r]) and (d == b or is_merged[d, b]):
+                            common[c, d] = common_min
+                is_c, is_d = is_merged[r].copy(), is_merged[b].copy()
+                for c in range(robots):
+                    for d in range(robots):
+                        if is_c[c] and is_d[d]:
+                            is_merged[c, d] = is_merged[d, c] = True
+            passed_s[r, b] = passed_s[b, r] = now
+            first, second = held[r], held[b]
+            if not is_peer:
+                for c in range(robots):
+                    if held[c] == second:
+                        held[c] = first
+            area[first] = 0
+            for w in range(words):
+                seen[first, w] |= seen[second, w]
+                area[first] += _ones(seen[first, w])
+            if is_peer:
+                seen[second], area[second] = seen[first], area[first]
+        while stop[r] < tours.shape[1] and tours[r, stop[r]] == at[r]:
+            stop[r] += 1
+        due[r] = np.inf
+        if stop[r] < tours.shape[1] and tours[r, stop[r]] >= 0:
+            ahead[r] = via[tours[r, stop[r]], at[r]]
+            due[r] = now + lengths[at[r], ahead[r]] / speeds[r]
+
+
+@kernel
+def _insert(tour, position, place):
+    """Insert a stop; the last one is lost if the tour is full."""
+    for k in range(tour.shape[0] - 1, position, -1):
+        tour[k] = tour[k - 1]
+    tour[position] = place
+
+
+@kernel
+def _remove(tour, position):
+    """Remove a stop, and return it."""
+    place = tour[position]
+    for k in range(position, tour.shape[0] - 1):
+        tour[k] = tour[k + 1]
+    tour[tour.shape[0] - 1] = -1
+    return place
+
+
+@kernel
+def _length(tour):
+    """Number of stops."""
+    count = 0
+    while count < tour.shape[0] and tour[count] >= 0:
+        count += 1
+    return count
+
+
+@kernel
+def _improve(tours, state, fixed, near, draws):
+    """Change the tours in place by moves (draws (tries, 6), uniform in [0, 1)) that raise their value; returns it."""
+    robots = tours.shape[0]
+    best, trial = _value(tours, state, fixed), tours.copy()
+    for t in range(draws.shape[0]):
+        kind, u, v, x, y, z = draws[t]
+        a, b = int(u * robots), int(v * robots)
+        count_a, count_b = _length(trial[a]), _length(trial[b])
+        if kind < 0.35:  # Or-opt: up to three stops elsewhere
+            if count_a == 0:
+                continue
+            i, many = int(x * x * count_a), 1 + int(z * 3)
+            moved = np.full(many, -1, np.int64)
+            for k in range(many):
+                if i < _length(trial[a]):
+                    moved[k] = _remove(trial[a], i)
+            j = int(y * y * (_length(trial[b]) + 1))
+            for k in range(many):
+                if moved[k] >= 0:
+                    _insert(trial[b], min(j + (k if z * 3 % 1.0 < 0.5 else 0), _length(trial[b])), moved[k])
+        elif kind < 0.5:  # 2-opt: reverse a part
+            if count_a < 2:
+                continue
+            i = int(x * x * (count_a - 1))
+            j = i + 1 + int(y * y * (count_a - 1 - i))
+            for k in range((j - i + 1) // 2):
+                trial[a, i + k], trial[a, j - k] = trial[a, j - k], trial[a, i + k]
+        elif kind < 0.6:  # two robots exchange the rest of their tours
+            if a == b:
+                continue
+            i, j = int(x * (count_a + 1)), int(y * (count_b + 1))
+            tail_a, tail_b = trial[a, i:].copy(), trial[b, j:].copy()
+            trial[a, i:], trial[b, j:] = -1, -1
+            for k in range(min(len(tail_b), tours.shape[1] - i)):
+                trial[a, i + k] = tail_b[k]
+            for k in range(min(len(tail_a), tours.shape[1] - j)):
+                trial[b, j + k] = tail_a[k]
+        elif kind < 0.85:  # another place near a stop, in its stead or as well
+            if count_a == 0:
+                continue
+            i = int(x * x * count_a)
+            place = near[trial[a, i], int(y * near.shape[1])]
+            if z < 0.5:
+                trial[a, i] = place
+            else:
+                _insert(trial[a], i + int(z > 0.75), place)
+        elif kind < 0.92:  # to where another robot will be
+            if count_b == 0 or a == b:
+                continue
+            _insert(trial[a], int(x * x * (count_a + 1)), trial[b, int(y * count_b)])
+        else:
+            if count_a == 0:
+                continue
+            _remove(trial[a], int(x * x * count_a))
+        value = _value(trial, state, fixed)
+        if value > best:
+            best = value
+            tours[:] = trial
+        else:
+            trial[:] = tours
+    return best
