@@ -249,8 +249,9 @@ class CuesConfig(Checked):
 class SlamConfig(Checked):
     """The SLAM engine; it also uses the scanner's specification (`lidar`)."""
 
-    mode: str = choice("cooperative", "off")
-    """`off`: no SLAM; poses come from odometry alone, maps stay empty and robots are never merged."""
+    mode: str = choice("cooperative", "off", "localisation")
+    """`off`: no SLAM; poses come from odometry alone, maps stay empty and robots are never merged. `localisation`: the
+    map is `prior`, which does not change; robots only find their poses in it."""
     oracle: str = choice("none", "starts", "poses")
     """Ground truth given to the engine, for comparison with systems that have it. `starts`: the robots' relative start
     poses, so all share one frame from the first step. `poses`: also perfect odometry (`odometry.drift` becomes 0),
@@ -259,7 +260,7 @@ class SlamConfig(Checked):
     """Cell size of the merged map."""
     prior: str = later("")
     """A map saved in an earlier session (`--save`, docs/lasting_maps.md): robots start anywhere in it, find it as they
-    find each other, and go on with it."""
+    find each other, and go on with it. With mode `localisation` also the .yaml of a ROS map."""
     undoes_rolling: bool = later(True)
     """Whether scans whose beams were measured one after the other are undone by odometry and gyro; false shows what
     that is worth."""
