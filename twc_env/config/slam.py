@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 
 from twc_env.config.checks import Checked, choice, later, number
 
+EARLIER_SESSION = "earlier-session"
+"""Begins `SlamConfig.prior` where the map is that of an earlier session in the environment."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdometryFilterConfig(Checked):
@@ -259,8 +262,9 @@ class SlamConfig(Checked):
     resolution_m: float = number(0.1, 0.02, 0.5)
     """Cell size of the merged map."""
     prior: str = later("")
-    """A map saved in an earlier session (`--save`, docs/lasting_maps.md): robots start anywhere in it, find it as they
-    find each other, and go on with it. With mode `localisation` also the .yaml of a ROS map."""
+    """File of a map saved in an earlier session (`--save`, docs/lasting_maps.md): robots start anywhere in it, find it
+    as they find each other, and go on with it. With mode `localisation` also the .yaml of a ROS map. In an environment
+    also `earlier-session:STEPS`: the map of one robot that explored the same building for so many time steps."""
     undoes_rolling: bool = later(True)
     """Whether scans whose beams were measured one after the other are undone by odometry and gyro; false shows what
     that is worth."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env._version import __version__
 from twc_env.config import EnvConfig
+from twc_env.config.slam import EARLIER_SESSION
 from twc_env.datasets.buildings.ros_map import read_ros_grid
 from twc_env.datasets.logs.arrays_file import REAL, TEXT, TRUTH_VALUE, WHOLE, fault_of_types, read_arrays, write_arrays
 from twc_env.errors import DataError
@@ -177,6 +178,8 @@ def prior_of(config: EnvConfig) -> LastingMap | None:
     that cannot be read."""
     if not config.slam.prior:
         return None
+    if config.slam.prior.startswith(EARLIER_SESSION + ":"):
+        raise DataError(f"slam.prior is {config.slam.prior!r}, a map that an environment makes; name a file by --prior")
     try:
         state = Path(config.slam.prior).stat()
     except OSError as error:
