@@ -26,6 +26,7 @@ PINNED = {
     "twc/ExploreMall-v1": "c85bb57b38a2",
     "twc/ExploreBare-v1": "4441aeb0f9a5",
     "twc/ExploreRadio-v1": "31d04f0556bc",
+    "twc/ExploreReturn-v1": "a1f5e5a98a4b",
 }
 
 

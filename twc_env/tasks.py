@@ -89,6 +89,14 @@ TASKS: dict[str, dict[str, Any]] = {
         "slam.cues.lidar": False,
         "episode.ends_at_coverage": 0.9,
     },
+    "twc/ExploreReturn-v1": {
+        "map": "gen:office+ward+ring:2000:train",
+        "robots": 4,
+        "max_cycles": 2500,
+        "lidar.range_max_m": 5.0,
+        "slam.prior": "earlier-session:2500",
+        "episode.ends_at_coverage": 0.95,
+    },
 }
 """Id -> dotted settings that differ from the defaults. Of v0, the last three are oracles and an ablation."""
 PURPOSES: dict[str, str] = {
@@ -110,6 +118,8 @@ PURPOSES: dict[str, str] = {
     "twc/ExploreMall-v1": "eight robots and much floor",
     "twc/ExploreBare-v1": "no wrong merges: no signs, few access points",
     "twc/ExploreRadio-v1": "accuracy without scan matching: WiFi and signs; scans only for driving and drawing",
+    "twc/ExploreReturn-v1": "coming back: a part of the building was mapped in an earlier session; find that map, and "
+    "the rest of the building",
 }
 """Id -> what the task is for."""
 SUITES: dict[str, tuple[str, ...]] = {"v1": tuple(task for task in TASKS if task.endswith("-v1"))}

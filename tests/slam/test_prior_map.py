@@ -4,15 +4,19 @@ import numpy as np
 import pytest
 
 from twc_env.config import EnvConfig, override
+from twc_env.datasets.buildings.ros_map import write_ros_map
 from twc_env.datasets.lasting_maps import prior_of, read_lasting_map, write_lasting_map
 from twc_env.errors import ConfigError, DataError
+from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
 from twc_env.metrics import align_team
-from twc_env.records.geometry import compose
+from twc_env.records.geometry import compose, inverse
+from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import GridMap
 from twc_env.reproduce.routes import RoutePlanner, room_tour, steer
 from twc_env.slam.engine import CooperativeSlam
-from twc_env.slam.localisation import Localiser
+from twc_env.slam.map_localisation import MapLocalisation
+from twc_env.slam.modes import make_engine
 from twc_env.world.world import World
 
 
@@ -103,35 +107,87 @@ def test_the_setting_names_the_file(config, first):
     assert len(prior_of(override(config, {"slam.prior": str(first[0])})).poses) == len(read_lasting_map(first[0]).poses)
 
 
-def test_a_robot_is_localised_in_a_finished_map_and_says_so(config, first):
-    localiser = Localiser(config, read_lasting_map(first[0]))
-    plan = load_map("twin-02")
+@pytest.fixture(scope="module")
+def localised(config, first):
+    """An engine that localises a robot on a way back through the building; whether it was lost after each step, and its
+    errors in the frame of the map."""
+    known = read_lasting_map(first[0])
+    engine, plan = MapLocalisation(config, 1, known), load_map("twin-02")
     rooms = sorted(plan.rooms, key=lambda room: room.name)[:3]
     way = RoutePlanner(plan).route([stop for room in rooms for stop in room_tour(room)])[::-1]
-    world, at, places, true = World(config, plan), 0, [], []
+    world, at, is_lost, estimated, true = World(config, plan), 0, [], [], []
     world.reset(7, np.array([[*way[0], np.arctan2(*(way[5] - way[0])[::-1])]]))
     while True:
-        places.append(localiser.update(world.sense()[0]))
+        engine.update(world.sense())
+        is_lost.append(engine.localisers[0].is_lost)
+        estimated.append(engine.pose_map_robot(0).copy())
         true.append(world.poses[0].copy())
         command, at = steer(world.poses[0], way, at, config)
         if command is None:
             break
         world.step(np.array([command]))
-    is_lost = np.array([place.is_lost for place in places])
-    apart = compose(first[1], np.array([place.pose_map_robot for place in places])) - np.array(true)
-    assert is_lost[0] and not is_lost[-1]
+    return engine, known, np.array(is_lost), compose(first[1], np.array(estimated)) - np.array(true)
+
+
+def test_a_robot_is_localised_in_a_finished_map_and_says_so(localised):
+    engine, _, is_lost, apart = localised
+    assert is_lost[0] and not is_lost[-1] and engine.found_prior(0) and engine.lacked() == []
     assert np.median(np.hypot(*apart[~is_lost, :2].T)) < 0.06
 
 
+def test_the_finished_map_does_not_change_and_is_that_of_the_robot(localised):
+    engine, known, *_ = localised
+    grid = engine.belief(0).grid
+    assert np.array_equal(grid.log_odds > 0, known.grid.log_odds > 0)
+    assert np.array_equal(grid.log_odds < 0, known.grid.log_odds < 0)
+    assert engine.bytes_sent == {} or not any(engine.bytes_sent.values())
+    with pytest.raises(DataError, match="the map does not change"):
+        engine.lasting_map()
+
+
 def test_a_robot_in_another_building_says_that_it_is_lost(config, first):
-    localiser, world = Localiser(config, read_lasting_map(first[0])), World(config, load_map("twin-01"))
+    engine, world = MapLocalisation(config, 1, read_lasting_map(first[0])), World(config, load_map("twin-01"))
     world.reset(0, "map")
     for _ in range(150):
-        place = localiser.update(world.sense()[0])
+        engine.update(world.sense())
         world.step(np.array([[0.4, 0.3]]))
-    assert place.is_lost
+    assert engine.localisers[0].is_lost and engine.lacked() == ["robot 0 is lost in the map"]
+    assert not engine.found_prior(0)
 
 
 def test_a_map_without_walls_is_refused(config):
     with pytest.raises(DataError, match="has no walls"):
-        Localiser(config, GridMap(np.zeros((3, 3), np.int16), np.zeros(2), 0.1))
+        MapLocalisation(config, 1, LastingMap.of_grid(GridMap(np.zeros((3, 3), np.int16), np.zeros(2), 0.1), 120, 10.0))
+
+
+def test_localisation_without_a_map_and_a_plain_map_without_localisation_are_refused(config, first, tmp_path):
+    with pytest.raises(ConfigError, match=r"slam\.mode is 'localisation': name the map"):
+        make_engine(override(config, {"slam.mode": "localisation"}), 1)
+    write_ros_map(read_lasting_map(first[0]).grid, tmp_path, "plain")
+    plain = override(config, {"slam.prior": str(tmp_path / "plain.yaml")})
+    with pytest.raises(ConfigError, match=r"a plain map without places.*slam\.mode=localisation"):
+        make_engine(plain, 1, prior_of(plain))
+
+
+def test_a_ros_map_of_other_cells_is_the_map_of_an_episode_in_localisation_mode(tmp_path):
+    office = {"map": "gen:office:300:7", "robots": 1, "max_cycles": 500, "action.kind": "frontier"}
+    first = explored(office, seed=0)
+    grid = first.engine.belief(0).grid
+    fine = GridMap(np.kron(grid.log_odds, np.ones((2, 2), np.int16)), grid.origin_m, 0.5 * grid.resolution_m)
+    write_ros_map(fine, tmp_path, "fine")
+    env = explored({**office, "slam.mode": "localisation", "slam.prior": str(tmp_path / "fine.yaml")}, seed=3)
+    assert env.engine.found_prior(0) and not env.engine.localisers[0].is_lost
+    known = env.engine.belief(0).grid
+    assert (known.level_at(grid.centre_of(np.argwhere(grid.log_odds > 0))) > 0).all()
+    assert known.resolution_m == grid.resolution_m
+    frame = compose(env.result().pose_building_map[0], inverse(first.result().pose_building_map[0]))
+    assert np.abs(frame).max() < 0.15, "both sessions have one frame"
+
+
+def explored(settings, seed):
+    """An environment after an episode in which the robot goes to the first of its frontiers."""
+    env = ExplorationEnv(config=settings)
+    env.reset(seed=seed)
+    while env.agents:
+        env.step({"robot_0": 0})
+    return env

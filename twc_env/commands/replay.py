@@ -57,6 +57,7 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         "  twc-env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel --format png,pdf\n"
         "  twc-env replay monday.log tuesday.log --out runs/both\n"
         "  twc-env replay tuesday.log --prior monday.npz --save both.npz\n"
+        "  twc-env replay tuesday.log --prior building.yaml --localise --out runs/tuesday\n"
         "  twc-env replay runs/demo --html"
     )
     replay.add_argument(
@@ -133,6 +134,11 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
     )
     add_set(replay)
     add_lasting(replay)
+    replay.add_argument(
+        "--localise",
+        action="store_true",
+        help="only find the robots' poses in the map of --prior, which does not change; may be a ROS map.yaml",
+    )
     add_allow_code(replay)
     replay.add_argument(
         "--out",
@@ -237,6 +243,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     from twc_env.replaying.inputs import read_input
     from twc_env.replaying.outputs import write_bag
     from twc_env.replaying.run import run
+    from twc_env.slam.map_localisation import MapLocalisation
 
     formats = _formats(options.format)
     check_folder(options.out)
@@ -249,6 +256,10 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     if not options.allow_code:
         refuse_code(config, logs[0], asked)
     chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
+    if options.localise:
+        chosen["slam.mode"] = "localisation"
+        if options.save is not None:
+            raise DataError("--save writes a map, and --localise changes none: leave one of them out")
     config = override(config, {**asked, **chosen, **prior_setting(options)})
     is_told = options.json != TERMINAL
     _say_what_is_ignored(config)
@@ -280,6 +291,8 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
         figures["team_ate_m"] = _error_of_log(done, read_truth_log(options.truth)[2])
     if config.slam.prior:
         figures["found_prior"] = [robot for robot in range(done.robots) if done.engine.found_prior(robot)]
+    if isinstance(done.engine, MapLocalisation):
+        figures["lost_share"] = [round(own.lost_share, 3) for own in done.engine.localisers]
     if options.save:
         figures["saved"] = save_map(options.save, done.engine)
     if is_told:

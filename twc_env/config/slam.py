@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 
 from twc_env.config.checks import Checked, choice, later, number
 
+EARLIER_SESSION = "earlier-session"
+"""Begins `SlamConfig.prior` where the map is that of an earlier session in the environment."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdometryFilterConfig(Checked):
@@ -249,8 +252,9 @@ class CuesConfig(Checked):
 class SlamConfig(Checked):
     """The SLAM engine; it also uses the scanner's specification (`lidar`)."""
 
-    mode: str = choice("cooperative", "off")
-    """`off`: no SLAM; poses come from odometry alone, maps stay empty and robots are never merged."""
+    mode: str = choice("cooperative", "off", "localisation")
+    """`off`: no SLAM; poses come from odometry alone, maps stay empty and robots are never merged. `localisation`: the
+    map is `prior`, which does not change; robots only find their poses in it."""
     oracle: str = choice("none", "starts", "poses")
     """Ground truth given to the engine, for comparison with systems that have it. `starts`: the robots' relative start
     poses, so all share one frame from the first step. `poses`: also perfect odometry (`odometry.drift` becomes 0),
@@ -258,8 +262,9 @@ class SlamConfig(Checked):
     resolution_m: float = number(0.1, 0.02, 0.5)
     """Cell size of the merged map."""
     prior: str = later("")
-    """A map saved in an earlier session (`--save`, docs/lasting_maps.md): robots start anywhere in it, find it as they
-    find each other, and go on with it."""
+    """File of a map saved in an earlier session (`--save`, docs/lasting_maps.md): robots start anywhere in it, find it
+    as they find each other, and go on with it. With mode `localisation` also the .yaml of a ROS map. In an environment
+    also `earlier-session:STEPS`: the map of one robot that explored the same building for so many time steps."""
     undoes_rolling: bool = later(True)
     """Whether scans whose beams were measured one after the other are undone by odometry and gyro; false shows what
     that is worth."""

@@ -19,6 +19,7 @@ from twc_env.config.checks import refuse_arguments, whole_number
 from twc_env.errors import ConfigError, TwcError
 from twc_env.exploration.actions import velocity_space
 from twc_env.exploration.assessment import evaluation, rewards
+from twc_env.exploration.earlier_session import prior_in
 from twc_env.exploration.episode import Episode
 from twc_env.exploration.macro_actions import MacroActions, frontier_space, waypoint_space
 from twc_env.exploration.observation.observation_blocks import beams_shown, observation_space
@@ -219,7 +220,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if prior is not None:
             config = override(config, {"slam.prior": prior})
         self._seed = seed
-        episode = self._begun = Episode(config, self._world, seed, starts)
+        known = None if not config.slam.prior else prior_in(config, self._plan or self.floorplan)
+        episode = self._begun = Episode(config, self._world, seed, starts, known)
         self.agents = self.possible_agents[:]
         if self._viewer is not None:
             self._viewer.begin()

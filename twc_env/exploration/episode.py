@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, robot_configs
-from twc_env.datasets.lasting_maps import prior_of
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration.assessment import evaluation, map_scores, rewards
 from twc_env.exploration.assessment.episode_record import EpisodeRecord
 from twc_env.exploration.macro_actions import CandidateSearch, MacroActions
 from twc_env.exploration.observation.observations import ObservationBuilder
+from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import Belief, Contacts, SensorFrame
 from twc_env.records.random_streams import random_stream
 from twc_env.records.team_messages import TeamFrames
@@ -35,10 +35,10 @@ class Episode:
     All state that changes during an episode is held here, so that pickling it saves the episode (see `snapshot`).
     """
 
-    def __init__(self, config: EnvConfig, world: World, seed: int, starts: Any):
+    def __init__(self, config: EnvConfig, world: World, seed: int, starts: Any, prior: LastingMap | None):
         """Reset `world` and take the first scan; an earlier episode in this world is invalid from now on.
 
-        starts: as in `World.reset`.
+        starts: as in `World.reset`; prior: the map that `slam.prior` names.
         """
         self.config, self.seed, count = config, seed, config.robots
         self.steps = 0
@@ -51,7 +51,7 @@ class Episode:
         self.world = world
         """Ground truth."""
         world.reset(seed, starts)
-        self.engine: Engine = make_engine(config, count, prior_of(config))
+        self.engine: Engine = make_engine(config, count, prior)
         if config.slam.oracle != "none":
             self.engine.give_starts(world.poses_home.copy())
         if config.slam.k_visibility.are_transmitters_known:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.records.messages import Fingerprint, GridMap, SignObservation
@@ -36,3 +37,12 @@ class LastingMap:
     """The scanner's; a scan that reads as much saw no wall."""
     sessions: int
     """Number of sessions so far."""
+
+    @classmethod
+    def of_grid(cls, grid: GridMap, beam_count: int, range_max_m: float) -> LastingMap:
+        """A map of which nothing but the grid is known; for scanners of this kind."""
+        none, edges = np.zeros(0, np.int64), np.zeros((0, 3))
+        return cls(
+            np.zeros((0, 3)), np.zeros((0, beam_count)), none, (), (), none.reshape(0, 2), edges,
+            np.zeros((0, 3, 3)), none.astype(bool), grid, range_max_m, 0,
+        )  # fmt: skip

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -90,6 +90,8 @@ class CooperativeSlam(CopiedWhole):
     `track` runs the front ends; `absorb` exchanges messages and updates the mappers. `update` does both.
     """
 
+    _mapper_class: ClassVar[Callable[..., TeamMapper]] = TeamMapper
+
     def __init__(self, config: EnvConfig, robot_count: int, prior: LastingMap | None = None):
         """prior: the map of an earlier session, which `slam.prior` names (`datasets.read_lasting_map`)."""
         if not isinstance(config, EnvConfig):
@@ -110,7 +112,7 @@ class CooperativeSlam(CopiedWhole):
         self._beam_count = config.lidar.circle_beam_count
         self._is_central = config.link.topology == "central"
         homes = [None] if self._is_central else range(robot_count)
-        self.mappers = [TeamMapper(config, robot_count, home, prior) for home in homes]
+        self.mappers = [self._mapper_class(config, robot_count, home, prior) for home in homes]
         self._exchange = Exchange(config, robot_count)
         self.bytes_sent: dict[str, int] = self._exchange.bytes_sent
         """Message type -> bytes transmitted so far."""
@@ -218,9 +220,12 @@ class CooperativeSlam(CopiedWhole):
         if self._radio is not None:
             for frame in frames:
                 self._radio.add(frame, self.poses_odom[frame.robot])
+        self._send(keyframes)
+        return keyframes
+
+    def _send(self, keyframes: Sequence[Keyframe]) -> None:
         for keyframe in keyframes:
             self._exchange.add(keyframe)
-        return keyframes
 
     def _is_first(self, robot: int) -> bool:
         """Whether no frame of this robot has come in yet."""

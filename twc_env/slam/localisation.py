@@ -2,15 +2,18 @@
 
 While it is lost, guesses come from places of the map that look like the robot's keyframes (texts, radio, scans, by the
 recogniser of the settings); where the map or the robot has neither signs nor radio, also from a search of the robot's
-recent scans over the whole map (`global_matching`). It is found when guesses from several places agree, and no others
-agree half as often: rooms look alike. From then on each scan is matched to the walls, starting from odometry; it is
-lost again when the scans fit too badly for longer than `PATIENCE_S`, and found again when several in a row fit well.
+recent scans over the whole map (`global_matching`). A pose is tried if guesses from several places agree, and no others
+agree half as often: rooms look alike. From then on each scan is matched to the walls, starting from odometry. The robot
+is no longer lost after `SURE_M` of path along which all scans fit well, and lost again when they fit too badly for
+longer than `PATIENCE_S` or `PATIENCE_M`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -19,27 +22,33 @@ from twc_env.config import EnvConfig
 from twc_env.errors import DataError
 from twc_env.records.geometry import between, compose, inverse, transform_points, wrap_angle
 from twc_env.records.lasting_map import LastingMap
-from twc_env.records.messages import GridMap, Keyframe, SensorFrame
+from twc_env.records.messages import GridMap, Keyframe
 from twc_env.slam.mapping.map_saving import keyframes_of
 from twc_env.slam.matching.global_matching import match_globally
 from twc_env.slam.matching.point_matching import match_to_tree
 from twc_env.slam.matching.scan_matching import scan_points
 from twc_env.slam.places.place_recognition import make_recogniser
-from twc_env.slam.robot import FrontEnds
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 TRACKED_MIN, FOUND_MIN = 0.6, 0.75
 """Least fit to believe a match while tracking, and to believe a guess: the share of a scan's points on walls, less the
 share of its beams that would have gone through walls."""
 THROUGH_STEP_M, THROUGH_M = 0.1, 0.4
 """Spacing of the places on a beam that are looked up in the map, and how far before its end the last one is."""
-AGAIN = 3
-"""Scans in a row that must fit as a guess must, to be no longer lost."""
-PATIENCE_S = 1.5
-"""It says that it is lost after so long without a match that it believes."""
+SURE_M, SURE_SCANS = 3.0, 3
+"""It is no longer lost after so long a path, and so many scans, that all fit as a guess must."""
+PATIENCE_S, PATIENCE_M = 1.5, 1.5
+"""It says that it is lost after so long a time or path without a match that it believes."""
+SPACING_M, SPACING_RAD, SPACING_S = 0.1, 0.1, 1.0
+"""A scan is matched when the robot has moved or turned so far since the last one that was, or after this time."""
 GATE_M = 0.6
 """Points of a tracked scan further from a wall have no partner at first."""
 MOVED_MAX_M, MOVED_MAX_RAD = 0.5, 0.25
 """A match further from odometry's prediction is not believed."""
+ROBOT, PLACES = 0, 1
+"""Whose keyframes they are, for the recogniser: those of the robot, and the places of the map."""
 AGREE_M, AGREE_RAD = 0.7, 0.15
 """Two guesses agree if the poses of the robot that they imply now differ by less."""
 APART_M, VOTES_MIN = 2.0, 4
@@ -53,97 +62,129 @@ GUESSES_MAX = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
-    """Where a robot believes to be after a frame."""
+class Walls:
+    """What robots are localised in, shared by all of them."""
 
-    pose_map_robot: Array
-    """(3,); of a robot that was never found, in the frame where it started."""
-    is_lost: bool
-    """Whether it does not know, or has not known for longer than `PATIENCE_S`."""
-    fit: float
-    """How well the latest scan fits the map, see `TRACKED_MIN`; NaN while it was never found."""
+    grid: GridMap
+    tree: cKDTree
+    """Of the centres of wall cells [m]."""
+    places: tuple[Keyframe, ...]
+    """Of an earlier session, as keyframes of another robot; none in a plain grid."""
+
+    @classmethod
+    def of(cls, known: LastingMap) -> Walls:
+        """Raises DataError for a map without walls."""
+        from scipy.spatial import cKDTree  # slow to import
+
+        points = known.grid.centre_of(np.argwhere(known.grid.log_odds > 0))
+        if not len(points):
+            raise DataError("the map to localise in has no walls; choose another file")
+        return cls(known.grid, cKDTree(points), tuple(keyframes_of(known, PLACES)))
 
 
 class Localiser:
-    """Finds and tracks one robot, number 0, in a map. Frames of a robot must be given in order."""
+    """Finds and tracks one robot in a map."""
 
-    def __init__(self, config: EnvConfig, known: LastingMap | GridMap):
-        """known: a saved map, or any grid, as a `GridMap`, which has no places.
-
-        Raises DataError for a map without walls.
-        """
-        from scipy.spatial import cKDTree  # slow to import
-
-        grid = known.grid if isinstance(known, LastingMap) else known
-        self._walls_m = grid.centre_of(np.argwhere(grid.log_odds > 0))
-        if not len(self._walls_m):
-            raise DataError("the map to localise in has no walls; choose another file")
-        self._tree = cKDTree(self._walls_m)
-        self._grid, self._streak = grid, 0
-        self._middle_m = 0.5 * (self._walls_m.min(axis=0) + self._walls_m.max(axis=0))
-        self._window_m = 0.5 * float(np.ptp(self._walls_m, axis=0).max())
-        self._front_end = FrontEnds(config, 1)
-        self._range_max_m = config.lidar.range_max_m
-        self._recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
-        self._places: list[Keyframe] = keyframes_of(known, 1) if isinstance(known, LastingMap) else []
-        for place in self._places:
-            self._recogniser.propose(place, (1,))
+    def __init__(self, config: EnvConfig, walls: Walls):
+        self._walls, self._range_max_m = walls, config.lidar.range_max_m
+        points = walls.tree.data
+        self._middle_m = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        self._window_m = 0.5 * float(np.ptp(points, axis=0).max())
+        self._recogniser = make_recogniser(config.slam.place_recognition, self._range_max_m)
+        for place in walls.places:
+            self._recogniser.propose(place, (PLACES,))
+        self._has_cues = any(place.signs or len(place.fingerprint.macs) for place in walls.places)
         self._recent: list[Keyframe] = []
         self._since_search = SEARCH_EVERY
-        self._pose_map_odom: Array | None = None
         self._guesses: list[tuple[float, int, Array]] = []
         """Path length, weight, and implied pose of the odom frame in the map of guesses while lost."""
-        self._has_cues = any(place.signs or len(place.fingerprint.macs) for place in self._places)
-        self._believed_s = -math.inf
+        self._odom = self._matched = np.zeros(3)
+        """Latest pose in the odom frame, and that of the latest scan that was matched ..."""
+        self._travel_m, self._matched_s = 0.0, -math.inf
+        """... path so far, and that scan's time."""
+        self._believed = -math.inf, -math.inf
+        """Time and path of the last match that was believed."""
+        self._streak = 0, 0.0
+        """Scans that fit as a guess must, without one between that did not, and the path where they began."""
+        self.pose_map_odom: Array | None = None
+        """(3,) of the robot's odom frame in the map; None while no pose was ever tried."""
         self.is_lost = True
-        """See `Place`."""
+        """Whether it does not know where it is."""
+        self.lost_share = 0.0
+        """Share of the updates so far after which it was lost."""
+        self._updates = 0
+        self.fit = math.nan
+        """How well the latest scan that was matched fits the map, see `TRACKED_MIN`."""
 
-    def update(self, frame: SensorFrame) -> Place:
-        """Take in the next frame of the robot."""
-        frames, circles = self._front_end.intake.on_circle([frame])
-        keyframes = self._front_end.update(frames)
-        odom = self._front_end.poses_odom[0]
-        points = scan_points(np.asarray(circles[0]), self._range_max_m)
-        fit = math.nan
-        if self._pose_map_odom is not None and len(points):
-            fit = self._track(odom, points, frame.time_s)
-        self.is_lost = self._pose_map_odom is None or frame.time_s - self._believed_s > PATIENCE_S
+    def update(self, odom: Array, ranges_m: Array, keyframes: Sequence[Keyframe], time_s: float) -> None:
+        """Take in the robot's next pose in the odom frame (3,), its scan (beams,) [m], and the keyframes taken since.
+
+        Call it in order of time.
+        """
+        self._travel_m += math.dist(odom[:2], self._odom[:2])
+        self._odom = odom
+        away = between(self._matched, odom)
+        is_due = math.hypot(away[0], away[1]) >= SPACING_M or abs(away[2]) >= SPACING_RAD
+        if self.pose_map_odom is not None and (is_due or time_s - self._matched_s >= SPACING_S):
+            points = scan_points(np.asarray(ranges_m), self._range_max_m)
+            if len(points):
+                self._track(odom, points, time_s)
+        self.is_lost = self.is_lost or self._is_doubtful(time_s)
         for keyframe in keyframes:
+            if keyframe.begins_segment:
+                self._begin()
             self._recent = [*self._recent[1 - RECENT :], keyframe]
             guesses = self._recognised(keyframe)  # also stores it as a place of its own
-            if self.is_lost and self._find([*guesses, *self._searched(keyframe)], keyframe, frame.time_s):
-                fit = self._track(odom, points, frame.time_s)
-        pose = odom.copy() if self._pose_map_odom is None else compose(self._pose_map_odom, odom)
-        return Place(pose, self.is_lost, fit)
+            if self.is_lost and self._streak[0] == 0:
+                self._find([*guesses, *self._searched(keyframe)], keyframe, time_s)
+        self._updates += 1
+        self.lost_share += (self.is_lost - self.lost_share) / self._updates
 
-    def _track(self, odom: Array, points: Array, time_s: float) -> float:
-        """Match a scan to the walls from the predicted pose; returns how well it fits."""
-        assert self._pose_map_odom is not None
-        predicted = compose(self._pose_map_odom, odom)
-        match = match_to_tree(self._tree, points, predicted, GATE_M)
+    def _begin(self) -> None:
+        """The robot was carried: nothing is known of where it is."""
+        self.is_lost, self._streak, self._believed = True, (0, 0.0), (-math.inf, -math.inf)
+        self._guesses.clear()
+        self._recent.clear()
+
+    def _is_doubtful(self, time_s: float) -> bool:
+        return time_s - self._believed[0] > PATIENCE_S or self._travel_m - self._believed[1] > PATIENCE_M
+
+    def _track(self, odom: Array, points: Array, time_s: float) -> None:
+        """Match a scan to the walls from the predicted pose."""
+        assert self.pose_map_odom is not None
+        self._matched, self._matched_s = odom, time_s
+        predicted = compose(self.pose_map_odom, odom)
+        match = match_to_tree(self._walls.tree, points, predicted, GATE_M)
         moved = between(predicted, match.pose)
         is_near = math.hypot(moved[0], moved[1]) <= MOVED_MAX_M and abs(moved[2]) <= MOVED_MAX_RAD
-        fit = match.inlier_ratio - self._through(match.pose, points)
-        self._streak = self._streak + 1 if is_near and fit >= FOUND_MIN else 0
-        if is_near and (fit >= TRACKED_MIN if not self.is_lost else self._streak >= AGAIN):
-            self._pose_map_odom, self._believed_s = compose(match.pose, inverse(odom)), time_s
-        return fit
+        self.fit = match.inlier_ratio - self._through(match.pose, points)
+        if not is_near or self.fit < (FOUND_MIN if self.is_lost else TRACKED_MIN):
+            self._streak = 0, 0.0
+            return
+        self.pose_map_odom, self._believed = compose(match.pose, inverse(odom)), (time_s, self._travel_m)
+        scans, begun_m = self._streak
+        self._streak = scans + 1, begun_m if scans else self._travel_m
+        if scans + 1 >= SURE_SCANS and self._travel_m - self._streak[1] >= SURE_M:
+            self.is_lost = False
 
     def _through(self, pose: Array, points: Array) -> float:
         """Share of beams to points (n, 2) that would have gone through walls of the map from this pose."""
         length_m = np.hypot(points[:, 0], points[:, 1])
         along_m = np.arange(THROUGH_STEP_M, max(length_m.max(), THROUGH_STEP_M) + THROUGH_STEP_M, THROUGH_STEP_M)
         at = transform_points(pose, (points / length_m[:, None])[:, None] * along_m[:, None])
-        is_met = (self._grid.level_at(at) > 0) & (along_m < length_m[:, None] - THROUGH_M)
+        is_met = (self._walls.grid.level_at(at) > 0) & (along_m < length_m[:, None] - THROUGH_M)
         return float(is_met.any(axis=1).mean())
 
     def _recognised(self, keyframe: Keyframe) -> list[tuple[int, Array]]:
         """Weights and poses (3,) of a keyframe in the map, by places of the map that look like it."""
-        found = self._recogniser.propose(keyframe, (0,))
+        found = self._recogniser.propose(replace(keyframe, robot=ROBOT), (ROBOT,))
         return [
-            (1 + (candidate.sign_m is not None), compose(self._places[candidate.target[1]].pose_odom, candidate.guess))
+            (
+                1 + (candidate.sign_m is not None),
+                compose(self._walls.places[candidate.target[1]].pose_odom, candidate.guess),
+            )
             for candidate in found
-            if candidate.target[0] == 1
+            if candidate.target[0] == PLACES
         ]
 
     def _searched(self, keyframe: Keyframe) -> list[tuple[int, Array]]:
@@ -158,24 +199,24 @@ class Localiser:
             transform_points(between(keyframe.pose_odom, k.pose_odom), scan_points(k.ranges_m, self._range_max_m))
             for k in self._recent
         ])  # fmt: skip
-        found = match_globally(self._walls_m - self._middle_m, points, self._window_m, SCORE_MIN)
+        found = match_globally(self._walls.tree.data - self._middle_m, points, self._window_m, SCORE_MIN)
         return [] if found is None else [(1, found.pose + np.array([*self._middle_m, 0.0]))]
 
-    def _find(self, guesses: list[tuple[int, Array]], keyframe: Keyframe, time_s: float) -> bool:
-        """Refine guesses of a keyframe's pose; whether one agrees with enough earlier ones, so that it is found."""
+    def _find(self, guesses: list[tuple[int, Array]], keyframe: Keyframe, time_s: float) -> None:
+        """Refine guesses of a keyframe's pose; one that agrees with enough earlier ones is tried."""
         points, here = scan_points(keyframe.ranges_m, self._range_max_m), keyframe.pose_odom
         for weight, pose in guesses if len(points) else ():
-            match = match_to_tree(self._tree, points, pose)
+            match = match_to_tree(self._walls.tree, points, pose)
             if match.inlier_ratio - self._through(match.pose, points) < FOUND_MIN:
                 continue
             guess = compose(match.pose, inverse(here))
             self._guesses = [*self._guesses[1 - GUESSES_MAX :], (keyframe.travel_m, weight, guess)]
             votes, others = self._votes(compose(np.array([own for *_, own in self._guesses]), here))
             if votes >= VOTES_MIN and 2 * others <= votes:
-                self._pose_map_odom, self._believed_s, self.is_lost = guess, time_s, False
+                self.pose_map_odom, self._believed = guess, (time_s, self._travel_m)
+                self._streak = 1, self._travel_m
                 self._guesses.clear()
-                return True
-        return False
+                return
 
     def _votes(self, poses: Array) -> tuple[int, int]:
         """How many votes the latest guess has, by the poses (k, 3) that all imply now; and the most of any other."""

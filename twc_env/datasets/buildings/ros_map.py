@@ -27,6 +27,8 @@ _MODES, _RAW_MAX = ("trinary", "scale", "raw"), 100
 RESOLUTION_MIN_M = 0.005
 _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0
 _OCCUPIED_ABOVE, _FREE_BELOW = 0.65, 0.196
+SURE = np.int16(20)
+"""Log-odds of the cells of a map that is read."""
 _LOG = logging.getLogger(__name__)
 _PLAIN = re.compile(r"\w[\w. -]*")
 """Names that YAML reads without quotes."""
@@ -92,6 +94,17 @@ def read_ros_cells(path: str | Path) -> RosMap:
         resolution_m=resolution_m,
         origin=_origin(values["origin"], path),
     )
+
+
+def read_ros_grid(path: str | Path) -> GridMap:
+    """The map of a map_server yaml as an occupancy grid. Raises MapError as `read_ros_cells`, and for a turned one."""
+    ros_map = read_ros_cells(path)
+    if ros_map.origin[2]:
+        raise MapError(
+            f"{Path(path).name}: its origin is turned by {ros_map.origin[2]:g} rad; turn the picture instead"
+        )
+    log_odds = ros_map.occupied.astype(np.int16) * SURE - ros_map.free.astype(np.int16) * SURE
+    return GridMap(log_odds, np.asarray(ros_map.origin[:2], float), ros_map.resolution_m)
 
 
 def _occupancy(picture: Path, values: dict[str, str], path: Path) -> Array:

@@ -16,7 +16,7 @@ from twc_env.records.geometry import compose
 from twc_env.records.growing_arrays import ROOM, grown, only
 from twc_env.records.messages import GridMap, Keyframe
 from twc_env.slam.mapping.team_graph import TeamGraph
-from twc_env.slam.scans.occupancy_grid import OccupancyGrid
+from twc_env.slam.scans.occupancy_grid import OccupancyGrid, resampled
 
 MOVED_M, MOVED_RAD = 0.04, 0.008
 """The map is redrawn when a keyframe has moved by more than this since it was drawn."""
@@ -84,13 +84,15 @@ class GroupMaps:
         self.regroupings += 1
         self.changes += 1
 
-    def add(self, keyframe: Keyframe, node: int) -> None:
+    def add(self, keyframe: Keyframe, node: int, is_drawn: bool = True) -> None:
         """Draw the scan of a new keyframe; request it if it is missing and a robot uses the map."""
         if node == len(self._drawn):
             self._drawn, self._has_scan = grown(self._drawn), grown(self._has_scan)
         self._has_scan[node] = not self._on_request or keyframe.robot == self._home
         self._drawn[node] = poses = self._graph.poses[node : node + 1]
         group = self.group_of[keyframe.robot]
+        if not is_drawn:
+            return
         if self._has_scan[node] or self._may_draw_all(group):
             self._draw(self.groups[group].grid, poses, keyframe.ranges_m[None])
         elif self._is_map_used(group):
@@ -105,11 +107,20 @@ class GroupMaps:
         own = self.groups[self.group_of[robot]].grid
         if grid.resolution_m == self._resolution_m:
             own.begin_with(grid)
-        else:
+        elif len(nodes):
             own.integrate(poses, scans)
             own.begin_with(own.snapshot())
+        else:
+            own.begin_with(resampled(grid, self._resolution_m))
         self._prior_grid = self._new_grid()
         self._prior_grid.take_over(own)
+
+    def join_prior(self, prior: int, group: int, pose_prior_group: Array) -> None:
+        """Move a group into the map of an earlier session, which stays as it was."""
+        robot = self.groups[prior].robots[0]
+        self.merge(prior, group, pose_prior_group)
+        assert self._prior_grid is not None
+        self.groups[self.group_of[robot]].grid.take_over(self._prior_grid)
 
     def _begun(self, grid: OccupancyGrid, nodes: Array) -> int:
         """Begin a grid of these nodes (k,) of a group anew; returns how many of them it shows: a prior map's, or 0."""

@@ -168,3 +168,21 @@ class OccupancyGrid(BindsAnew):
         self.origin_m = np.array([left * cell, bottom * cell])
         self._boxes_m[0] = *self.origin_m, *(self.origin_m + np.array([shape[1], shape[0]]) * cell)
         self._rebind()
+
+
+def resampled(grid: GridMap, resolution_m: float) -> GridMap:
+    """The same map at other cells, on multiples of their size: a cell is a wall if any point of it is, free if any is
+    and none is a wall."""
+    step = min(grid.resolution_m, resolution_m)
+    low_m = np.floor(np.asarray(grid.origin_m) / resolution_m) * resolution_m
+    high_m = np.asarray(grid.origin_m) + np.array(grid.log_odds.shape[::-1]) * grid.resolution_m
+    columns, rows = np.ceil((high_m - low_m) / resolution_m - ROUNDING_M).astype(int).tolist()
+    per_cell = math.ceil(resolution_m / step - ROUNDING_M)
+    out = np.zeros((rows, columns), np.int16)
+    at = np.stack(np.meshgrid(np.arange(columns) + 0.0, np.arange(rows) + 0.0), axis=-1)
+    for i in range(per_cell):
+        for j in range(per_cell):
+            within = (np.array([i, j]) + 0.5) / per_cell
+            levels = grid.level_at(low_m + (at + within) * resolution_m)
+            out = np.where((levels > 0) | (out > 0), np.maximum(levels, out), np.minimum(levels, out))
+    return GridMap(out, low_m, resolution_m)
