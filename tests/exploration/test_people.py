@@ -1,4 +1,4 @@
-"""Episodes among people: the guards that hold without them hold with them."""
+"""Episodes among people, doors and furniture: the guards that hold without them hold with them."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,11 @@ import twc_env
 from twc_env.config import EnvConfig, digest, override
 
 STEPS = 100
-PEOPLE = {"people.count": 10, "failure.kidnap_step": 40, "signs.period_s": 0.2}
+CLUTTER = {
+    "clutter.door_share": 1.0, "clutter.door_open_mean_s": 4.0, "clutter.furniture": 12, "clutter.hidden_share": 0.3,
+    "clutter.moves_per_min": 10.0,
+}  # fmt: skip
+PEOPLE = {"people.count": 10, "failure.kidnap_step": 40, "signs.period_s": 0.2} | CLUTTER
 MOTION = np.array([37.3, -81.9, 1.1])
 
 
@@ -20,6 +24,8 @@ def test_settings_of_people_are_in_the_digest_only_if_there_are_some():
     plain = EnvConfig()
     assert digest(override(plain, {"people.count": 1})) != digest(plain)
     assert digest(override(plain, {"failure.kidnap_step": 1})) != digest(plain)
+    assert digest(override(plain, {"clutter.furniture": 1})) != digest(plain)
+    assert digest(override(plain, {"clutter.furniture": 0})) == digest(plain)
 
 
 def test_the_same_seed_gives_the_same_episode_bit_by_bit(explore, log, same):

@@ -4,6 +4,7 @@ A config is immutable. `from_dict` and `load` reject unknown keys and values of 
 identifies a config in logs and tables.
 """
 
+from twc_env.config.clutter import ClutterConfig
 from twc_env.config.environment import ActionConfig, EnvConfig, EpisodeConfig, ObservationConfig, RewardConfig
 from twc_env.config.lidar_presets import LIDAR_PRESETS
 from twc_env.config.mixed_teams import has_one_scanner, robot_configs, shared_config
@@ -62,6 +63,7 @@ __all__ = [
     "ActionConfig",
     "BuildingConfig",
     "CellConfig",
+    "ClutterConfig",
     "CuesConfig",
     "DynamicsConfig",
     "EnvConfig",

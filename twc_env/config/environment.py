@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from twc_env.config.checks import Checked, choice, later, name_sections, number
+from twc_env.config.clutter import ClutterConfig
 from twc_env.config.people import PeopleConfig
 from twc_env.config.robots import Overrides, overrides_of, sections_with
 from twc_env.config.slam import SlamConfig
@@ -127,6 +128,7 @@ class EnvConfig(Checked):
     link: LinkConfig = field(default_factory=LinkConfig)
     failure: FailureConfig = field(default_factory=FailureConfig)
     people: PeopleConfig = field(default_factory=PeopleConfig, metadata={"is_later": True})
+    clutter: ClutterConfig = field(default_factory=ClutterConfig, metadata={"is_later": True})
     slam: SlamConfig = field(default_factory=SlamConfig)
     episode: EpisodeConfig = field(default_factory=EpisodeConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)

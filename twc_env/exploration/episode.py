@@ -162,24 +162,26 @@ class Episode:
         """All maps of the team evaluated now, see `scores_of`; cached until the engine's next update."""
         believed = self.engine.beliefs()  # a new object after each update of the engine
         if self._evaluated[0] is not believed:
-            self._evaluated = believed, map_scores.scores_of(self.engine, self.record, self.floorplan.cells())
+            self._evaluated = believed, map_scores.scores_of(self.engine, self.record, self.world.cells)
         return self._evaluated[1]
 
     def numbers(self) -> dict[str, float]:
         """The scalar figures of `result`."""
         paths = evaluation.EpisodePaths.of(self.engine, self.record)
         return evaluation.numbers(
-            self.config, self.seed, self.floorplan, self.engine, self.record, self.map_scores(), paths
+            self.config, self.seed, self.world.cells, self.engine, self.record, self.map_scores(), paths
         )
 
     def result(self) -> evaluation.EpisodeResult:
         """Evaluate the episode so far against ground truth."""
-        return evaluation.evaluate(self.config, self.seed, self.floorplan, self.engine, self.record, self.map_scores())
+        return evaluation.evaluate(
+            self.config, self.seed, self.floorplan, self.world.cells, self.engine, self.record, self.map_scores()
+        )
 
     def caption(self) -> str:
         """Caption of a picture: one line with time, merged robots and correctly mapped floor, from ground truth."""
         time_s = self.steps * self.config.dynamics.time_step_s
-        return map_scores.told(self.map_scores(), self.floorplan.cells(), self.config.robots, time_s)
+        return map_scores.told(self.map_scores(), self.world.cells, self.config.robots, time_s)
 
     def _tick(self, commands: Array) -> list[dict[str, float]]:
         """Advance by one time step; returns the reward terms of each robot."""
@@ -241,7 +243,7 @@ class Episode:
     def _evaluate(self) -> None:
         """Evaluate the maps for the rewards, exactly if the episode is over."""
         last = self.map_scores() if self.is_over else ()
-        self._standing = map_scores.standing(self.engine, self.record, self.floorplan.cells(), last)
+        self._standing = map_scores.standing(self.engine, self.record, self.world.cells, last)
 
     def _transition(self, before: rewards.Standing, contacts: Array, bytes_per_robot: float) -> rewards.Transition:
         """The present time step; before: the potentials before it."""

@@ -101,7 +101,7 @@ class EpisodeTrace:
     def _add_moment(self, step: int) -> None:
         env, scores = self._env, self._env.episode.map_scores()
         self._lay_maps(scores)
-        closures, figures = evaluation.progress(env.engine, env.episode.record, env.floorplan.cells(), scores)
+        closures, figures = evaluation.progress(env.engine, env.episode.record, env.episode.world.cells, scores)
         figures |= {"bytes_sent": env.episode.bytes_sent, "reward_sum": sum(self._rewards)}
         layers, cells = zip(*map(_layer, scores), strict=True)
         moment = {

@@ -71,9 +71,9 @@ class Viewer:
         signal = self._signal_of(episode.floorplan, episode.config.radio) if layers.signal else None
         if layers.robot is not None:
             scores = [v for v in scores if layers.robot in v.view.viewers] or scores
-        people_m = episode.world.people_m
+        others = {"people_m": episode.world.people_m, "things_m": episode.world.things_m}
         radii_m = tuple(own.dynamics.robot_radius_m for own in robot_configs(episode.config))
-        scene = scene_of(episode.floorplan, episode.engine, episode.record, scores, lines, signal, people_m, radii_m)
+        scene = scene_of(episode.floorplan, episode.engine, episode.record, scores, lines, signal, radii_m, **others)
         caption = f"{Path(episode.floorplan.name).name}, seed {episode.seed}: {episode.caption()}"
         help_text = "" if self.window is None else self.window.help_text
         return framed(layered(scene, layers), caption, help_text, legend_of(scene))

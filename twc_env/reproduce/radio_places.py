@@ -22,7 +22,7 @@ from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.routes import RoutePlanner
 from twc_env.world.building.floor_cells import Cells
 from twc_env.world.building.floorplan import AccessPoint, Floorplan
-from twc_env.world.sensors.radio import Bodies, RadioModel
+from twc_env.world.sensors.radio import RadioModel
 from twc_env.world.sensors.reception import WifiReceiver
 
 _VENDOR = 0x02_00_5E << 24
@@ -141,7 +141,7 @@ class RememberingModel(RadioModel):
         super().__init__(config, plan)
         self._known: dict[bytes, Array] = {}
 
-    def mean_rssi_dbm(self, position_m: Array, bodies: Bodies | None = None) -> Array:
+    def mean_rssi_dbm(self, position_m: Array, bodies: Array | None = None) -> Array:
         """(transmitters,) as RadioModel; not cached among people."""
         if bodies is not None:
             return super().mean_rssi_dbm(position_m, bodies)

@@ -184,6 +184,21 @@ def _anchor(space: pymunk.Space, robots: Iterable[int]) -> None:
 
 
 @borrowing_kernel
+def accelerated(state, i, commands, limits, time_step):
+    """Velocity x, y and turn rate of robot i in this step, as far as its limits allow what its command wants."""
+    heading = state[i, 2]
+    speed = state[i, 3] * np.cos(heading) + state[i, 4] * np.sin(heading)
+    wanted = min(max(commands[i, 0], -limits[i, 0]), limits[i, 0])
+    speed = min(max(wanted, speed - limits[i, 2]), speed + limits[i, 2])
+    turn_rate = state[i, 5]
+    wanted = min(max(commands[i, 1], -limits[i, 1]), limits[i, 1])
+    turn_rate = min(max(wanted, turn_rate - limits[i, 3]), turn_rate + limits[i, 3])
+    # The chord of the arc lies at the midpoint heading.
+    chord = heading + 0.5 * turn_rate * time_step
+    return speed * np.cos(chord), speed * np.sin(chord), turn_rate
+
+
+@borrowing_kernel
 def _drive_freely(state, commands, limits, time_step, substeps, gaps, radii):
     """Accelerate towards the commands; then move the robots if no contact is possible in this step. Whether they moved.
 
@@ -191,18 +206,7 @@ def _drive_freely(state, commands, limits, time_step, substeps, gaps, radii):
     """
     robots = commands.shape[0]
     for i in range(robots):
-        heading = state[i, 2]
-        speed = state[i, 3] * np.cos(heading) + state[i, 4] * np.sin(heading)
-        wanted = min(max(commands[i, 0], -limits[i, 0]), limits[i, 0])
-        speed = min(max(wanted, speed - limits[i, 2]), speed + limits[i, 2])
-        turn_rate = state[i, 5]
-        wanted = min(max(commands[i, 1], -limits[i, 1]), limits[i, 1])
-        turn_rate = min(max(wanted, turn_rate - limits[i, 3]), turn_rate + limits[i, 3])
-        # The chord of the arc lies at the midpoint heading.
-        chord = heading + 0.5 * turn_rate * time_step
-        state[i, 3] = speed * np.cos(chord)
-        state[i, 4] = speed * np.sin(chord)
-        state[i, 5] = turn_rate
+        state[i, 3], state[i, 4], state[i, 5] = accelerated(state, i, commands, limits, time_step)
     for i in range(robots):
         stride = np.sqrt(state[i, 3] ** 2 + state[i, 4] ** 2) * time_step
         if gaps[i] <= radii[i] + stride + _TOLERANCE_M:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -28,6 +29,10 @@ class Kidnapping:
         """Whether no robot is ever carried."""
         self._random = random_stream(seed, "kidnap")
         self._places = start_places(home)
+
+    def avoid(self, is_clear: Callable[[Array], Array]) -> None:
+        """Put robots down only where something is clear: points (k, 2) -> (k,) bool."""
+        self._places = self._places[is_clear(self._places)]
 
     def carried(self, step: int, poses: Array) -> list[tuple[int, Array]]:
         """Robots carried before this step, and their new poses (3,); poses (n, 3) of all robots. Once per step."""

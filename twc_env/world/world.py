@@ -19,15 +19,17 @@ from twc_env.records.geometry import compose, transform_points
 from twc_env.records.messages import WifiScan
 from twc_env.records.team_messages import TeamFrames, WifiScans
 from twc_env.world.building.crossing_table import MISSING, square_at
+from twc_env.world.building.floor_cells import Cells
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.floorplan_check import validate
+from twc_env.world.clutter.clutter import Clutter
 from twc_env.world.dynamics import Dynamics, advance
 from twc_env.world.kidnapping import Kidnapping
-from twc_env.world.people.crowd import HIDING_RADIUS_M, Crowd
+from twc_env.world.people.crowd import Crowd
 from twc_env.world.sensors.lidar import Lidar, glass_walls, sweep
 from twc_env.world.sensors.noise import STEPS
 from twc_env.world.sensors.odometry import Odometry, measure
-from twc_env.world.sensors.radio import Bodies, RadioModel
+from twc_env.world.sensors.radio import RadioModel
 from twc_env.world.sensors.reception import WifiReceiver, WifiReceivers, hear
 from twc_env.world.sensors.scanners import MixedScanners, Scanners, needs_scanners
 from twc_env.world.sensors.sign_cameras import SignCameras
@@ -43,7 +45,6 @@ _STEPS_AT_ONCE = 16
 """Steps per allocation: a row of an array costs a third of a new array."""
 _NO_COMMANDS = np.empty((0, 2))
 """Commands of a call that only senses."""
-_NOBODY = Bodies(np.zeros((0, 2)), HIDING_RADIUS_M, 0.0)
 _CONTACT, _UNCACHED = -1, -2
 """Return values of `_move_and_sense` if a contact is possible, and if the wall crossings at robot 0 are not cached."""
 
@@ -75,10 +76,13 @@ class World:
         """None before the first `reset`."""
         self.crowd: Crowd | None = None
         """The people; None if there are none."""
+        self.clutter: Clutter | None = None
+        """Doors and furniture off the plan; None if there are none."""
+        self._bodies = np.zeros((0, 5))
+        """(k, 5) people, doors and boxes in the way of signals, as of `people.sight.lose_in_bodies`."""
         self._step = 0
         # All computations are in the home frame, so that moving the building does not even change the rounding.
         self._home = plan.home
-        self._is_moved = bool(plan.pose_building_home.any())
         self._radio = _radio_model(config.radio, self._home)
         self._rates = _WifiRates([_period_steps(own.radio.scan_period_s, config) for own in robot_configs(config)])
         self._scanning_robots = _turns(self._rates.period, config.robots)
@@ -105,12 +109,16 @@ class World:
         self._odometry = Odometry([each.odometry for each in own], config.dynamics.time_step_s, robots, seed)
         lidar, kind = own[0].lidar, Scanners if has_one_scanner(config) else MixedScanners
         self._lidar = Lidar(lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
-        self.crowd = None
+        self.crowd = self.clutter = legs = rims = seen = None
+        if config.clutter.door_share or config.clutter.furniture:
+            clutter = Clutter(config.clutter, self.plan, starts_home, radius, config.dynamics.time_step_s, seed)
+            self.clutter, rims, seen = clutter, clutter.rims, clutter.seen
         if config.people.count:
-            self.crowd = Crowd(config.people, self._home, starts_home, radius, config.dynamics.time_step_s, seed)
-        legs = None if self.crowd is None else self.crowd.discs
+            crowd = Crowd(config.people, self._home, starts_home, radius, config.dynamics.time_step_s, seed, rims)
+            self.crowd, legs = crowd, crowd.discs
+        self._bodies = np.concatenate([np.zeros((0, 5)), *self._obstructions()])
         is_usual = kind is Scanners and not needs_scanners(lidar)
-        self._scanners = None if is_usual else kind(config, self._home, seed, legs)
+        self._scanners = None if is_usual else kind(config, self._home, seed, legs, things=seen)
         """Simulates scanners with limits and errors, or of several kinds; None: `_lidar` does all."""
         offsets_db = [0.0] * (robots - 1) + [config.failure.device_offset_db]
         self._receivers = [
@@ -126,13 +134,14 @@ class World:
         """For each step of a WiFi period, the robots whose scans are computed by `_move_and_sense`."""
         self._buffers: list[Iterator[tuple]] = [iter(()) for _ in self._scanning_robots]
         """For each step of a WiFi period, output arrays: poses, odometry, turn rates, ranges, scans."""
-        self._is_laser_compiled = self._lidar.is_plain and self._scanners is None
-        laser = (robots, lidar.beam_count) if self._is_laser_compiled else (0, 0)
+        laser = (robots, lidar.beam_count) if self._lidar.is_plain and is_usual else (0, 0)
         self._rates.laser_shape = laser
         self._shapes = [_step_shapes(robots, laser, len(turn), len(self._radio.macs)) for turn in self._listeners]
         self._cameras = SignCameras(config, self._home, seed)
         self._bound_crossings = None
         self._kidnapping = Kidnapping(config.failure, self._home, robots, config.dynamics.time_step_s, seed)
+        if self.clutter is not None:
+            self._kidnapping.avoid(self.clutter.is_clear)
         self._sensed_poses = dynamics.poses.copy()
         """(n, 3) true poses of the last measurement."""
         self._step, self._noise_block = 0, -1
@@ -142,7 +151,7 @@ class World:
     def poses(self) -> Array:
         """(n, 3) true poses in the building frame, read-only."""
         poses = (self._dynamics or _raise_not_reset()).poses
-        return self._in_building(poses) if self._is_moved else poses
+        return poses if self._home is self.plan else self._in_building(poses)
 
     @property
     def poses_home(self) -> Array:
@@ -150,9 +159,9 @@ class World:
         return (self._dynamics or _raise_not_reset()).poses
 
     @property
-    def _bodies(self) -> Bodies:
-        """The people in the way of signals."""
-        return _NOBODY if self.crowd is None else self.crowd.in_the_way
+    def cells(self) -> Cells:
+        """The building for scoring, without floor that doors and furniture cover."""
+        return self.plan.cells() if self.clutter is None else self.clutter.cells
 
     @property
     def people_m(self) -> Array:
@@ -160,6 +169,12 @@ class World:
         if self.crowd is None:
             return np.zeros((0, 2))
         return transform_points(self.plan.pose_building_home, self.crowd.bodies)
+
+    @property
+    def things_m(self) -> Array:
+        """(k, 4) true ends of door leaves and of the sides and legs of furniture in the building frame."""
+        rims = np.zeros((0, 4)) if self.clutter is None else self.clutter.rims
+        return transform_points(self.plan.pose_building_home, rims.reshape(-1, 2)).reshape(-1, 4)
 
     @property
     def transmitters_home(self) -> tuple[Array, Array]:
@@ -186,8 +201,8 @@ class World:
         self._step += 1
         if not self._kidnapping.is_nothing:
             self._carry()
-        if self.crowd is not None:
-            commands = self._move_people(self.crowd, commands)
+        if self.crowd is not None or self.clutter is not None:
+            commands = self._move_others(commands)
         dynamics.step(commands)
         self.contacts = dynamics.contacts
 
@@ -202,8 +217,8 @@ class World:
             self._step += 1
             if not self._kidnapping.is_nothing:
                 self._carry()
-            if self.crowd is not None:
-                commands = self._move_people(self.crowd, commands)
+            if self.crowd is not None or self.clutter is not None:
+                commands = self._move_others(commands)
         step, dynamics = self._step, self._dynamics or _raise_not_reset()
         if step // STEPS != self._noise_block:
             self._draw_noise()
@@ -240,8 +255,8 @@ class World:
             odometry[:], turn_rates[:] = 0.0, 0.0
         time_s = step * self.config.dynamics.time_step_s
         wifi: WifiScans | list[WifiScan | None] = heard if self._scans_compiled else self._scan_each(turn, time_s)
-        if self.crowd is not None:
-            self._show_people(self.crowd, step, poses, ranges, bool(sighted))
+        if self.crowd is not None or self.clutter is not None:
+            self._show_others(step, poses, ranges, bool(sighted))
         signs, self.sighted_signs = self._cameras.read(step) if sighted else self._cameras.nothing
         return TeamFrames(step, time_s, odometry, turn_rates, ranges, wifi, signs, scanner, has_scan, beams)
 
@@ -265,25 +280,38 @@ class World:
             dynamics.put(robot, pose)
             self._sensed_poses[robot] = dynamics.poses[robot]
 
-    def _move_people(self, crowd: Crowd, commands: Array) -> Array:
-        """Advance the people by one step; returns the commands (n, 2) of robots that bumpers leave."""
-        return crowd.step(self.poses_home, commands)
+    def _obstructions(self) -> list[Array]:
+        return [own.obstructions for own in (self.crowd, self.clutter) if own is not None]
 
-    def _show_people(self, crowd: Crowd, step: int, poses: Array, ranges: Array, has_signs: bool) -> None:
-        """Let scanners and cameras at poses (n, 3) see the people, and note who is touched."""
+    def _move_others(self, commands: Array) -> Array:
+        """Advance people, doors and furniture by one step; returns the commands (n, 2) that bumpers leave."""
+        poses, dynamics, walkers = self.poses_home, self._dynamics or _raise_not_reset(), None
+        if self.crowd is not None:
+            commands, walkers = self.crowd.step(poses, commands), self.crowd.walkers
+        if self.clutter is not None:
+            commands = self.clutter.step(poses, commands, walkers, *dynamics.arguments[:2])
+        self._bodies[:] = np.concatenate([self._bodies[:0], *self._obstructions()])
+        return commands
+
+    def _show_others(self, step: int, poses: Array, ranges: Array, has_signs: bool) -> None:
+        """Let scanners and cameras at poses (n, 3) see people, doors and furniture, and note who is touched."""
         lidar = self._lidar.config
-        crowd.meet(poses)
-        self.contacts = self.contacts | crowd.is_touched
-        if self._scanners is None:  # it has cast its beams at the legs itself
-            crowd.show(poses, self._lidar.arguments[0], lidar.range_max_m, lidar.range_noise_std_m, ranges)
-        if has_signs:
-            self._cameras.hide(step, poses, crowd.upright, HIDING_RADIUS_M)
+        seen = self._lidar.arguments[0], lidar.range_max_m, lidar.range_noise_std_m, ranges
+        for others in (self.clutter, self.crowd):
+            if others is None:
+                continue
+            others.meet(poses)
+            self.contacts = self.contacts | others.is_touched
+            if self._scanners is None:  # it has cast its beams at them itself
+                others.show(poses, *seen)
+            if has_signs:
+                self._cameras.hide(step, poses, others.hiding)
 
     def _draw_noise(self) -> None:
         """Draw the random numbers of the next steps."""
         self._noise_block = self._step // STEPS
         self._odometry.noise.hold(self._step)
-        if self._is_laser_compiled:
+        if self._rates.laser_shape[0]:
             self._lidar.noise.hold(self._step)
         if self._scans_compiled:
             self._wifi.hold(self._step // self._rates.period)
@@ -308,7 +336,7 @@ class World:
         dynamics = self._dynamics or _raise_not_reset()
         apparatus = (
             *self._walls, *dynamics.arguments, *self._odometry.arguments, *self._lidar.arguments,
-            *self._wifi.arguments, *self._bodies, *self._cameras.arguments, self._sensed_poses, self._rates.period,
+            *self._wifi.arguments, self._bodies, *self._cameras.arguments, self._sensed_poses, self._rates.period,
         )  # fmt: skip
         held = Lent(apparatus)
         run = rebound(self._run, held) or bound(_move_and_sense, held, _NO_COMMANDS, *arguments)
@@ -363,7 +391,7 @@ def _move_and_sense(
         words, loss, points, low, numbers, certain_counts, certain_losses, first_uncertain, uncertain_walls,
         pose_home_building, boxes, waves, radios, parts, radio_limits, scratch,
         floors, devices, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
-        draws, bodies, width_m, body_loss_db, signs, lengths, optics, does_hide, sights, hidden, sight_counts,
+        draws, bodies, signs, lengths, optics, does_hide, sights, hidden, sight_counts,
         camera_periods, before, wifi_period,
     ) = parts_of(apparatus)  # fmt: skip
     if commands.shape[0] > 0 and not advance(
@@ -390,7 +418,7 @@ def _move_and_sense(
             i, now[i, 0], now[i, 1], walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers,
             certain_counts, certain_losses, first_uncertain, uncertain_walls, pose_home_building, boxes, waves, radios,
             parts, radio_limits, scratch, floors, devices, fading, fading_places, fading_numbers, fading_used,
-            fading_of, all_macs, crossed, rssi, heard, draws[scan], bodies, width_m, body_loss_db, macs[k],
+            fading_of, all_macs, crossed, rssi, heard, draws[scan], bodies, macs[k],
             readings[k],
         )  # fmt: skip
     sighted = 0

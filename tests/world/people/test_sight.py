@@ -52,9 +52,12 @@ def test_signals_lose_in_bodies_only_in_the_line_of_sight():
         [[4.0, 4.0, 4.0, 0.0], [0.0, 0.0, 0.0, 4.0], [0.0, 3.0, 0.0, 0.0]]
     )  # in sight, above, wall, beside
     losses, crossed = np.zeros((1, 4)), np.array([0, 0, 1, 0])
-    bodies = np.array([[1.0, 0.1], [2.0, 0.0], [5.0, 0.0], [-1.0, 0.0]])
-    lose_in_bodies(0.0, 0.0, boxes, crossed, bodies, 0.2, 7.0, losses)
+    bodies = np.array([[x, y, 0.2, 7.0, 0.0] for x, y in ((1.0, 0.1), (2.0, 0.0), (5.0, 0.0), (-1.0, 0.0))])
+    lose_in_bodies(0.0, 0.0, boxes, crossed, bodies, losses)
     assert losses.tolist() == [[14.0, 0.0, 0.0, 0.0]]
+    bodies[0, 4] = np.inf  # a door weakens signals behind walls as well
+    lose_in_bodies(0.0, 0.0, boxes, crossed, bodies, losses)
+    assert losses.tolist() == [[28.0, 0.0, 7.0, 0.0]]
 
 
 def world_with(kind: str) -> World:

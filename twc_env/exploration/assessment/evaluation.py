@@ -160,11 +160,12 @@ class EpisodePaths(NamedTuple):
 
 
 def numbers(
-    config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord,
-    scores: Sequence[GroupScore], paths: EpisodePaths,
+    config: EnvConfig, seed: int, cells: Cells, engine: Engine, record: EpisodeRecord, scores: Sequence[GroupScore],
+    paths: EpisodePaths,
 ) -> dict[str, float]:  # fmt: skip
-    """The scalar figures of the report; scores, paths: of the present maps. Modifies nothing."""
-    cells, best = floorplan.cells(), scores[0]
+    """The scalar figures of the report; cells: of the building, for scoring; scores, paths: of the present maps.
+    Modifies nothing."""
+    best = scores[0]
     wrong_pairs = record.wrong_pairs.union(*(score.wrong_pairs for score in scores))
     true, estimated, alignment, reckoned = paths
     score = _score(best.grid, best.pose_building_map, cells)
@@ -201,7 +202,7 @@ def numbers(
 
 
 def evaluate(
-    config: EnvConfig, seed: int, floorplan: Floorplan, engine: Engine, record: EpisodeRecord,
+    config: EnvConfig, seed: int, floorplan: Floorplan, cells: Cells, engine: Engine, record: EpisodeRecord,
     scores: Sequence[GroupScore],
 ) -> EpisodeResult:  # fmt: skip
     """All figures of the report and the data for pictures and exports; scores: of the present maps."""
@@ -211,7 +212,7 @@ def evaluate(
     counted = metrics.score_closures([c["correct"] for c in closures], [c["status"] == "accepted" for c in closures])
     figures = {
         "map": config.map,
-        **numbers(config, seed, floorplan, engine, record, scores, paths),
+        **numbers(config, seed, cells, engine, record, scores, paths),
         "per_robot_ate_m": [
             metrics.absolute_trajectory_error_m(estimated[:, r], true[:, r]) for r in range(true.shape[1])
         ],
@@ -249,8 +250,13 @@ def _or_none(value: float) -> float | None:
 
 
 def _score(grid: GridMap, pose_building_map: Array, cells: Cells) -> metrics.MapScore:
+    log_odds = grid.log_odds
+    if cells.unscored is not None:
+        place = grid.origin_m, grid.resolution_m, pose_building_map
+        is_left_out = metrics.floor_mask(log_odds.shape, *place, cells.unscored, cells.origin_m, cells.resolution_m)
+        log_odds = np.where(is_left_out, 0, log_odds).astype(log_odds.dtype)
     return metrics.score_map(
-        grid.log_odds, grid.origin_m, grid.resolution_m, pose_building_map, cells.free, cells.wall, cells.origin_m,
+        log_odds, grid.origin_m, grid.resolution_m, pose_building_map, cells.free, cells.wall, cells.origin_m,
         cells.resolution_m,
     )  # fmt: skip
 

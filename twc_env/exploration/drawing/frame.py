@@ -81,6 +81,8 @@ def legend_of(scene: Scene) -> tuple[Entry, ...]:
     if len(scene.estimated_poses):
         entries.append(("ring", palette.INK, "estimated pose"))
     entries += [("line", palette.CLOSURE, "loop closure"), ("dashes", palette.CLOSURE, "rejected")]
+    if len(scene.things_m):
+        entries.append(("line", palette.TRUE_WALL, "door, furniture"))
     if len(scene.people_m):
         entries.append(("person", palette.PERSON, "person"))
     if scene.signal is not None:

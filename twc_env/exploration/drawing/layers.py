@@ -16,7 +16,7 @@ class Layers:
     """The layers to draw."""
 
     truth: bool = True
-    """True walls, true robot poses and people."""
+    """True walls, doors, furniture, true robot poses and people."""
     maps: bool = True
     """Estimated maps and estimated robot poses."""
     closures: bool = True
@@ -41,7 +41,14 @@ SWITCHES = {"t": "truth", "m": "maps", "c": "closures", "p": "paths", "s": "sign
 def layered(scene: Scene, layers: Layers) -> Scene:
     """The scene without the layers that are off, except `signal` and `robot`, which apply when the scene is made."""
     if not layers.truth:
-        scene = replace(scene, walls=np.zeros_like(scene.walls), true_poses=np.zeros((0, 3)), people_m=np.zeros((0, 2)))
+        nobody, nothing = np.zeros((0, 2)), np.zeros((0, 4))
+        scene = replace(
+            scene,
+            walls=np.zeros_like(scene.walls),
+            true_poses=np.zeros((0, 3)),
+            people_m=nobody,
+            things_m=nothing,
+        )
     if not layers.maps:
         scene = replace(scene, grids=(), estimated_poses=np.zeros((0, 3)))
     if not layers.closures:

@@ -95,6 +95,8 @@ class Scene:
     signal: SignalLayer | None = None
     people_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(people, 2) true positions."""
+    things_m: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    """(k, 4) true ends of door leaves and of the sides and legs of furniture."""
 
 
 @kernel
@@ -163,10 +165,13 @@ def scene_of(
     scores: Sequence[GroupScore],
     closures: tuple[ClosureLine, ...] = (),
     signal: SignalLayer | None = None,
-    people_m: Array | None = None,
     robot_radii_m: tuple[float, ...] = (),
+    **others: Array,
 ) -> Scene:
-    """The present state of an episode; each group's map is aligned with the building by one rigid motion."""
+    """The present state of an episode; each group's map is aligned with the building by one rigid motion.
+
+    others: `people_m` and `things_m`, as of `Scene`.
+    """
     cells = floorplan.cells()
     true = record.true_poses
     estimated = np.full((true.shape[1], 3), np.nan)
@@ -185,8 +190,8 @@ def scene_of(
         trails_m=tuple(true[-TRAIL_STEPS:, robot, :2] for robot in range(true.shape[1])),
         closures=closures,
         signal=signal,
-        people_m=np.zeros((0, 2)) if people_m is None else people_m,
         robot_radii_m=robot_radii_m,
+        **others,
     )
 
 
@@ -212,6 +217,7 @@ def render(scene: Scene) -> Array:
         x, y = float(scene.signal.origin_m[0]), float(scene.signal.origin_m[1])
         _paint_signal(image, *view, scene.signal.share, x, y, float(scene.signal.cell_m))
     _paint_closures(image, view, scene)
+    _paint_things(image, view, scene)
     _paint_people(image, view, scene)
     _paint_robots(image, view, scene)
     return image.astype(np.uint8)
@@ -253,6 +259,11 @@ def to_pixels(points_m: Array, view: tuple) -> Array:
     left, top, metres = view
     points_m = np.asarray(points_m, float)
     return np.column_stack([(points_m[:, 0] - left) / metres - 0.5, (top - points_m[:, 1]) / metres - 0.5])
+
+
+def _paint_things(image: Array, view: tuple, scene: Scene) -> None:
+    for ends in to_pixels(np.asarray(scene.things_m, float).reshape(-1, 2), view).reshape(-1, 4).tolist():
+        draw_line(image, *ends, 0.7, _TRUE_WALL, 1.0)
 
 
 def _paint_people(image: Array, view: tuple, scene: Scene) -> None:

@@ -25,6 +25,8 @@ class Cells:
     origin_m: Array
     """(2,) lower left corner of cell [0, 0]."""
     resolution_m: float
+    unscored: Array | None = None
+    """(rows, columns) bool: floor covered by what the plan does not have, taken out of `free`; None: nothing."""
 
     def centre_of(self, cells: Array) -> Array:
         """(..., 2) integer (row, column) -> (..., 2) cell centres [m]."""

@@ -37,7 +37,6 @@ from twc_env.world.people.walking import (
     walk,
 )
 from twc_env.world.sensors.noise import NormalPools
-from twc_env.world.sensors.radio import Bodies
 from twc_env.world.starts import start_places
 
 HIDING_RADIUS_M = BODY_RADIUS_M
@@ -68,8 +67,10 @@ class Crowd(BindsAnew):
         robot_radius_m: float | Array,
         time_step_s: float,
         seed: int,
+        rims: Array | None = None,
     ):
-        """robots (r, 3): start poses; robot_radius_m: of all robots, or of each (r,).
+        """robots (r, 3): start poses; robot_radius_m: of all robots, or of each (r,); rims (k, 4): ends of the sides of
+        furniture and doors, updated in place.
 
         Raises MapError if the people do not fit into the building.
         """
@@ -86,9 +87,11 @@ class Crowd(BindsAnew):
         """(2 people, 3) x, y [m] and radius [m] of the legs."""
         self.bodies = self._state[:, :2]
         """(people, 2) positions."""
-        bodies = self.upright if config.body_loss_db else np.zeros((0, 2))
-        self.in_the_way = Bodies(bodies, HIDING_RADIUS_M, config.body_loss_db)
-        """The people who reach into the line of sight, for the radio; updated in place."""
+        upright = self.upright
+        self.obstructions = np.column_stack([
+            upright, np.tile([HIDING_RADIUS_M, config.body_loss_db, 0.0], (len(upright), 1))
+        ])[: len(upright) if config.body_loss_db else 0]  # fmt: skip
+        """The people who reach into the line of sight, as of `sight.lose_in_bodies`; updated in place."""
         self.is_touched = np.zeros(len(robots), np.bool_)
         """(robots,) whether each robot touches a person."""
         self.collisions = np.zeros(len(robots), np.int64)
@@ -97,6 +100,7 @@ class Crowd(BindsAnew):
             self._state, self._kinds, trips, np.zeros(count, np.int64), pauses, ways.distances_m, ways.origin_m,
             ways.cell_m, home.wall_index.buckets(), np.column_stack([robots[:, :2], np.zeros((len(robots), 2))]),
             radii_m, time_step_s, self.discs, np.zeros(shape, np.bool_), self.collisions,
+            np.zeros((0, 4)) if rims is None else rims,
         )  # fmt: skip
         self._noise = NormalPools([random_stream(seed, "people-lidar", robot) for robot in range(len(robots))], 4096)
         place_legs(self._state, self._kinds, self.discs)
@@ -126,6 +130,17 @@ class Crowd(BindsAnew):
         """(k, 2) positions of the people who do not sit: they hide signs and reach into the line of sight."""
         return np.ascontiguousarray(self._state[self._kinds != SITTING, :2])
 
+    @property
+    def hiding(self) -> Array:
+        """(k, 3) x, y and radius [m] of what hides signs."""
+        upright = self.upright
+        return np.column_stack([upright, np.full(len(upright), HIDING_RADIUS_M)])
+
+    @property
+    def walkers(self) -> Array:
+        """(k, 2) positions of the people who walk."""
+        return np.ascontiguousarray(self._state[self._kinds == WALKING, :2])
+
     def step(self, poses: Array, commands: Array) -> Array:
         """Advance one time step; poses (r, 3) of the robots before it. The commands (r, 2) that bumpers leave."""
         left = commands.copy()
@@ -133,7 +148,8 @@ class Crowd(BindsAnew):
             lent = Lent(self._arrays)
             self._walk = bound(walk, lent, poses, left)
         self._walk(poses, left)
-        self.in_the_way.position_m[:] = self.upright[: len(self.in_the_way.position_m)]
+        if len(self.obstructions):
+            self.obstructions[:, :2] = self.upright
         return left
 
     def meet(self, poses: Array) -> None:

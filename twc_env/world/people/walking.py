@@ -95,7 +95,23 @@ def _wanted(i, state, kinds, trips, trip, pauses, fields, origin, cell, robots, 
 
 
 @borrowing_kernel
-def _accelerate(i, state, kinds, robots, radii, wanted_x, wanted_y, walls):
+def rim_beside(rims, x, y, reach):
+    """Vector from the nearest of the rims (k, 4) to (x, y), and its length, at most `reach`."""
+    best, from_x, from_y = reach * reach, 0.0, 0.0
+    for k in range(rims.shape[0]):
+        ax, ay = x - rims[k, 0], y - rims[k, 1]
+        if abs(ax) > 3.0 or abs(ay) > 3.0:
+            continue
+        ex, ey = rims[k, 2] - rims[k, 0], rims[k, 3] - rims[k, 1]
+        t = min(max((ax * ex + ay * ey) / max(ex * ex + ey * ey, 1e-12), 0.0), 1.0)
+        dx, dy = ax - t * ex, ay - t * ey
+        if dx * dx + dy * dy < best:
+            best, from_x, from_y = dx * dx + dy * dy, dx, dy
+    return from_x, from_y, math.sqrt(best)
+
+
+@borrowing_kernel
+def _accelerate(i, state, kinds, robots, radii, wanted_x, wanted_y, walls, rims):
     """Acceleration of person i by the speed wanted and by everybody near; robots (r, 4): positions and velocities."""
     x, y, vx, vy = state[i, X], state[i, Y], state[i, VX], state[i, VY]
     ax, ay = (wanted_x - vx) / RELAXATION_S, (wanted_y - vy) / RELAXATION_S
@@ -124,12 +140,17 @@ def _accelerate(i, state, kinds, robots, radii, wanted_x, wanted_y, walls):
     if gap < _WALL_REACH_M:
         push = wall_repulsion(gap - BODY_RADIUS_M) / max(gap, 1e-9)
         ax, ay = ax + push * wx, ay + push * wy
+    if rims.shape[0] > 0:
+        wx, wy, gap = rim_beside(rims, x, y, _WALL_REACH_M)
+        if gap < _WALL_REACH_M:
+            push = wall_repulsion(gap - BODY_RADIUS_M) / max(gap, 1e-9)
+            ax, ay = ax + push * wx, ay + push * wy
     return ax, ay
 
 
 @borrowing_kernel
-def _keep_apart(i, state, kinds, robots, radii, walls):
-    """Move person i out of robots, people and, last, walls."""
+def _keep_apart(i, state, kinds, robots, radii, walls, rims):
+    """Move person i out of robots, people, furniture and, last, walls."""
     bucket_walls, origin, bucket, rows, columns, first, members = walls
     for k in range(state.shape[0] + robots.shape[0]):
         if k == i:
@@ -143,6 +164,11 @@ def _keep_apart(i, state, kinds, robots, radii, walls):
         if 1e-9 < distance < needed:
             state[i, X] += (needed - distance) * dx / distance
             state[i, Y] += (needed - distance) * dy / distance
+    if rims.shape[0] > 0:
+        wx, wy, gap = rim_beside(rims, state[i, X], state[i, Y], BODY_RADIUS_M)
+        if 1e-9 < gap < BODY_RADIUS_M:
+            state[i, X] += (BODY_RADIUS_M - gap) * wx / gap
+            state[i, Y] += (BODY_RADIUS_M - gap) * wy / gap
     for _ in range(2):
         wx, wy, gap = wall_beside(
             bucket_walls, origin, bucket, rows, columns, first, members, state[i, X], state[i, Y], BODY_RADIUS_M
@@ -175,7 +201,7 @@ def walk(crowd, poses, commands):
     of robots that push a person: a bumper stops them."""
     (
         state, kinds, trips, trip, pauses, fields, origin, cell, walls, robots, radii, dt, discs, _touching,
-        _counts,
+        _counts, rims,
     ) = parts_of(crowd)  # fmt: skip
     for k in range(poses.shape[0]):
         robots[k, 2], robots[k, 3] = (poses[k, 0] - robots[k, 0]) / dt, (poses[k, 1] - robots[k, 1]) / dt
@@ -186,14 +212,14 @@ def walk(crowd, poses, commands):
         if kinds[i] == SITTING:
             continue
         wanted_x, wanted_y = _wanted(i, state, kinds, trips, trip, pauses, fields, origin, cell, robots, dt)
-        ax, ay = _accelerate(i, state, kinds, robots, radii, wanted_x, wanted_y, walls)
+        ax, ay = _accelerate(i, state, kinds, robots, radii, wanted_x, wanted_y, walls, rims)
         vx, vy = state[i, VX] + ax * dt, state[i, VY] + ay * dt
         speed, limit = math.sqrt(vx * vx + vy * vy), SPEED_EXCESS * state[i, SPEED]
         if speed > limit:
             vx, vy, speed = vx * limit / speed, vy * limit / speed, limit
         before_x, before_y = state[i, X], state[i, Y]
         state[i, X], state[i, Y] = before_x + vx * dt, before_y + vy * dt
-        _keep_apart(i, state, kinds, robots, radii, walls)
+        _keep_apart(i, state, kinds, robots, radii, walls, rims)
         state[i, VX], state[i, VY] = vx, vy
         if kinds[i] == WALKING and speed > 0.2:
             state[i, FACING] = math.atan2(vy, vx)
@@ -214,7 +240,7 @@ def touch(crowd, poses, is_touched):
     """Note which robots, now at poses (r, 3), touch a person (r,); counts contacts that robots begin by driving."""
     (
         state, _kinds, _trips, _trip, _pauses, _fields, _origin, _cell, _walls, robots, radii, dt, _discs,
-        touching, counts,
+        touching, counts, _rims,
     ) = parts_of(crowd)  # fmt: skip
     for k in range(poses.shape[0]):
         reach = radii[k] + BODY_RADIUS_M

@@ -13,7 +13,6 @@ import dataclasses
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -41,16 +40,6 @@ _SECTOR_BACK_DB = 20.0
 """Greatest loss of that antenna."""
 _VIRTUAL_ADDRESS_STEP = 1 << 40
 """Difference between the addresses of an access point's virtual networks."""
-
-
-class Bodies(NamedTuple):
-    """People in the way of signals."""
-
-    position_m: Array
-    """(k, 2) in the home frame."""
-    radius_m: float
-    loss_db: float
-    """Per person in the line of sight."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,12 +142,13 @@ class RadioModel:
         )  # fmt: skip
         """Arguments of `mean_rssi` after the position and the wall losses."""
 
-    def mean_rssi_dbm(self, position_m: Array, bodies: Bodies | None = None) -> Array:
-        """(transmitters,) RSSI at a position (2,) among people before fading, device offset and noise."""
+    def mean_rssi_dbm(self, position_m: Array, bodies: Array | None = None) -> Array:
+        """(transmitters,) RSSI at a position (2,) before fading, device offset and noise; bodies (k, 5): what is in the
+        way, as of `lose_in_bodies`."""
         x, y, mean = float(position_m[0]), float(position_m[1]), np.empty(len(self.macs))
         losses = self._wall_losses_db(x, y)
         if bodies is not None:
-            lose_in_bodies(x, y, self.signal[1], self._crossed[0], *bodies, losses)
+            lose_in_bodies(x, y, self.signal[1], self._crossed[0], bodies, losses)
         mean_rssi(x, y, losses, *self.signal, mean)
         if self._has_cells:
             mean[self.is_cell] -= self._sector_loss_db(np.array([x, y]))

@@ -15,7 +15,7 @@ from twc_env.world.building.crossing_table import crossed_at
 from twc_env.world.people.sight import lose_in_bodies
 from twc_env.world.sensors.mean_rssi import mean_rssi
 from twc_env.world.sensors.noise import StepNoise, StepQueue
-from twc_env.world.sensors.radio import Bodies, RadioModel
+from twc_env.world.sensors.radio import RadioModel
 
 _LEVEL_MAX_DBM = -1.0
 """Receivers saturate; 0 is what drivers report of what they did not hear, and the engine refuses it."""
@@ -61,7 +61,7 @@ class WifiReceiver:
         self._fading_x, self._fading_y = np.inf, np.inf
         self._last_dbm, self._last_time_s = np.zeros(count), np.full(count, -np.inf)
 
-    def scan(self, position_m: Sequence[float] | Array, time_s: float = 0.0, bodies: Bodies | None = None) -> WifiScan:
+    def scan(self, position_m: Sequence[float] | Array, time_s: float = 0.0, bodies: Array | None = None) -> WifiScan:
         """The scan at a true position (x, y, ...) among people; time_s: for the age of stale readings."""
         x, y = float(position_m[0]), float(position_m[1])
         config, model = self._config, self._model
@@ -171,11 +171,11 @@ def hear(
     robot, x, y, walls, origin, bucket, rows, columns, first, members, loss, points, low, numbers, certain_counts,
     certain_losses, first_uncertain, uncertain_walls, pose_home_building, boxes, waves, radios, parts, limits, scratch,
     detection, constants, fading, fading_places, fading_numbers, fading_used, fading_of, all_macs, crossed, rssi, heard,
-    draws, bodies, body_radius, body_loss_db, macs, readings,
+    draws, bodies, macs, readings,
 ):  # fmt: skip
     """The scan of one robot at (x, y) among people, listed in macs and readings; returns the count.
 
-    bodies (k, 2): positions of people who reach into the line of sight, each with a loss of body_loss_db.
+    bodies (k, 5): what reaches into the line of sight, as of `lose_in_bodies`.
     `CrossingTable.prepare` must have been called for the position. crossed, rssi, heard and scratch are overwritten.
     """
     own, losses = constants[robot], scratch[3:]
@@ -190,6 +190,6 @@ def hear(
         certain_losses, first_uncertain, uncertain_walls, crossed, losses,
     )  # fmt: skip
     if bodies.shape[0] > 0:
-        lose_in_bodies(x, y, boxes, crossed, bodies, body_radius, body_loss_db, losses)
+        lose_in_bodies(x, y, boxes, crossed, bodies, losses)
     mean_rssi(x, y, losses, pose_home_building, boxes, waves, radios, parts, limits, scratch, rssi)
     return _receive(rssi, fading[robot], own, draws[robot], detection[robot], all_macs, heard, macs, readings)

@@ -49,9 +49,10 @@ class Scanners:
         seed: int,
         discs: Array | None = None,
         members: Sequence[int] | None = None,
+        things: Array | None = None,
     ):
         """plan: in the home frame; discs (k, 3): x, y and radius [m] of what else moves, updated in place; members: the
-        robots, in order (None: all)."""
+        robots, in order (None: all); things (k, 4): ends of what the plan does not have, updated in place."""
         robots, own = config.robots, robot_configs(config)
         members = range(robots) if members is None else members
         self.members = np.array(members, np.int64)
@@ -68,6 +69,9 @@ class Scanners:
         """Time steps from one scan to the next."""
         taus = self.scanner.sweep_s / step_s * (1.0 - np.arange(lidar.beam_count) / max(lidar.beam_count - 1, 1))
         self._discs = np.zeros((0, 3)) if discs is None else discs
+        self._things = np.zeros((0, 4)) if things is None else things
+        self._cast_things = np.zeros((4, len(self._things)))
+        """x, y of the begin and of the extent of each."""
         self._paths = np.zeros((math.ceil(taus.max()) + 2, robots + len(self._discs), 3))
         """True poses of all robots, and places of the discs, in the last steps, the latest first."""
         self._is_begun = False
@@ -106,6 +110,8 @@ class Scanners:
         paths[0], self._is_begun = now, True
         if step % self.period_steps:
             return self._ranges, np.zeros(len(self.members), np.bool_)
+        self._cast_things[:2] = self._things[:, :2].T
+        self._cast_things[2:] = self._things[:, 2:].T - self._things[:, :2].T
         draws = {name: draw.next() for name, draw in self._draws.items()}
         ranges, none = np.empty_like(self._ranges), self._none
         arguments = paths, *[draws.get(name, none) for name in _NAMES], ranges
@@ -124,6 +130,7 @@ class Scanners:
             (lidar.detection_range_m, *self._dark),
             (lidar.beam_divergence_rad, lidar.is_full_circle),
             (lidar.range_noise_std_m, lidar.range_noise_per_m, lidar.range_min_m, lidar.dropout_probability),
+            self._cast_things,
         ))  # fmt: skip
 
     def __getstate__(self) -> dict:
@@ -133,11 +140,13 @@ class Scanners:
 class MixedScanners:
     """The scanners of a team with scanners of several kinds, each as `Scanners` simulates it."""
 
-    def __init__(self, config: EnvConfig, plan: Floorplan, seed: int, discs: Array | None = None):
+    def __init__(
+        self, config: EnvConfig, plan: Floorplan, seed: int, discs: Array | None = None, things: Array | None = None
+    ):
         """As of `Scanners`."""
         kinds = [own.lidar for own in robot_configs(config)]
         members = {kind: [robot for robot, own in enumerate(kinds) if own == kind] for kind in kinds}
-        groups = {kind: Scanners(config, plan, seed, discs, members[kind]) for kind in members}
+        groups = {kind: Scanners(config, plan, seed, discs, members[kind], things) for kind in members}
         self._groups = list(groups.values())
         self.scanner = tuple(groups[kind].scanner for kind in kinds)
         """Geometry of each robot's scans ..."""
@@ -202,7 +211,9 @@ def _scan(
     apparatus, paths, glass_chance, mirror_chance, loss_chance, edge_chance, deviates, drop_chance, ranges
 ):  # fmt: skip
     """Fill ranges (members, beams); random numbers with a row per member, without columns where an error is off."""
-    members, index, looked_up, geometry, room, radii, panes, mirrors, shiny, loss, edges, limits = parts_of(apparatus)
+    members, index, looked_up, geometry, room, radii, panes, mirrors, shiny, loss, edges, limits, things = parts_of(
+        apparatus
+    )
     walls, origin, bucket, rows, columns, first_member, wall_members = index
     near, near_counts, anchors = looked_up
     taus, mount, first, step, range_max, margin = geometry
@@ -227,6 +238,13 @@ def _scan(
             reach = max(reach, math.hypot(beams[0, b] - x, beams[1, b] - y))
         row, centre = ranges[i], beams[:2, count - 1]
         cast(near[i], near_counts[i], beams, centre, begin, mean_step, spread, reach, range_max, row, hit)
+        if things.shape[1] > 0:
+            for b in range(count):
+                work[b] = row[b]
+            cast(things, things.shape[1], beams, centre, begin, mean_step, spread, reach, range_max, row, hit)
+            for b in range(count):
+                if row[b] < work[b]:
+                    hit[b] = NOTHING
         cast_discs(paths, taus, radii, members[i], beams, centre, reach, range_max, row, hit)
         if panes.shape[0] > 0:
             reflect_glass(panes, beams, glass_chance[i], glass_probability, incidence_max, row, hit)

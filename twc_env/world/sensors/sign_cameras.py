@@ -52,9 +52,9 @@ class SignCameras:
         if is_fast:
             self._table = _TableReadings(config, tuple(sign.text for sign in plan.signs), seed, self.arguments[-4:])
 
-    def hide(self, step: int, poses: Array, bodies: Array, radius_m: float) -> None:
-        """Hide the characters of signs in view at poses (n, 3) that are behind bodies (k, 2) of a radius."""
-        _hide_behind(step, poses, bodies, np.full(len(bodies), radius_m), *self.arguments)
+    def hide(self, step: int, poses: Array, bodies: Array) -> None:
+        """Hide the characters of signs in view at poses (n, 3) that are behind bodies (k, 3): x, y and radius."""
+        _hide_behind(step, poses, bodies, np.ascontiguousarray(bodies[:, 2]), *self.arguments)
 
     def read(self, step: int) -> Readings:
         """The readings of the signs that `look` has found in view in a step."""
@@ -74,7 +74,7 @@ class SignCameras:
 def _hide_behind(
     step, poses, bodies, radii, signs, lengths, optics, _does_hide, sights, hidden, counts, periods
 ):  # fmt: skip
-    """Set hidden (robots, signs, characters) for the characters behind bodies (k, 2) of radii (k,), for robots
+    """Set hidden (robots, signs, characters) for the characters behind bodies (k, 3) of radii (k,), for robots
     with a new image."""
     for i in range(poses.shape[0]):
         if (step + i) % periods[i] != 0:
