@@ -38,9 +38,7 @@ class MergeTrials:
     def __init__(self, config: PoseGraphConfig, graph: TeamGraph):
         self._config, self._graph = config, graph
 
-    def merged(
-        self, a: tuple[int, ...], b: tuple[int, ...], proposal: MergeProposal
-    ) -> tuple[Sequence[int], Array] | None:
+    def merged(self, a: tuple[int, ...], b: tuple[int, ...], proposal: MergeProposal) -> tuple[Array, Array] | None:
         """Nodes (n,) of both groups and their poses (n, 3) in the map of `a`, optimised with all consistent closures.
 
         None unless this determines every pose of a robot of `a` relative to one of `b` to within STD_MAX. Callers
