@@ -385,8 +385,8 @@ class TeamMapper:
             a, b = b, a  # into the frame of the prior map
         robots_a, robots_b = self.groups[a].robots, self.groups[b].robots
         pending = self._graph.waiting.between(robots_a, robots_b)
-        tried = self._tried_counts.get((robots_a, robots_b), 0)
-        if is_patient and tried < len(pending) < tried + tried // RETRY_SHARE:
+        before = self._tried_counts.get((robots_a, robots_b), 0)
+        if is_patient and before < len(pending) < before + before // RETRY_SHARE:
             return False
         if is_patient and (robots_a, robots_b) in self._uncertain:
             return False
@@ -415,10 +415,13 @@ class TeamMapper:
         grids = self._maps.known_grid(robots_a, a), self._maps.known_grid(robots_b, b)
         if self._tests.walls_disagree(*grids, pose_a_b):
             return False
-        if self._trials is not None and not self._trials.is_well_constrained(robots_a, robots_b, proposal):
+        tried = None if self._trials is None else self._trials.merged(robots_a, robots_b, proposal)
+        if self._trials is not None and tried is None:
             self._uncertain.add((robots_a, robots_b))
             return False
         self._maps.merge(a, b, pose_a_b)
+        if tried is not None:
+            self._graph.place(*tried)
         self.optimiser.reset_fixed()
         self._review.record_merge(robots_a, robots_b, self._step)
         merged = self._maps.group_of[robots_a[0]]

@@ -202,12 +202,14 @@ def test_a_rival_by_which_robots_saw_through_each_other_outvotes_nothing(recorde
         team._graph.add_closure(closure)
         team._test_inside_map(closure)
     review, merge, found = team._review, team._review.merges[-1], {}
-    for name, seen_through in (("allowed", 0), ("contradicted", 5)):
-        monkeypatch.setattr(MutualObservations, "count", lambda *_, through=seen_through: ObservationCounts(0, through))
+    for name, seen, seen_through in (("allowed", 0, 0), ("contradicted", 0, 5), ("confirmed", 10, 0)):
+        counted = ObservationCounts(seen, seen_through)
+        monkeypatch.setattr(MutualObservations, "count", lambda *_, counted=counted: counted)
         merge.refusals_seen = -1
         found[name] = review.wrong(PLANTED_STEP + 1, False)
     assert "closures agree on another place" in found["allowed"][1]
     assert found["contradicted"] is None
+    assert found["confirmed"] is None, "robots that saw each other were there"
 
 
 def test_one_closure_is_enough_where_robots_saw_each_other(recorded, monkeypatch):

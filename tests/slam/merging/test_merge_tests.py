@@ -187,3 +187,20 @@ def test_a_solution_in_which_a_single_closure_moves_the_map_is_rejected(count, a
         closure.number = number
     asked = MergeTests(MergingConfig(), graph)
     assert asked.may_replace((0, 1), nodes, ([], GRAPH.poses), (new, GRAPH.poses)) is may
+
+
+@pytest.mark.parametrize(("kept", "may"), [(2, False), (3, True)])
+def test_a_solution_that_moves_robots_against_most_closures_between_them_is_rejected(kept, may):
+    nodes = np.arange(2 * PLACES)
+    ways = [[SimpleNamespace(signs=[])] * PLACES] * 2
+    graph = SimpleNamespace(**vars(GRAPH), keyframes=ways, path_of=lambda robot: PLACES * robot + np.arange(PLACES))
+    held, new = say(6, TRUE, "twc"), say(PLACES, ELSEWHERE, "twc")[6:]
+    for number, closure in enumerate(held + new):
+        closure.number = number
+    before, after = (np.concatenate([PATH, compose(np.array(pose), PATH)]) for pose in (TRUE, ELSEWHERE))
+    after[PLACES : PLACES + kept] = before[PLACES : PLACES + kept]
+    accepted = [*held[:kept], *new, *say(3, ELSEWHERE, "twc")]
+    for number, closure in enumerate(accepted[kept + len(new) :], 100):
+        closure.number = number
+    asked = MergeTests(MergingConfig(), graph)
+    assert asked.may_replace((0, 1), nodes, (held, before), (accepted, after)) is may

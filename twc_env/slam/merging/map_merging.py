@@ -104,14 +104,17 @@ def agree_with(pose_a_b: Array, in_a: Array, sources: Array, config: MergingConf
     return (np.hypot(apart[:, 0], apart[:, 1]) <= config.consistency_m) & (turned <= config.consistency_rad)
 
 
+def exclude(apart: Array) -> Array:
+    """(k,) bool: whether two poses of one keyframe, this far apart (k, 3), exclude each other."""
+    return (np.hypot(apart[:, 0], apart[:, 1]) > APART_M) | (np.abs(wrap_angle(apart[:, 2])) > APART_RAD)
+
+
 def largest_rival(pose_a_b: Array, in_a: Array, sources: Array, config: MergingConfig) -> Array | None:
     """(k,) bool: the most closures that agree with each other on a pose which excludes `pose_a_b`; None if none do.
 
     Arguments as for `agree_with`.
     """
-    apart = compose(pose_a_b, sources) - in_a
-    is_far = np.hypot(apart[:, 0], apart[:, 1]) > APART_M
-    others = np.flatnonzero(is_far | (np.abs(wrap_angle(apart[:, 2])) > APART_RAD))
+    others = np.flatnonzero(exclude(compose(pose_a_b, sources) - in_a))
     if not len(others):
         return None
     poses = compose(in_a[others], inverse(sources[others]))

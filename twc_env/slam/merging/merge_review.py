@@ -165,8 +165,13 @@ class MergeReview:
     def _is_better(
         self, rival: MergeProposal, a: Sequence[int], b: Sequence[int], supporters: Sequence[LoopClosure]
     ) -> bool:
-        """Whether walls, radio and mutual observations allow the rival transform, radio does not prefer the present
-        one, and signs, or radio and walls, prefer the rival."""
+        """Whether walls, radio and mutual observations allow the rival transform, neither radio nor mutual observations
+        speak for the present one, and signs, or radio and walls, prefer the rival.
+
+        Robots that saw each other were there: no number of closures by repeated signs says otherwise.
+        """
+        if self._tests.mutual_observations_confirm(a, b, IDENTITY):
+            return False
         grids, there = self._grids(a, b), rival.pose_a_b
         heard = self._tests.radio_agrees(a, b, there) if self._rule.wifi_check else None
         if heard is False or self._tests.walls_disagree(*grids, there):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -129,12 +130,14 @@ class MergeTests:
     def may_replace(self, robots: Sequence[int], nodes: Array, before: Solution, after: Solution) -> bool:
         """Whether solution `after` may replace `before` in the map of these robots, whose nodes (n,) are given.
 
-        Newly accepted closures must have the weight of lost ones at least, at twice as many places, else the two
-        solutions are ambiguous. Their number is not sufficient where few signs were seen often or consecutive names are
-        confused. A single closure may not move the map by more than LOOSE_M. No new pair of robots may disagree on most
-        of its shared signs.
+        Only the review of merges moves robots against each other, after all tests of a merge. Newly accepted closures
+        must have the weight of lost ones at least, at twice as many places, else the two solutions are ambiguous. Their
+        number is not sufficient where few signs were seen often or consecutive names are confused. A single closure may
+        not move the map by more than LOOSE_M. No new pair of robots may disagree on most of its shared signs.
         """
         held, now = ({closure.number for closure in answer[0]} for answer in (before, after))
+        if self._moves_robots_apart(before, after, nodes):
+            return False
         lost = self.weight([c for c in before[0] if c.number not in now], robots)
         new = [c for c in after[0] if c.number not in held]
         gained = self.weight(new, robots)
@@ -144,6 +147,22 @@ class MergeTests:
         if len(new) == 1 and self._graph.disagreement(new[0])[0] > LOOSE_M:
             return False
         return self._disagreeing_pairs(robots, nodes, after[1]) <= self._disagreeing_pairs(robots, nodes, before[1])
+
+    def _moves_robots_apart(self, before: Solution, after: Solution, nodes: Array) -> bool:
+        """Whether solution `after`, of nodes (n,), puts two robots elsewhere to each other than most closures between
+        them say that `before` accepted."""
+        asked = [c for c in before[0] if c.candidate.target[0] != c.candidate.source[0] and not c.is_loose]
+        if not asked:
+            return False
+        ends = [[self._graph.node(c.candidate.target), self._graph.node(c.candidate.source)] for c in asked]
+        rows, measured = np.searchsorted(nodes, np.array(ends)).T, np.array([c.pose_target_source for c in asked])
+        held, holds = (
+            ~map_merging.exclude(compose(poses[rows[0]], measured) - poses[rows[1]]) for poses in (before[1], after[1])
+        )
+        votes: Counter[frozenset[int]] = Counter()
+        for closure, is_elsewhere in zip(asked, held & ~holds, strict=True):
+            votes[frozenset((closure.candidate.target[0], closure.candidate.source[0]))] += 1 if is_elsewhere else -1
+        return max(votes.values()) > 0
 
     def _disagreeing_pairs(self, robots: Sequence[int], nodes: Array, poses: Array) -> set[tuple[int, int]]:
         """Pairs of robots that disagree on most of their shared signs with these nodes (n,) at poses (n, 3)."""
@@ -233,7 +252,7 @@ class MergeTests:
             return False
         first = int(np.argmax(rival))
         there = compose(in_a[first], inverse(sources[first]))
-        if self._mutual_observations is not None and self._mutual_observations.count(a, b, proposal.pose_a_b).confirm:
+        if self.mutual_observations_confirm(a, b, proposal.pose_a_b):
             return False
         preferred = self.radio_prefers(a, b, proposal.pose_a_b, there)
         return not preferred if preferred is not None else bool(np.count_nonzero(rival) >= len(supporting))
@@ -328,6 +347,10 @@ class MergeTests:
     def mutual_observations_contradict(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
         """Whether robots saw through the places where the merge puts others at that time (`mutual_observations`)."""
         return self._mutual_observations is not None and self._mutual_observations.count(a, b, pose_a_b).contradict
+
+    def mutual_observations_confirm(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
+        """Whether robots saw each other where and when the merge says so, too often for chance."""
+        return self._mutual_observations is not None and self._mutual_observations.count(a, b, pose_a_b).confirm
 
     def walls_disagree(self, grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> bool:
         """Whether more than `contradiction_max` of one map's walls lie in free space of the other."""

@@ -38,9 +38,12 @@ class MergeTrials:
     def __init__(self, config: PoseGraphConfig, graph: TeamGraph):
         self._config, self._graph = config, graph
 
-    def is_well_constrained(self, a: tuple[int, ...], b: tuple[int, ...], proposal: MergeProposal) -> bool:
-        """Whether the joint optimisation with all consistent closures determines every pose of a robot of `a` relative
-        to one of `b` to within STD_MAX."""
+    def merged(self, a: tuple[int, ...], b: tuple[int, ...], proposal: MergeProposal) -> tuple[Array, Array] | None:
+        """Nodes (n,) of both groups and their poses (n, 3) in the map of `a`, optimised with all consistent closures.
+
+        None unless this determines every pose of a robot of `a` relative to one of `b` to within STD_MAX. Callers
+        merge into these poses: from the proposed transform alone, the back end may end in another solution.
+        """
         nodes, _, graph, is_used = self._graph.subgraph([*a, *b])
         poses, robot_of = self._graph.poses[nodes], self._graph.robot_of_node[nodes]
         poses[np.isin(robot_of, b)] = compose(proposal.pose_a_b, poses[np.isin(robot_of, b)])
@@ -57,10 +60,11 @@ class MergeTrials:
         tried = revise(poses, graph, np.concatenate([is_used, is_near]), self._config, 0, is_thorough=True)
         squared = squared_errors(tried.poses, *self._edges(nodes, proposal.agreeing))
         if np.mean(squared < GATE) < AGREEING_SHARE:
-            return False
+            return None
         whose, robot_of = np.unique(robot_of, return_inverse=True)
         across = np.ix_(np.isin(whose, a), np.isin(whose, b))
-        return bool((frame_stds(tried.poses, graph.of(tried.accepted), robot_of)[across] < STD_MAX).all())
+        is_known = (frame_stds(tried.poses, graph.of(tried.accepted), robot_of)[across] < STD_MAX).all()
+        return (nodes, tried.poses) if is_known else None
 
     def _edges(self, nodes: Array, closures: Sequence[LoopClosure]) -> tuple[Array, Array, Array]:
         """Closures as edges between nodes (n,), ascending: ends (k, 2), transforms (k, 3), information (k, 3, 3)."""
