@@ -87,6 +87,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     markdown = re.sub(r"^<!-- made: (\w+) -->$", lambda m: globals()[f"made_{m[1]}"](), markdown, flags=re.MULTILINE)
     markdown = re.sub(r"^<!-- file: (\S+) -->$", lambda m: _fenced(ROOT / m[1]), markdown, flags=re.MULTILINE)
     uri = page.file.src_uri
+    if uri == "index.md":
+        page.meta["hide"] = ["navigation", "toc"]
     home = _place_in_repository(uri)
     parts = re.split(r"(^````.*?^````|^```.*?^```|`[^`\n]+`)", markdown, flags=re.DOTALL | re.MULTILINE)
     parts[::2] = [_with_links(part, uri, home) for part in parts[::2]]
@@ -187,9 +189,15 @@ def _with_links(text: str, uri: str, home: str) -> str:
         if place is None:
             return match[0]  # mkdocs says that it leads nowhere
         there = posixpath.relpath(place, posixpath.dirname(uri) or ".")
-        return f"]({there}{'#' + heading if heading else ''}"
+        before = match[1] if match[1] == "](" else f"[{_title(ROOT / path)}]("
+        return f"{before}{there}{'#' + heading if heading else ''}"
 
-    return re.sub(r"(\]\()([^)\s]+)(?=\))", lead, text)
+    return re.sub(r"(\[[\w./-]+\.md\]\(|\]\()([^)\s]+)(?=\))", lead, text)
+
+
+def _title(file: Path) -> str:
+    """The heading of a page, which says more to a reader of the site than the name of a file."""
+    return re.search(r"^# (.+)$", file.read_text(encoding="utf-8"), re.MULTILINE)[1]  # type: ignore[index]
 
 
 def _sources(config: Any) -> dict[str, str]:
@@ -289,7 +297,7 @@ def _notebooks() -> dict[str, str | bytes]:
         title = f'\n<a href="{path.name}" download>Download this notebook</a> for Jupyter.\n'
         if repository:
             place = f"https://colab.research.google.com/github/{repository}/blob/gh-pages/notebooks/{path.name}"
-            title = f'\n<a href="{place}">Open in Colab</a>, or{title[1:].replace("Download", "download")}'
+            title = f'\n<a href="{place}">Open in Colab</a>, or {title[1:].replace("Download", "download")}'
         parts[0] = parts[0].replace("\n", f"\n{title}\n", 1) if "\n" in parts[0] else parts[0] + "\n" + title
         made[f"notebooks/{path.stem}.md"] = "\n\n".join(parts) + "\n"
     return made

@@ -108,6 +108,12 @@ def test_the_reference_shows_the_arguments_of_parallel_env(site):
     assert all(f">{name}<" in signature for name in ("map", "robots", "max_cycles", "config", "render_mode", "task"))
 
 
+def test_links_are_called_by_the_title_of_their_page_not_by_its_file(pages):
+    for path in pages:
+        if "source" not in path.parts and path.name not in ("changelog.html", "search.html"):
+            assert ".md</a>" not in path.read_text(encoding="utf-8"), path
+
+
 def test_every_notebook_is_a_page_with_a_download(site):
     for path in (ROOT / "notebooks").glob("*.ipynb"):
         assert (site / "notebooks" / path.name).read_bytes() == path.read_bytes()

@@ -63,6 +63,17 @@ def test_a_bar_tells_how_long_it_will_take_at_the_present_rate(on_terminal, caps
     assert "30/100 steps, 20 % mapped, 1:10 left at most" in capsys.readouterr().err
 
 
+def test_a_first_count_that_waited_for_kernels_tells_nothing_about_the_time_left(on_terminal, capsys, monkeypatch):
+    on_terminal()
+    clock = iter([0.0, 400.0, 402.0])
+    monkeypatch.setattr(command_line.time, "monotonic", lambda: next(clock))
+    bar = Bar(2000, "steps", every=20)
+    bar.show(20)
+    assert "left" not in capsys.readouterr().err
+    bar.show(40)
+    assert "left at most" in capsys.readouterr().err
+
+
 def test_a_log_gets_no_bar_and_a_line_per_minute(capsys, monkeypatch):
     clock = [1000.0]
     monkeypatch.setattr(command_line.time, "monotonic", lambda: clock[0])

@@ -90,7 +90,8 @@ def _explore(options: argparse.Namespace) -> int:
         print(text_of({**run.report, "agent": display_name(options.agent)}))
         if run.saved is not None:
             print(f"\nmap saved: {run.saved}")
-        print(f"\nwritten: {folder}")
+        shown = [p.name for p in sorted(folder.iterdir()) if p.suffix in (".png", ".pdf", ".svg", ".gif")]
+        print(f"\nwritten: {folder}: {', '.join([*shown, 'report.json'])} and more")
     if run.was_interrupted:
         tell(f"interrupted after {run.report['steps']} steps; the results cover these")
     return INTERRUPTED if run.was_interrupted else 0

@@ -166,7 +166,7 @@ def _list(options: argparse.Namespace) -> None:
         from twc_env.world.building.splits import SPLITS
 
         splits = ", ".join(f"{split}/0000 ({count})" for split, count in SPLITS.items())
-        print(f"and generated ones: gen:KIND:AREA:SEED with KIND {', '.join(KINDS)}; splits {splits}")
+        print(f"\ngenerated: gen:KIND:AREA:SEED, with a KIND of {', '.join(KINDS)}\nsplits: {splits}")
 
 
 _HEAD = f"{'map':<20} {'size':>16} {'floor':>10} {'walls':>6} {'rooms':>6} {'signs':>6} {'access points':>14}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from twc_env.running.command_line import (
     prior_setting,
     refuse_code,
     tell,
+    terminal_width,
 )
 
 if TYPE_CHECKING:
@@ -296,9 +297,9 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     if options.save:
         figures["saved"] = save_map(options.save, done.engine)
     if is_told:
-        for key, value in figures.items():
-            print(f"{key:<20} {value}")
-        print("\n" + aligned(done.table()))
+        for name, value in _told(figures):
+            print(f"{name:<16} {value}")
+        print("\n" + aligned(done.table(), terminal_width()))
         if len(team.groups) > 1 and (lacked := done.engine.lacked()):
             print("\nwhy there is more than one map:", *lacked, sep="\n  ")
     write_json(options.json, figures | {"robots": done.table()})
@@ -312,6 +313,25 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
         for place in (options.out, page_path if has_page and not options.out else None, options.bag):
             if place is not None:
                 print(f"\nwritten: {place}")
+
+
+def _told(figures: dict[str, Any]) -> list[tuple[str, str]]:
+    """The summary for the terminal: names and values with units; a table of the robots follows."""
+    sharing = [f"robot{'s' * (len(group) > 1)} {', '.join(map(str, group))}" for group in figures["groups"]]
+    rows = [
+        ("log", figures["log"]),
+        ("time steps", f"{figures['steps']:,}"),
+        ("maps", "; ".join(f"map {number}: {robots}" for number, robots in enumerate(sharing, 1))),
+        ("loop closures", f"{figures['closures_accepted']} accepted of {figures['closures_proposed']} proposed"),
+    ]
+    if "team_ate_m" in figures:
+        rows.append(("team ATE", f"{figures['team_ate_m']:.3f} m"))
+    if "found_prior" in figures:
+        found = ", ".join(map(str, figures["found_prior"])) or "none"
+        rows.append(("in the old map", f"robots {found}"))
+    if "saved" in figures:
+        rows.append(("map saved", str(figures["saved"])))
+    return [*rows, ("settings digest", figures["config_digest"])]
 
 
 def _say_what_is_ignored(config: EnvConfig) -> None:

@@ -59,5 +59,5 @@ def draw_coverage(
     curves: Mapping[str, Any], time_max_s: float, path: Path, title: str, dpi: float | None = None
 ) -> Path:
     """Write the figure, whose title says what the bands are; returns its path."""
-    told = f"{title}: mean over (episodes), band: its 95 % interval"
+    told = f"{title}: mean and its 95 % interval; in brackets the number of episodes"
     return save_figure(coverage_figure(curves, time_max_s, told), path, dpi)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.errors import DataError
-from twc_env.exploration.drawing.palette import robot_colour
+from twc_env.errors import ConfigError, DataError
+from twc_env.exploration.drawing.episode_map import draw_smoothly
+from twc_env.exploration.drawing.labels import place_names
+from twc_env.exploration.drawing.palette import CLOSURE, FLOOR, INK, TRUE_TEXT, UNKNOWN, WALL, rgb, robot_colour
+from twc_env.pictures.style import legend_below, new_figure, save_figure, set_title, settle, style
 from twc_env.records.geometry import travelled_m
 from twc_env.records.messages import GridMap
-from twc_env.records.whole_file import whole_file
 from twc_env.replaying.run import groups_by_size
 
 if TYPE_CHECKING:
@@ -23,8 +25,6 @@ FORMATS = ("png", "pdf", "svg")
 PANELS_MAX = 6
 """Maps that are drawn, the largest first."""
 SIGNS_MAX = 80
-_LETTER_SHARE = 0.007
-"""Width of a letter as a share of that of the picture."""
 _WIDTH_INCHES, _HEIGHT_MAX_INCHES, _MARGIN_M = 11.0, 14.0, 1.0
 
 
@@ -34,53 +34,76 @@ def draw_log(replay: Replay, paths: list[Path]) -> list[Path]:
     Raises DataError without matplotlib, or if a file cannot be written.
     """
     try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise DataError("a picture of the map needs matplotlib; run `pip install 'twc_env[viz]'`") from error
-    team, robots = replay.engine.team, replay.paths()
+        with style():
+            figure = _figure(replay)
+    except ConfigError as error:
+        raise DataError(str(error)) from error
+    return [save_figure(figure, path) for path in paths]
+
+
+def _figure(replay: Replay) -> Any:
+    from matplotlib.lines import Line2D
+
+    team = replay.engine.team
     groups = groups_by_size(team)
     drawn = [g for g in groups if team.grid_of(g).log_odds.size][:PANELS_MAX] or groups[:1]
-    columns = min(len(drawn), 2 if len(drawn) > 1 else 1)
+    columns = min(len(drawn), 2)
     rows = math.ceil(len(drawn) / columns)
-    boxes = [_box(team.grid_of(group)) for group in drawn]
-    aspect = max((box[3] - box[2]) / (box[1] - box[0]) for box in boxes)
-    height = min(max(rows * aspect * _WIDTH_INCHES / columns, 3.0) + 1.0, _HEIGHT_MAX_INCHES)
-    figure = Figure(figsize=(_WIDTH_INCHES, height), dpi=130, layout="constrained")
-    FigureCanvasAgg(figure)
-    for number, (group, box) in enumerate(zip(drawn, boxes, strict=True), 1):
-        axes = figure.add_subplot(rows, columns, number)
-        _draw_map(axes, team.grid_of(group))
-        _draw_closures(axes, replay, group)
-        own = [path for path in robots if team.group_index(path.robot) == group]
-        for path in own:
-            colour = robot_colour(path.robot)
-            length_m = travelled_m(path.estimated)[-1]
-            label = f"{path.name or f'robot {path.robot}'}, {length_m:.0f} m"
-            axes.plot(*path.estimated[:, :2].T, color=colour, linewidth=1.0, label=label)
-            axes.plot(*path.estimated[0, :2], "o", color=colour, markersize=5, markeredgecolor="white")
-            axes.plot(*path.estimated[-1, :2], "s", color=colour, markersize=5, markeredgecolor="white")
-        _name_signs(axes, [(sign.text, sign.position_m) for sign in team.signs_of(group)], box)
-        axes.set(xlim=box[:2], ylim=box[2:], aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    boxes = _of_one_scale([_box(team.grid_of(group)) for group in drawn], rows)
+    widths = [box[1] - box[0] for box in boxes[:columns]] if rows == 1 else [1.0] * columns
+    aspect = max(
+        (box[3] - box[2]) / (box[1] - box[0]) * width for box, width in zip(boxes, widths * rows, strict=False)
+    )
+    height = min(max(rows * aspect * (_WIDTH_INCHES - 0.6 * columns) / sum(widths), 2.5) + 1.4, _HEIGHT_MAX_INCHES)
+    figure = new_figure((_WIDTH_INCHES, height))
+    spec = figure.add_gridspec(rows, columns, width_ratios=widths)
+    panels = [figure.add_subplot(spec[k // columns, k % columns]) for k in range(len(drawn))]
+    handles: dict[str, Any] = {}
+    for number, (axes, group, box) in enumerate(zip(panels, drawn, boxes, strict=True), 1):
+        axes.set(xlim=box[:2], ylim=box[2:], aspect="equal", xlabel="x [m]", ylabel="y [m]", facecolor=UNKNOWN)
+        grid = team.grid_of(group)
+        draw_smoothly(axes, grid, np.zeros(3), rgb(FLOOR))
         title = f"map {number}" if len(drawn) > 1 else "map"
-        axes.set_title(f"{title}: {_free_m2(team.grid_of(group)):,.0f} m² of floor seen", fontsize=10)
-        if own:
-            axes.legend(loc="upper right", fontsize=7, framealpha=0.9)
-    figure.supxlabel("dot: start, square: end, green: accepted loop closures", fontsize=8)
-    for file in paths:
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            with whole_file(file) as beside:
-                figure.savefig(beside, format=file.suffix[1:], metadata=_METADATA[file.suffix[1:]])
-        except OSError as error:
-            raise DataError(
-                f"cannot write the picture {file}: {error.strerror or error}; choose another place"
-            ) from error
-    return paths
+        axes.set_title(f"{title}: {_free_m2(grid):,.0f} m² of floor seen")
+        handles |= _draw_paths(axes, replay, group)
+        _draw_closures(axes, replay, group)
+    handles = dict(sorted(handles.items())) | {
+        "mapped walls": Line2D([], [], color=WALL, lw=2.6),
+        "start": Line2D([], [], ls="", marker="o", color=INK, mfc=FLOOR, ms=6),
+        "end": Line2D([], [], ls="", marker="o", color=INK, ms=6),
+        "accepted closures": Line2D([], [], color=CLOSURE, lw=1.0),
+        "signs, as read": Line2D([], [], ls="", marker="s", color=TRUE_TEXT, ms=3.5),
+    }
+    accepted = sum(closure.status == "accepted" for closure in team.closures)
+    counts = f"{len(replay.paths())} robot(s) in {len(groups)} map(s), {accepted} loop closures accepted"
+    set_title(figure, [counts])
+    legend_below(figure, list(handles.values()), list(handles))
+    settle(figure)
+    for axes, group in zip(panels, drawn, strict=True):
+        _name_signs(axes, [(sign.text, sign.position_m) for sign in team.signs_of(group)][:SIGNS_MAX])
+    return figure
 
 
-_METADATA: dict[str, dict] = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
-"""No dates: equal logs give equal files."""
+def _draw_paths(axes: Any, replay: Replay, group: int) -> dict[str, Any]:
+    """Draw the paths of a map's robots; returns lines by name for the legend."""
+    lines = {}
+    for path in replay.paths():
+        if replay.engine.team.group_index(path.robot) == group:
+            colour, way = robot_colour(path.robot), path.estimated[:, :2]
+            name = f"{path.name or f'robot {path.robot}'}, {travelled_m(path.estimated)[-1]:.0f} m"
+            (lines[name],) = axes.plot(*way.T, color=colour, lw=1.2, zorder=3)
+            axes.plot(*way[0], "o", color=colour, mfc=FLOOR, ms=6, mew=1.4, zorder=4)
+            axes.plot(*way[-1], "o", color=colour, ms=7, mec=FLOOR, zorder=4)
+    return lines
+
+
+def _of_one_scale(boxes: list[tuple[float, float, float, float]], rows: int) -> list[tuple[float, float, float, float]]:
+    """Boxes of maps beside each other are made equally high, so that they have the same scale."""
+    if rows > 1:
+        return boxes
+    high = max(box[3] - box[2] for box in boxes)
+    more = [(high - (box[3] - box[2])) / 2 for box in boxes]
+    return [(left, right, low - m, top + m) for (left, right, low, top), m in zip(boxes, more, strict=True)]
 
 
 def _box(grid: GridMap) -> tuple[float, float, float, float]:
@@ -100,31 +123,14 @@ def _free_m2(grid: GridMap) -> float:
     return float((grid.log_odds < 0).sum() * grid.resolution_m**2)
 
 
-def _draw_map(axes, grid: GridMap) -> None:
-    """Walls dark, floor white, unknown cells grey."""
-    if not grid.log_odds.size:
-        return
-    shown = np.where(grid.log_odds > 0, 0.12, np.where(grid.log_odds < 0, 1.0, 0.86))
-    (left, low), (right, top) = grid.origin_m, grid.origin_m + np.array(shown.shape[::-1]) * grid.resolution_m
-    axes.set_facecolor("0.86")
-    axes.imshow(
-        shown, cmap="gray", vmin=0, vmax=1, origin="lower", extent=(left, right, low, top), interpolation="none"
-    )
+def _name_signs(axes: Any, signs: list[tuple[str, Array]]) -> None:
+    if signs:
+        places_m = np.array([position_m for _, position_m in signs], float)
+        axes.plot(*places_m.T, "s", color=TRUE_TEXT, mec=FLOOR, mew=0.5, ms=4, zorder=5)
+        place_names(axes, [text for text, _ in signs], places_m, [np.pi / 2] * len(signs))
 
 
-def _name_signs(axes, signs: list[tuple[str, Array]], box: tuple[float, float, float, float]) -> None:
-    """Write the texts of signs; one that would cover an earlier one is left out."""
-    taken: list[tuple[float, float, float]] = []
-    letter_m = _LETTER_SHARE * (box[1] - box[0])
-    for text, (x, y) in signs:
-        width, line = letter_m * len(text), 2.0 * letter_m
-        if len(taken) < SIGNS_MAX and not any(abs(y - v) < line and u - width < x < u + w for u, v, w in taken):
-            taken.append((float(x), float(y), width))
-            axes.plot(x, y, ".", color="tab:purple", markersize=3)
-            axes.annotate(text, (float(x), float(y)), fontsize=6, color="tab:purple", parse_math=False, clip_on=True)
-
-
-def _draw_closures(axes, replay: Replay, group: int) -> None:
+def _draw_closures(axes: Any, replay: Replay, group: int) -> None:
     from matplotlib.collections import LineCollection
 
     team = replay.engine.team
@@ -134,4 +140,4 @@ def _draw_closures(axes, replay: Replay, group: int) -> None:
         for c in team.closures
         if c.status == "accepted" and {c.candidate.target[0], c.candidate.source[0]} <= own
     ]
-    axes.add_collection(LineCollection(lines, colors="tab:green", linewidths=0.5, alpha=0.6))
+    axes.add_collection(LineCollection(lines, colors=CLOSURE, linewidths=0.8, zorder=2.5))

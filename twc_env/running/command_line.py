@@ -49,6 +49,8 @@ LOG_INTERVAL_S = 60.0
 LINE_WIDTH = 110
 RATE_COUNT = 10
 """Counts from which the time left is estimated."""
+COMPILING_SHARE = 0.05
+"""Of the whole: the first count may have waited for kernels, so up to here it says nothing about the time left."""
 BAR_LEAST, BAR_MOST = 8, 40
 """Characters of a progress bar."""
 _progress: dict[str, Any] = {"logged_s": time.monotonic(), "is_open": False, "shown": 0, "is_quiet": False}
@@ -239,7 +241,7 @@ def picture_options(options: argparse.Namespace) -> tuple[str, float | None] | N
     """Format and dpi of pictures; None with --no-pictures or without matplotlib."""
     if getattr(options, "no_pictures", False) or find_spec("matplotlib") is None:
         return None
-    return options.format, options.dpi
+    return getattr(options, "format", "png"), getattr(options, "dpi", None)
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:
@@ -388,7 +390,11 @@ class Bar:
             (first, since_s), now_s = self._latest[0], time.monotonic()
             self._latest.append((done, now_s))
             left_s = (now_s - since_s) * (self._total - done) / max(done - first, 1)
-            text = f"{done}/{self._total} {self._what}{', ' * bool(more)}{more}, {_clock(left_s)} left at most"
+            text = f"{done}/{self._total} {self._what}{', ' * bool(more)}{more}"
+            if first == 0 and len(self._latest) == 2 and done <= COMPILING_SHARE * self._total:
+                self._latest.popleft()
+            else:
+                text += f", {_clock(left_s)} left at most"
             width = _width_of(sys.stderr)
             show_line(text if width is None else bar_line(done / self._total, text, width), done == self._total)
 

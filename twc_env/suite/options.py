@@ -51,6 +51,8 @@ def check_options(options: argparse.Namespace) -> None:
     for name, default in _ONLY_WITHOUT.items() if options.suite else _ONLY_WITH_SUITE.items():
         if getattr(options, name) != default:
             remedy = "a suite has fixed settings: leave it out" if options.suite else "it needs --suite v1"
+            if name == "agents" and not options.suite:
+                remedy += "; without a suite, --agent names one team and twc-env compare plays several"
             raise ConfigError(f"--{name} {_shown(getattr(options, name))}: {remedy}")
     if options.ray is not None and options.jobs != 1:
         raise ConfigError(f"--jobs {options.jobs}: a Ray cluster uses all of its cores; leave it out with --ray")

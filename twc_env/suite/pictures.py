@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,18 @@ PANEL_IN = (4.2, 3.1)
 DPI = 110
 
 
+def in_style(draw: Callable[[Standings, Path], None]) -> Callable[[Standings, Path], None]:
+    """A drawing with the fonts of all pictures."""
+
+    @wraps(draw)
+    def drawn(standings: Standings, path: Path) -> None:
+        with style():
+            draw(standings, path)
+
+    return drawn
+
+
+@in_style
 def draw_curves(standings: Standings, path: Path) -> None:
     """Correctly mapped floor over time, one panel per task: mean over buildings with its 95 % interval."""
     figure, panels = _panels(len(standings.tasks))
@@ -38,6 +51,7 @@ def draw_curves(standings: Standings, path: Path) -> None:
     _finish(figure, panels, path)
 
 
+@in_style
 def draw_profiles(standings: Standings, path: Path) -> None:
     """Performance profiles: the share of episodes that score above a threshold, averaged over tasks, with its 95 %
     interval."""
@@ -67,9 +81,8 @@ def _style(team: str, teams: Sequence[str]) -> tuple[str, str]:
 def _panels(count: int, size_in: tuple[float, float] = PANEL_IN) -> tuple[Any, list[Any]]:
     columns = min(count, COLUMNS)
     rows = math.ceil(count / columns)
-    with style():
-        figure = new_figure((size_in[0] * columns, size_in[1] * rows + 0.9), DPI)
-        grid = figure.subplots(rows, columns, squeeze=False)
+    figure = new_figure((size_in[0] * columns, size_in[1] * rows + 0.9), DPI)
+    grid = figure.subplots(rows, columns, squeeze=False)
     panels = list(grid.ravel())
     for panel in panels[count:]:
         panel.set_visible(False)
@@ -81,5 +94,5 @@ def _panels(count: int, size_in: tuple[float, float] = PANEL_IN) -> tuple[Any, l
 
 def _finish(figure: Any, panels: list[Any], path: Path) -> None:
     handles, labels = panels[0].get_legend_handles_labels()
-    legend_below(figure, handles, labels, fontsize=9)
+    legend_below(figure, handles, labels)
     save_figure(figure, path, DPI)

@@ -43,7 +43,9 @@ ODOMETRY_REMARK = (
 
 def rows_of(figures: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Name and value of the figures that there are."""
-    return [(name, value_of(figures[key], form)) for name, key, form in FIGURES if key in figures]
+    rows = [(name, value_of(figures[key], form)) for name, key, form in FIGURES if key in figures]
+    of_all = f" of {figures['robots']}" if "robots" in figures else ""
+    return [(name, value + of_all if name == "robots in one map" else value) for name, value in rows]
 
 
 def value_of(value: Any, form: str) -> str:

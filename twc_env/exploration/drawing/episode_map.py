@@ -72,26 +72,30 @@ def _title(result: Any) -> list[str]:
 
 def _draw_grids(axes: Any, result: Any) -> None:
     """Draw the map of each group in the building frame, the largest on top; floor is tinted if there are several."""
-    from matplotlib.transforms import Affine2D
-
     for k in range(len(result.grids) - 1, -1, -1):
         grid, pose = result.grids[k], result.pose_building_map[k]
-        if not grid.log_odds.any():
-            continue
-        known, cell = known_field(grid.log_odds), grid.resolution_m
-        rows, columns = known.shape
-        x = grid.origin_m[0] + (np.arange(columns) - BORDER + 0.5) * cell
-        y = grid.origin_m[1] + (np.arange(rows) - BORDER + 0.5) * cell
-        place = Affine2D().rotate(pose[2]).translate(pose[0], pose[1]) + axes.transData
         floor = palette.rgb(palette.FLOOR) if len(result.grids) == 1 else palette.tinted_floor(result.groups[k][0])
-        order = 1 + 0.01 * (99 - min(k, 98))
-        look: dict[str, Any] = {"antialiased": True, "zorder": order}
-        axes.contourf(x, y, known, [KNOWN_LEVEL, 99.0], colors=[tuple(floor / 255)], transform=place, **look)
-        cover, left_m, bottom_m = wall_cover(grid, pose)
-        if cover.max() > 0.5:
-            x, y = (start + (np.arange(n) + 0.5) * cell / FINER for start, n in
-                    ((left_m, cover.shape[1]), (bottom_m, cover.shape[0])))  # fmt: skip
-            axes.contourf(x, y, cover, [0.5, 99.0], colors=[palette.WALL], **{**look, "zorder": order + 0.005})
+        draw_smoothly(axes, grid, pose, floor, 1 + 0.01 * (99 - min(k, 98)))
+
+
+def draw_smoothly(axes: Any, grid: GridMap, pose: Array, floor: Array, order: float = 1.0) -> None:
+    """Draw a map whose frame has this pose in the axes. floor: its colour, (3,) from 0 to 255."""
+    from matplotlib.transforms import Affine2D
+
+    if not grid.log_odds.any():
+        return
+    known, cell = known_field(grid.log_odds), grid.resolution_m
+    rows, columns = known.shape
+    x = grid.origin_m[0] + (np.arange(columns) - BORDER + 0.5) * cell
+    y = grid.origin_m[1] + (np.arange(rows) - BORDER + 0.5) * cell
+    place = Affine2D().rotate(pose[2]).translate(pose[0], pose[1]) + axes.transData
+    look: dict[str, Any] = {"antialiased": True, "zorder": order}
+    axes.contourf(x, y, known, [KNOWN_LEVEL, 99.0], colors=[tuple(floor / 255)], transform=place, **look)
+    cover, left_m, bottom_m = wall_cover(grid, pose)
+    if cover.max() > 0.5:
+        x, y = (start + (np.arange(n) + 0.5) * cell / FINER for start, n in
+                ((left_m, cover.shape[1]), (bottom_m, cover.shape[0])))  # fmt: skip
+        axes.contourf(x, y, cover, [0.5, 99.0], colors=[palette.WALL], **{**look, "zorder": order + 0.005})
 
 
 def wall_cover(grid: GridMap, pose_building_map: Array) -> tuple[Array, float, float]:
