@@ -1,4 +1,5 @@
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from twc_env.running.map_merge import read_saved_maps
 from twc_env.slam.saved_maps.map_joining import Pair, join_maps, joined
 from twc_env.slam.saved_maps.merged_grid import merged_grid
 from twc_env.slam.saved_maps.placement import Agreement, Placement, judged, place
+from twc_env.slam.saved_maps.placement_search import turns_along_walls
 from twc_env.slam.saved_maps.saved_map import SavedMap, compared
 
 
@@ -162,3 +164,19 @@ def test_turned_grids_of_one_map_lie_at_their_origins():
     expected = compose(office.origin, inverse(moved.origin))
     best = pose.best.pose
     assert between(expected, best) == pytest.approx(np.zeros(3), abs=0.02)
+
+
+def test_the_turn_of_a_common_wing_is_searched_beside_that_of_the_walls_that_dominate():
+    target, source = (
+        SimpleNamespace(directions_rad=np.radians(np.repeat(directions, [60, 40])))
+        for directions in ((0.0, 50.0), (10.0, 70.0))
+    )
+    turns_deg = np.degrees(turns_along_walls(target, source)) % 90
+    assert 80.0 in turns_deg.round(), "the walls that dominate"
+    assert 70.0 in turns_deg.round(), "the wing"
+
+
+@pytest.mark.parametrize(("evidence_m", "second_m", "is_believed"), [(11, 3, True), (11, 6, False), (9, 1, False)])
+def test_less_wall_is_believed_only_where_no_other_placement_comes_near(evidence_m, second_m, is_believed):
+    best, second = (Agreement(np.array([x, 0.0, 0.0]), m, 0.0, 50.0, 0.3) for x, m in ((0, evidence_m), (9, second_m)))
+    assert judged([best, second]).is_believed == is_believed

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError
-from twc_env.records.geometry import compose, inverse
+from twc_env.records.geometry import compose, inverse, transform_points
 from twc_env.records.messages import GridMap
 from twc_env.slam.saved_maps.saved_map import SavedMap
 
@@ -23,7 +23,9 @@ def merged_grid(maps: list[SavedMap], poses: Array) -> GridMap:
     """
     resolution_m = min(saved.resolution_m for saved in maps)
     placed = [compose(pose, saved.origin) for pose, saved in zip(poses, maps, strict=True)]
-    corners = np.concatenate([_moved(pose, _known_corners(saved)) for pose, saved in zip(placed, maps, strict=True)])
+    corners = np.concatenate(
+        [transform_points(pose, _known_corners(saved)) for pose, saved in zip(placed, maps, strict=True)]
+    )
     low = np.floor((corners.min(axis=0) - MARGIN_M) / resolution_m) * resolution_m
     columns, rows = np.ceil((corners.max(axis=0) + MARGIN_M - low) / resolution_m).astype(np.int64).tolist()
     if rows * columns > CELLS_MAX:
@@ -42,18 +44,18 @@ def _drawn(
 ) -> tuple[Array, Array]:
     """Free floor and walls of a map at the pose (3,) of its grid."""
     free, walls = np.zeros(shape, bool), np.zeros(shape, bool)
-    box = _moved(pose, _known_corners(saved))
+    box = transform_points(pose, _known_corners(saved))
     (c0, r0), (c1, r1) = (np.floor((edge - low) / resolution_m).astype(np.int64) for edge in (box.min(0), box.max(0)))
     r0, c0, r1, c1 = max(r0, 0), max(c0, 0), min(r1 + 1, shape[0]), min(c1 + 1, shape[1])
     column, row = np.meshgrid(np.arange(c0, c1), np.arange(r0, r1))
     centres = low + (np.stack([column, row], axis=-1).reshape(-1, 2) + 0.5) * resolution_m
-    there = np.floor(_moved(inverse(pose), centres) / saved.resolution_m).astype(np.int64)
+    there = np.floor(transform_points(inverse(pose), centres) / saved.resolution_m).astype(np.int64)
     is_inside = np.all((there >= 0) & (there < saved.free.shape[::-1]), axis=1)
     column, row = np.where(is_inside[:, None], there, 0).T
     for out, mask in ((free, saved.free), (walls, saved.walls)):
         out[r0:r1, c0:c1] = (is_inside & mask[row, column]).reshape(r1 - r0, c1 - c0)
     # A wall one cell wide, turned, has gaps where no centre of a new cell hits it.
-    cells = _moved(pose, (np.argwhere(saved.walls)[:, ::-1] + 0.5) * saved.resolution_m)
+    cells = transform_points(pose, (np.argwhere(saved.walls)[:, ::-1] + 0.5) * saved.resolution_m)
     column, row = np.floor((cells - low) / resolution_m).astype(np.int64).T
     walls[np.clip(row, 0, shape[0] - 1), np.clip(column, 0, shape[1] - 1)] = True
     return free, walls
@@ -64,8 +66,3 @@ def _known_corners(saved: SavedMap) -> Array:
     at = np.concatenate([np.argwhere(saved.free), np.argwhere(saved.walls)])
     low, high = at.min(axis=0)[::-1], at.max(axis=0)[::-1] + 1
     return np.array([(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])]) * saved.resolution_m
-
-
-def _moved(pose: Array, points: Array) -> Array:
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return np.asarray(points @ np.array([[c, s], [-s, c]]) + pose[:2])

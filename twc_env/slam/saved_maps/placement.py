@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 from scipy import ndimage
 
-from twc_env.records.geometry import between, compose, inverse, wrap_angle
+from twc_env.records.geometry import between, compose, inverse, transform_points, wrap_angle
 from twc_env.slam.saved_maps.placement_search import candidate_poses
 from twc_env.slam.saved_maps.saved_map import THING_M, ComparedMap, SavedMap, cell_of, compared
 
@@ -33,6 +33,8 @@ OTHER_M, OTHER_RAD = 1.0, np.radians(10.0)
 FINE_COUNT = 12
 EVIDENCE_MIN_M, RATIO_MAX = 13.0, 0.55
 """A placement is believed from this evidence on, if the second best has at most this share of it, ..."""
+SCARCE_MIN_M, SCARCE_RATIO_MAX = 10.0, 0.4
+"""... or from less evidence on, if the second best has this little, ..."""
 CONTRADICTION_MAX, CONTRADICTION_PER_RATIO = 0.08, 0.1
 """... and if a smaller share of its walls contradicts than the first, less the second times that share: buildings whose
 rooms repeat have false placements with few contradictions, and a strong second best."""
@@ -103,7 +105,7 @@ def judged(ranked: list[Agreement]) -> Placement:
     log_odds = float(np.dot(LOG_ODDS, [1.0, np.log(best.evidence_m), ratio, best.contradiction]))
     certainty = 1.0 / (1.0 + np.exp(-log_odds))
     reason = ""
-    if best.evidence_m < EVIDENCE_MIN_M:
+    if best.evidence_m < (EVIDENCE_MIN_M if ratio > SCARCE_RATIO_MAX else SCARCE_MIN_M):
         reason = f"too little in common: {best.agreeing_m:.1f} m of wall agree, {best.contradicting_m:.1f} m contradict"
     elif second is not None and ratio > RATIO_MAX:
         away = between(second.pose, best.pose)
@@ -167,9 +169,8 @@ def refined(target: ComparedMap, source: ComparedMap, pose: Array, reaches_m) ->
         hessian = jacobian.T @ (jacobian * weight[:, None])
         hessian[np.diag_indices(3)] += 1e-3 * np.trace(hessian[:2, :2]) * np.array([1.0, 1.0, 1.0])
         step = np.linalg.solve(hessian, jacobian.T @ (weight * error))
-        c, s = np.cos(step[2]), np.sin(step[2])
-        turned = np.array([[c, -s], [s, c]]) @ (pose[:2] - centre) + centre + step[:2]
-        pose = np.array([*turned, wrap_angle(pose[2] + step[2])])
+        about = np.array([*centre, 0.0])
+        pose = compose(compose(about, step), between(about, pose))
     return pose
 
 
@@ -177,9 +178,7 @@ def agreement_at(target: ComparedMap, source: ComparedMap, pose: Array) -> Agree
     """How well the maps agree with the source at this pose (3,) in the target."""
     back = inverse(pose)
     forth, against = (_agreeing(target, source, pose), _agreeing(source, target, back))
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    floor = source.free_points @ np.array([[c, s], [-s, c]]) + pose[:2]
-    row, column, is_inside = target.cells_of(floor)
+    row, column, is_inside = target.cells_of(transform_points(pose, source.free_points))
     both = int(np.count_nonzero(target.free[row, column] & is_inside))
     smaller = max(min(int(target.free.sum()), int(source.free.sum())), 1)
     return Agreement(
@@ -227,5 +226,4 @@ def _are_same(source: ComparedMap, direction: Array, target: ComparedMap, near: 
 
 def _placed(source: ComparedMap, pose: Array) -> tuple[Array, Array]:
     """The wall points (n, 2) and directions (n,) of the source at a pose."""
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return source.points @ np.array([[c, s], [-s, c]]) + pose[:2], source.directions_rad + pose[2]
+    return transform_points(pose, source.points), source.directions_rad + pose[2]

@@ -27,8 +27,9 @@ CONTRADICTION = 1.0
 COMMON_FLOOR = 0.05
 """Weight of a pixel of floor that both know to be free."""
 TURN_STEP_DEG = 1
-TURN_SHARE = 0.6
-"""Turns are searched if their spectrum exceeds the mean by this share of what the best does."""
+TURN_SHARE = 0.35
+"""Turns are searched if their spectrum exceeds the mean by this share of what the best does: two wings of a building
+may lie at an angle, and the part that is common need not be the one that dominates."""
 PEAKS_OF_TURN, PEAKS_MAX = 16, 60
 APART_M, APART_RAD = 0.6, np.radians(3.0)
 """Placements closer than this are one."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -81,6 +82,7 @@ def cell_of(maps: list[SavedMap]) -> float:
     return max(CELL_M, *(saved.resolution_m for saved in maps), float(np.sqrt(largest_m2 / CELLS_MAX)))
 
 
+@lru_cache(maxsize=16)
 def compared(saved: SavedMap, cell_m: float) -> ComparedMap:
     """The map at cells of `cell_m`, which is at least its resolution. Raises MapError for a map with hardly a wall."""
     # A wall's surface, whatever the thickness it is drawn with: its cells beside free floor.
