@@ -133,6 +133,20 @@ def test_names_alone_merge_nothing_where_robots_were_seen_through():
         assert asked.cues_confirm((0,), (1,), proposal) is may
 
 
+@pytest.mark.parametrize(("names", "repeated", "may"), [(7, 0, False), (8, 0, True), (17, 1, False), (18, 1, True)])
+def test_names_alone_merge_only_where_names_seldom_repeat(names, repeated, may):
+    spots = [SignObservation(f"A{k}", np.array([0.0, 1.0]), np.pi / 2) for k in range(names)]
+    ways = [[SimpleNamespace(signs=[spot] * 2) for spot in [*spots, *spots[:repeated]]]] * 2
+    path = np.stack([2.0 * np.arange(names + repeated), *np.zeros((2, names + repeated))], axis=1)
+    count = len(path)
+    graph = SimpleNamespace(
+        poses=np.concatenate([path, path]), keyframes=ways, path_of=lambda robot: count * robot + np.arange(count),
+        nodes_of=lambda robots: np.concatenate([count * robot + np.arange(count) for robot in robots]),
+    )  # fmt: skip
+    assert MergeTests(MergingConfig(), graph).names_agree((0,), (1,), np.zeros(3)) is may
+    assert MergeTests(MergingConfig(signs_read_alike_min=0), graph).names_agree((0,), (1,), np.zeros(3))
+
+
 def between_two_poses(support: int, rival: int, differences: dict | None = None, watched=None) -> bool:
     """Whether a hypothesis with this support is ambiguous, given this many closures for another; `differences`: of the
     fingerprints at both."""

@@ -13,6 +13,9 @@ from twc_env.records.messages import LoopCandidate, LoopClosure
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.matching.loop_verification import SIGN_ALONE_STD
 from twc_env.slam.merging import merge_trial
+from twc_env.slam.merging.map_optimiser import MapOptimiser
+from twc_env.slam.merging.merge_tests import MergeTests
+from twc_env.slam.merging.merge_trial import MergeTrials
 
 NO_SIGNS = {"slam.cues.lidar": False, "slam.cues.text": False}
 BLIND = {
@@ -95,3 +98,31 @@ def test_a_split_group_is_merged_again_after_another_meeting(strayed, recorded):
     engine, true_poses = copy.deepcopy(strayed[0]), recorded[2]
     meet(engine.team, true_poses, 12)
     assert engine.team.groups[0].robots == (0, 1)
+
+
+@pytest.fixture
+def met_early(recorded):
+    """A team without scan matching, on the step after which two of its robots meet, and the true poses."""
+    config, frames, true_poses = recorded
+    engine = CooperativeSlam(override(config, NO_SIGNS | BLIND), 3)
+    for now in frames[: MET_STEP + 1]:
+        engine.update(now)
+    return engine.team, true_poses
+
+
+def test_rivals_hold_up_no_merge_without_scan_matching(met_early, monkeypatch):
+    """Maps drift, and the earliest merge is the best one."""
+    monkeypatch.setattr(MergeTests, "is_ambiguous", lambda *_: True)
+    meet(*met_early)
+    assert met_early[0].groups[0].robots == (0, 1)
+
+
+def test_maps_are_merged_into_the_solution_that_the_trial_found(met_early, monkeypatch):
+    team, true_poses = met_early
+    found, real = [], MergeTrials.merged
+    monkeypatch.setattr(MergeTrials, "merged", lambda *args: found.append(real(*args)) or found[-1])
+    monkeypatch.setattr(MapOptimiser, "optimise", lambda *_, **__: None)
+    meet(team, true_poses)
+    nodes, poses = found[-1]
+    assert team.groups[0].robots == (0, 1)
+    np.testing.assert_allclose(team._graph.poses[nodes], poses, atol=1e-12)

@@ -38,6 +38,8 @@ of the other differ by."""
 SCANS_ALONE_MIN = 8
 """Where neither signs nor fingerprints are compared and robots do not look for each other, places this many,
 `spread_min_m` apart, must agree: rooms and whole wings of a building look alike."""
+REPEATED_MAX = 0.1
+"""Largest probability that a name is repeated elsewhere with which names alone merge maps."""
 
 
 Solution = tuple[Sequence[LoopClosure], Array]
@@ -297,10 +299,21 @@ class MergeTests:
         return _texts_disagree(texts, places, np.isin(robots, b))
 
     def names_agree(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
-        """Whether enough places that the merge brings together have one name that was read nowhere else."""
+        """Whether enough places that the merge brings together have one name that was read nowhere else, in a building
+        where names seldom repeat.
+
+        Else one more copy of a wing, with all its names, is no surprise. Of n names read more than once, r at several
+        places, the next one repeats with probability (r + 1) / (n + 2) (Laplace's rule of succession).
+        """
+        if self._rule.signs_read_alike_min == 0:
+            return True
         robots, texts, places = self._read_by(range(len(self._graph.keyframes)), self._poses_with(b, pose_a_b))
         are_tried = np.isin(robots, (*a, *b))
-        are_told = are_tried & ~found_apart(texts, places[:, :2], np.where(are_tried, 0, robots + 1))[texts]
+        are_apart = found_apart(texts, places[:, :2], np.where(are_tried, 0, robots + 1))
+        is_sure = np.bincount(texts) > 1
+        if np.count_nonzero(are_apart & is_sure) + 1 > REPEATED_MAX * (np.count_nonzero(is_sure) + 2):
+            return False
+        are_told = are_tried & ~are_apart[texts]
         same, _ = count_shared(texts[are_told], places[are_told], np.isin(robots[are_told], b))
         return same >= self._rule.signs_read_alike_min
 
