@@ -124,9 +124,10 @@ class PlaceRecognitionConfig(Checked):
 class VerificationConfig(Checked):
     """Verification of loop candidates by scan matching."""
 
-    method: str = choice("point-to-line", "point-to-point")
+    method: str = choice("point-to-line", "point-to-point", "fitness")
     """`point-to-line`: matching to wall lines, with a search if the initial guess is not close enough;
-    `point-to-point`: ICP as in TWC-SLAM (Eq. 11-12), from the initial guess only."""
+    `point-to-point`: ICP as in TWC-SLAM (Eq. 11-12), from the initial guess only; `fitness`: the same, accepted by the
+    rule of radio SLAM (papers.md R12) instead of overlap and contradiction."""
     window_m: float = number(0.6, 0.1, 10.0)
     window_rad: float = number(0.15, 0.01, math.pi)
     cloud_reach_m: float = number(3.0, 0.0, 20.0)

@@ -52,6 +52,10 @@ class OdometryConfig(Checked):
     odometry of the Intel Research Lab log."""
     drift: float = number(1.0, 0.0, 10.0)
     """Multiplies every error of the platform's preset: 0 gives perfect odometry and gyro, 1 the preset."""
+    variation: float = number(0.0, 0.0, 1.0, is_later=True)
+    """Share of the variance of the systematic errors (scale, curl, turns, gyro bias) that comes and goes within an
+    episode, over 20 to 200 s: tyres, floors and temperatures change. With 0 they are constant, as the engine's filter
+    assumes of all but the gyro bias."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -250,6 +254,9 @@ class RadioConfig(Checked):
     wall_loss_limit_db: float = number(0.0, 0.0, 100.0)
     """Upper bound of the total wall loss: part of a signal reaches the receiver through doors and by reflection, this
     much weaker than in free space, so each further wall costs less (0: no bound)."""
+    power_change_std_db: float = number(0.0, 0.0, 20.0, is_later=True)
+    """Access points change their power every minute, each by itself, with this standard deviation around its own mean,
+    as controllers of large networks do."""
     floor_loss_db: float = number(20.0, 0.0, 100.0)
     """Loss of the first ceiling between a robot and an access point on another storey."""
     floor_loss_further_db: float = number(10.0, 0.0, 100.0)

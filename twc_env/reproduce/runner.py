@@ -30,6 +30,11 @@ class Table(NamedTuple):
 
 
 TABLES = {
+    "generalisation": Table(
+        "every claim on a set that no setting was chosen on, beside its trivial answer: {claim, set, shown, elsewhere,"
+        " trivial}",
+        needs_data=True,
+    ),
     "matching": Table("time and success rate of verifying one loop candidate, with an initial guess and without"),
     "ble-lidar": Table("radio and LiDAR on real drives through a flat: trajectory and map", needs_data=True),
     "intel": Table(

@@ -20,7 +20,7 @@ SUITE_EXAMPLES = """\
   twc-env benchmark --suite v1 --tasks ExploreOffice-v1 --agents nearest-frontier mine.py:Mine runs/ppo
   twc-env benchmark --suite v1 --buildings 100 --ray auto
 """
-_SPLITS = ("train", "validation", "test")
+_SPLITS = ("train", "validation", "test", "fresh")
 _ONLY_WITH_SUITE = {"tasks": None, "agents": None, "split": "test", "buildings": 10, "ray": None}
 _ONLY_WITHOUT = {
     "maps": ["twin-01", "twin-02"], "seeds": "0-9", "agent": "nearest-frontier", "robots": None, "steps": None,

@@ -222,6 +222,8 @@ class World:
         step, dynamics = self._step, self._dynamics or _raise_not_reset()
         if step // STEPS != self._noise_block:
             self._draw_noise()
+        if self._odometry.varies:
+            self._odometry.vary(step)
         rates = self._rates
         turn = step % rates.period if rates.is_regular else self._turn(step)
         poses, odometry, turn_rates, ranges, heard = next(self._buffers[turn], None) or self._allocate_steps(turn)

@@ -9,7 +9,7 @@ from twc_env.reproduce.pose_graphs import robustness
 @pytest.fixture(scope="module")
 def clean():
     """The graph of MIT, and its optimum."""
-    return robustness._clean(DATA / "posegraph", "MIT")[1:]
+    return robustness.clean_graph(DATA / "posegraph", "MIT")[1:]
 
 
 @needs_data

@@ -98,7 +98,7 @@ def test_graphs_without_false_closures_are_sound(name):
 @needs_data
 @pytest.mark.parametrize(("share", "is_lost"), [(0.5, False), (0.8, True)])
 def test_the_lost_graph_of_mit_says_so(share, is_lost):
-    start, clean, best = robustness._clean(DATA / "posegraph", "MIT")
+    start, clean, best = robustness.clean_graph(DATA / "posegraph", "MIT")
     graph, _ = robustness.corrupt(clean, best, "random", share, seed=3)
     edges = graph.edges, graph.measured, graph.information, ~graph.is_closure
     result = optimise_graph(PlanarGraph(np.arange(len(start)), start, *edges, np.zeros(0, np.int64)))

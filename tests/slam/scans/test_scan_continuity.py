@@ -7,7 +7,7 @@ import pytest
 
 from twc_env.records.geometry import beam_directions, between
 from twc_env.records.messages import UNSEEN_M
-from twc_env.slam.scans.scan_continuity import AGREEMENT_MIN, BUMPED_MIN, agreement, continues
+from twc_env.slam.scans.scan_continuity import AGREEMENT_MIN, BUMPED_MIN, agreement, continues, is_explained
 
 RANGE_MAX_M = 10.0
 ROOM, OTHER_ROOM = (6.0, 4.0), (9.0, 2.5)
@@ -66,3 +66,25 @@ def test_beams_without_information_do_not_count():
     before, now = scan_of(ROOM, (2.0, 1.5, 0.4)), scan_of(ROOM, (2.0, 1.5, 0.4))
     before[:90] = UNSEEN_M
     assert compared(before, now, (0.0, 0.0, 0.0))[1] == 1.0
+
+
+def explained(before, now, motion, std_m, std_rad):
+    found = np.zeros(3)
+    said = is_explained(
+        before, now, np.array(motion), std_m, std_rad, RANGE_MAX_M, beam_directions(len(now)), found
+    )  # fmt: skip
+    return said, found
+
+
+def test_odometry_that_may_err_by_it_explains_a_turn_that_it_misread():
+    before, now = scan_of(ROOM, (2.0, 1.5, 0.4)), scan_of(ROOM, (2.3, 1.5, 0.7))
+    read = (0.25, -0.15, 0.05)
+    assert not compared(before, now, read)[0]
+    said, found = explained(before, now, read, 0.1, 0.1)
+    assert said and found[2] == pytest.approx(0.3, abs=0.05)
+    assert not explained(before, now, read, 0.01, 0.01)[0]
+
+
+def test_no_error_of_odometry_explains_another_room():
+    before, now = scan_of(ROOM, (2.0, 1.5, 0.4)), scan_of(OTHER_ROOM, (7.0, 0.5, 2.0))
+    assert not explained(before, now, (0.05, 0.0, 0.0), 0.1, 0.1)[0]

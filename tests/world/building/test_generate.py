@@ -28,7 +28,7 @@ from twc_env.world.building.splits import (
 )
 from twc_env.world.world import World
 
-SPLIT_DIGESTS = {"train": "297c9ed274f0", "validation": "e2006fc2e5b2", "test": "12a9da4091fe"}
+SPLIT_DIGESTS = {"train": "297c9ed274f0", "validation": "e2006fc2e5b2", "test": "12a9da4091fe", "fresh": "cb857e057814"}
 """Change these only with a new version of the environment: published results refer to these buildings."""
 
 
@@ -150,12 +150,12 @@ def test_the_digest_of_a_split_building_names_what_was_generated():
 
 def test_splits_alternate_kinds_and_stay_in_their_range_of_areas():
     recipes = [split_recipe(split, number) for split in SPLITS for number in range(SPLITS[split])]
-    assert len(recipes) == len(set(recipes)) == 1200
-    assert len({seed for _, _, seed in recipes}) == 1200
-    assert set(Counter(kind for kind, _, _ in recipes).values()) == {240}
+    assert len(recipes) == len(set(recipes)) == 1300
+    assert len({seed for _, _, seed in recipes}) == 1300
+    assert set(Counter(kind for kind, _, _ in recipes).values()) == {260}
     assert min(area for _, area, _ in recipes) >= SPLIT_AREA_M2[0]
     assert max(area for _, area, _ in recipes) <= SPLIT_AREA_M2[1]
-    assert [len(split_names(split)) for split in SPLITS] == [1000, 100, 100]
+    assert [len(split_names(split)) for split in SPLITS] == [1000, 100, 100, 100]
 
 
 @pytest.mark.parametrize("split", SPLITS)
@@ -165,7 +165,7 @@ def test_the_layouts_of_a_split_are_pinned(split, layouts):
 
 def test_no_layout_occurs_twice_in_or_across_splits_even_turned_or_mirrored(layouts):
     every = [layout for split in SPLITS for layout in layouts[split]]
-    assert len(every) == len(set(every)) == 1200
+    assert len(every) == len(set(every)) == 1300
 
 
 @pytest.mark.parametrize("number", range(0, 100, 9))

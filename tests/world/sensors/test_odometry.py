@@ -111,3 +111,19 @@ def test_heading_variance_grows_with_distance_and_turn_as_stated():
     ):
         turns = [odometry.measure(start, np.array([motion]))[0][0, 2] for _ in range(steps)]
         assert np.std(turns) == pytest.approx(expected, rel=0.05)
+
+
+def test_systematic_errors_come_and_go_by_the_share_that_varies():
+    straight = np.column_stack([0.1 * np.arange(6001.0), np.zeros((6001, 2))])
+
+    def scale_errors(variation, seed):
+        config = OdometryConfig(platform="skid-steer", variation=variation)
+        odometry = Odometry(config, 0.1, 1, seed)
+        read_m = np.array([odometry.measure(a[None], b[None])[0][0, 0] for a, b in pairwise(straight)])
+        return read_m.reshape(-1, 200).mean(axis=1) / 0.1 - 1.0  # of 20 s each
+
+    steady, varying = (np.array([scale_errors(share, seed) for seed in range(8)]) for share in (0.0, 1.0))
+    noise = 0.03 * np.sqrt(0.1 / 200) / 0.1
+    assert steady.std(axis=1).mean() == pytest.approx(noise, rel=0.3)
+    assert varying.std(axis=1).mean() > 2 * noise
+    assert (varying**2).mean() == pytest.approx(PRESETS["skid-steer"].scale_std ** 2, rel=0.6)

@@ -305,3 +305,25 @@ def test_readings_stay_below_zero_however_near_the_access_point():
     loud = RadioConfig(**SURE, power_at_1m_dbm=20.0)
     scan = WifiReceiver(loud, RadioModel(loud, hall()), 0, 0).scan(np.array([0.5, 0.0]))
     assert len(scan.rssi_dbm) == 2 and (scan.rssi_dbm == -1.0).all()
+
+
+def test_access_points_change_their_power_every_minute_alike_for_all_robots():
+    config = RadioConfig(
+        power_change_std_db=5.0, noise_std_db=0.0, fading_std_db=0.0, device_offset_std_db=0.0, quantisation_db=0.01
+    )
+    model = RadioModel(config, load_map("twin-01"))
+    receivers = [WifiReceiver(config, model, robot, 3) for robot in (0, 1)]
+
+    def heard(receiver, time_s):
+        scan = receiver.scan((15.0, 1.2), time_s)
+        return dict(zip(scan.macs.tolist(), scan.rssi_dbm.tolist(), strict=True))
+
+    first, other, same, later = (
+        heard(receivers[0], 10.0), heard(receivers[1], 10.0), heard(receivers[0], 50.0), heard(receivers[0], 130.0)
+    )  # fmt: skip
+    common = sorted(set(first) & set(other) & set(same) & set(later))
+    assert max(abs(first[mac] - other[mac]) for mac in common) < 0.02
+    assert max(abs(first[mac] - same[mac]) for mac in common) < 0.02
+    changed = np.array([first[mac] - later[mac] for mac in common])
+    assert 3.0 < changed.std() < 12.0
+    assert not receivers[0].is_plain

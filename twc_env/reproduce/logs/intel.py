@@ -30,6 +30,7 @@ from twc_env.datasets.logs.scan_log import (
     SETTINGS,
     Relations,
     ScanLog,
+    beam_count_of,
     read_relations,
     read_scan_log,
     sensor_frames,
@@ -117,8 +118,10 @@ def read_log(count: int) -> tuple[ScanLog, Relations]:
 def run_engine(log: ScanLog, robots: int) -> dict:
     """Poses (scans, 3) of the engine, each in the map of its group, and the group (scans,) of each."""
     pieces = np.array_split(np.arange(len(log.times_s)), robots)
-    paths = [sensor_frames(log, BEAMS, RANGE_MAX_M, piece, robot) for robot, piece in enumerate(pieces)]
-    engine = CooperativeSlam(from_dict(SETTINGS | {"robots": robots}), robots)
+    beams = beam_count_of([log])
+    paths = [sensor_frames(log, beams, RANGE_MAX_M, piece, robot) for robot, piece in enumerate(pieces)]
+    lidar = SETTINGS["lidar"] | {"beam_count": beams}
+    engine = CooperativeSlam(from_dict(SETTINGS | {"lidar": lidar, "robots": robots}), robots)
     placed = place_frames(engine, paths)
     group = [np.full(len(path), engine.team.group_index(robot)) for robot, path in enumerate(placed)]
     return {"poses": np.concatenate(placed), "group": np.concatenate(group)}

@@ -15,15 +15,18 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import OdometryConfig
 from twc_env.datasets.logs.scan_log import Relations, read_relations, read_scan_log
-from twc_env.records.geometry import compose, poses_along, travelled_m
+from twc_env.records.geometry import between, compose, poses_along, travelled_m, wrap_angle
 from twc_env.reproduce.runner import Runner, add_seeds, data_folder
 from twc_env.running.command_line import number
 from twc_env.world.sensors.odometry import PRESETS, Odometry
 
 CHOOSES = ("seeds",)
+WINDOW_M = 25.0
+"""Path length over which a heading error per metre is averaged, to see whether it stays the same along the log."""
 
 _BANDS_M = ((0.0, 0.5), (5.0, 200.0), (200.0, 1000.0))
 """Ranges of path length between the two scans of a relation."""
+CURL = f"heading error per metre over {WINDOW_M:g} m: spread [deg/m]"
 _LONG_S = 60.0
 """Relations over a longer time count as loops."""
 
@@ -32,6 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     parser.add_argument("--platform", choices=tuple(PRESETS), default="pioneer-intel", help="odometry preset")
     parser.add_argument("--drift", type=number(0.0, 10.0), default=1.0, help="multiplier of the preset's errors")
+    parser.add_argument(
+        "--variation", type=number(0.0, 1.0), default=0.0, help="share of the systematic errors that varies on the way"
+    )
     add_seeds(parser, "0-99", "seeds of the simulated drives")
 
 
@@ -41,14 +47,18 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     raw, corrected = (read_scan_log(folder / name) for name in ("intel_gfs.json.gz", "intel_corrected_log.json.gz"))
     relations = read_relations(folder / "intel.relations.gz", raw)
     groups = _groups(relations, corrected.times_s, corrected.poses)
-    config = OdometryConfig(platform=options.platform, drift=options.drift)
-    real = figures(raw.poses, relations, groups)
+    config = OdometryConfig(platform=options.platform, drift=options.drift, variation=options.variation)
+
+    def measured(poses: Array) -> dict[str, float]:
+        return figures(poses, relations, groups) | {CURL: curl_spread_deg_m(poses, corrected.poses)}
+
+    real = measured(raw.poses)
     simulated = runner.each(
         options.seeds,
-        lambda seed: figures(dead_reckoning(corrected.poses, config, seed), relations, groups),
+        lambda seed: measured(dead_reckoning(corrected.poses, config, seed)),
         lambda seed: f"drive {seed} with {PRESETS[options.platform]}",
     )
-    remaining = figures(corrected.poses, relations, groups)
+    remaining = measured(corrected.poses)
     table = []
     for name, value in real.items():
         drives = [drive[name] for drive in simulated]
@@ -56,7 +66,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
             {
                 "quantity": name,
                 "role": "calibrated" if name.startswith("all") else "reported",
-                "relations": int(groups[name.split(":")[0]].sum()),
+                "relations": int(groups[name.split(":")[0]].sum()) if name != CURL else None,
                 "real": value,
                 "simulated": float(np.mean(drives)),
                 "simulated_std": float(np.std(drives)),
@@ -71,6 +81,14 @@ def dead_reckoning(path: Array, config: OdometryConfig, seed: int) -> Array:
     odometry = Odometry(config, 1.0, 1, seed)
     motions = [odometry.measure(a[None], b[None])[0][0] for a, b in itertools.pairwise(path)]
     return compose(path[0], poses_along(np.array(motions)))
+
+
+def curl_spread_deg_m(poses: Array, path: Array) -> float:
+    """Standard deviation [deg/m] over stretches of WINDOW_M of the heading error per metre of poses (k, 3) along a true
+    path (k, 3); constant errors leave only that of noise."""
+    turned = wrap_angle(between(poses[:-1], poses[1:])[:, 2] - between(path[:-1], path[1:])[:, 2])
+    stretch = (travelled_m(path)[1:] / WINDOW_M).astype(int)
+    return float(np.degrees(np.bincount(stretch, turned)[:-1].std() / WINDOW_M))
 
 
 def figures(poses: Array, relations: Relations, groups: dict[str, Array]) -> dict[str, float]:

@@ -107,7 +107,7 @@ def _floor(folder: Path, floor: str, seeds: int, traces_max: int | None) -> list
 
 
 def _mall(floor: str, walks: list[WalkerTrace], recorded: int) -> list[dict]:
-    own = [_apart_m([walk.reckoned[:, :2]], [walk.surveyed_m]) for walk in walks]
+    own = [positions_apart_m([walk.reckoned[:, :2]], [walk.surveyed_m]) for walk in walks]
     table = [_row(floor, "odometry, each walk aligned", 0, recorded, np.concatenate(own))]
     traces = [trace_joining.Trace(walk.reckoned, walk.fingerprints) for walk in walks]
     for known, is_shape_known in (("others' poses", False), ("others' poses, own shape and heading", True)):
@@ -123,7 +123,7 @@ def _mall(floor: str, walks: list[WalkerTrace], recorded: int) -> list[dict]:
     for weighting in WEIGHTINGS:
         joined = trace_joining.join(traces, RadioSlamConfig(weighting=weighting))
         chosen = np.flatnonzero(joined.is_joined)
-        away = _apart_m([joined.positions_m[k] for k in chosen], [walks[k].surveyed_m for k in chosen])
+        away = positions_apart_m([joined.positions_m[k] for k in chosen], [walks[k].surveyed_m for k in chosen])
         table.append(_row(floor, weighting, len(chosen), recorded, away))
     return table
 
@@ -139,7 +139,7 @@ def _robot_floor(survey: RadioSurvey, seeds: int) -> list[dict]:
         frames = radio_frames(survey.time_s, log.odometry, log.turned_rad, log.fingerprints, ENGINE.lidar.beam_count)
         results["engine"] = place_frames(CooperativeSlam(ENGINE, 1), [frames])[0]
         for name, poses in results.items():
-            away[name].append(_apart_m([poses[:, :2]], [survey.position_m]))
+            away[name].append(positions_apart_m([poses[:, :2]], [survey.position_m]))
     return [_row(ROBOT_FLOOR, name, 1, 1, np.concatenate(away[name])) for name in names]
 
 
@@ -174,7 +174,7 @@ def _fingerprints(survey: RadioSurvey) -> list[Fingerprint]:
     ]
 
 
-def _apart_m(estimated: list[Array], true: list[Array]) -> Array:
+def positions_apart_m(estimated: list[Array], true: list[Array]) -> Array:
     """Distance of every position to the truth after one rigid alignment of all."""
     together, truth = np.concatenate(estimated), np.concatenate(true)
     return np.linalg.norm(transform_points(align_rigidly(together, truth), together) - truth, axis=1)

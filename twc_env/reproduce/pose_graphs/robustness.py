@@ -98,7 +98,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 def run_case(case: Case, folder: Path) -> dict:
     """Error, precision, recall and time of one case."""
-    start, clean, best = _clean(folder, case.dataset)
+    start, clean, best = clean_graph(folder, case.dataset)
     graph, is_true = corrupt(clean, best, case.kind, case.share, case.seed)
     config = PoseGraphConfig(robust=case.method, iterations_max=ITERATIONS_MAX.get(case.method, 100))
     began = time.process_time()
@@ -165,9 +165,10 @@ def _are_wrong(error: Array, information: Array) -> bool:
 
 
 @cache
-def _clean(folder: Path, dataset: str) -> tuple[Array, Graph, Array]:
-    """Poses from odometry only, the graph without false closures, and its optimum."""
-    graph = read_graph(folder / f"{DATASETS[dataset]}.g2o.gz")
+def clean_graph(folder: Path, dataset: str) -> tuple[Array, Graph, Array]:
+    """Poses from odometry only, the graph without false closures, and its optimum. dataset: one of DATASETS, or the
+    name of another file."""
+    graph = read_graph(folder / f"{DATASETS.get(dataset, dataset)}.g2o.gz")
     start = dead_reckoning(graph)
     config = PoseGraphConfig(robust="plain", iterations_max=100)
     grown = robust_backend.solve(start, *graph.parts, PoseGraphConfig(robust="ours")).poses

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig, LidarConfig, RadioSlamConfig
+from twc_env.config import EnvConfig, LidarConfig, RadioSlamConfig, override
 from twc_env.maps import load_map
 from twc_env.metrics.trajectory import absolute_trajectory_error_m
 from twc_env.records.geometry import compose
 from twc_env.records.messages import Fingerprint, GridMap, SensorFrame, WifiScan
 from twc_env.reproduce.radio import radio_walks
-from twc_env.reproduce.radio.radio_twins import Place, record, true_path
+from twc_env.reproduce.radio.radio_twins import ONE_BAND, Place, record, true_path
 from twc_env.reproduce.radio.radio_walks import RecordedWalk
 from twc_env.slam.front_end.particle_filter import ParticleFilterSettings, map_frames
 from twc_env.slam.pose_graph.distance_factor import Distances
@@ -29,6 +29,8 @@ from twc_env.slam.robot import FrontEnds
 LIDAR = LidarConfig(beam_count=360, range_max_m=20.0)
 CONFIG = EnvConfig(robots=1, lidar=LIDAR)
 """One robot with the paper's scanner."""
+PRINTED_RULE = override(CONFIG, {"slam.verification.method": "fitness"})
+"""ICP, and the rule by which the paper accepts it (papers.md R12)."""
 FALSE_DISTANCE_M, FALSE_VARIANCE_M2 = 3.0, 4.0
 """Distance and variance of a false closure, similar to those of true ones."""
 PARTICLE_STRIDE, PARTICLE_CELL_M = 2, 0.2
@@ -131,10 +133,10 @@ def _false_closures(walk: RecordedWalk, count: int, seed: int) -> Distances:
     return Distances(np.array(pairs, np.int64).reshape(-1, 2), *claimed)
 
 
-def with_lidar(place: Place, walk: RecordedWalk, seed: int) -> Outcome:
+def with_lidar(place: Place, walk: RecordedWalk, seed: int, config: EnvConfig = CONFIG) -> Outcome:
     """Radio SLAM, then scan matching where the path returns to itself."""
     keyframes, truth = keyframes_of(place, walk, seed)
-    result = radio_lidar.solve(keyframes, CONFIG)
+    result = radio_lidar.solve(keyframes, config)
     return Outcome(truth, compose(truth[0], result.poses), grid=result.grid)
 
 
@@ -180,10 +182,12 @@ METHODS: dict[str, tuple[str, Callable[[Place, RecordedWalk, int], Outcome]]] = 
     "wifi paper": ("wifi", radio("paper")),
     "wifi false 2 %": ("wifi", radio("ours", 0.02)),
     "wifi false 20 %": ("wifi", radio("ours", 0.2)),
+    ONE_BAND: (ONE_BAND, radio("ours")),
     "lte": ("lte", radio("ours")),
     "lte paper": ("lte", radio("paper")),
     "wifi+lidar": ("wifi", with_lidar),
+    "wifi+lidar paper": ("wifi", functools.partial(with_lidar, config=PRINTED_RULE)),
     "gmapping": ("", gmapping),
 }
 """Name -> the radio it uses ("" for none), and its function."""
-WITH_LIDAR = ("wifi+lidar", "gmapping")
+WITH_LIDAR = ("wifi+lidar", "wifi+lidar paper", "gmapping")

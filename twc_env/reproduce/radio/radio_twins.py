@@ -61,11 +61,15 @@ PLACES = {
 }  # fmt: skip
 
 
+ONE_BAND = "wifi, one band per phone"
+
+
 def record(place: Place, kind: str, seed: int) -> RecordedWalk:
-    """The walk of a seed with its WiFi or LTE scans."""
+    """The walk of a seed with its WiFi or LTE scans; kind: "wifi", "lte" or ONE_BAND."""
     true_poses = true_path(place, seed)
     radio = radio_config(place, kind)
-    return radio_walks.record(place.twin, true_poses, radio, seed, place.odometry_m, place.drift, place.storeys)
+    odometry = place.odometry_m, place.drift
+    return radio_walks.record(place.twin, true_poses, radio, seed, *odometry, place.storeys, kind == ONE_BAND)
 
 
 def true_path(place: Place, seed: int) -> Array:

@@ -20,7 +20,7 @@ from twc_env.errors import ConfigError
 from twc_env.maps import load_map
 from twc_env.metrics import path_length_m
 from twc_env.records.geometry import compose, points_along, poses_along, wrap_angle
-from twc_env.records.messages import Fingerprint
+from twc_env.records.messages import Fingerprint, WifiScan
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce import radio_places
 from twc_env.reproduce.routes import RoutePlanner
@@ -107,25 +107,40 @@ def record(
     odometry_error_m: float,
     nominal_drift: float,
     storeys: tuple[int, ...] = (0,),
+    is_band_split: bool = False,
 ) -> RecordedWalk:
-    """Measurements on a `drive`, with odometry whose mean error is `odometry_error_m`."""
+    """Measurements on a `drive`, with odometry whose mean error is `odometry_error_m`.
+
+    is_band_split: see `scan_radio`.
+    """
     at = np.arange(0, len(true_poses), STEPS_PER_SCAN)
     drift, stream = matched_odometry(true_poses, at, odometry_error_m, nominal_drift, seed)
     motions, turned_rad = measured_odometry(true_poses, at, drift, stream)
     plan = radio_places.over_storeys(load_map(name), storeys)
-    prints = scan_radio(plan, radio, true_poses[at], seed)
+    prints = scan_radio(plan, radio, true_poses[at], seed, is_band_split)
     return RecordedWalk(true_poses[at], motions, turned_rad, prints, drift, stream)
 
 
-def scan_radio(plan: Floorplan, radio: RadioConfig, poses: Array, seed: int) -> tuple[Fingerprint, ...]:
-    """Fingerprints at true poses (n, 3), each merged over the phones."""
+def scan_radio(
+    plan: Floorplan, radio: RadioConfig, poses: Array, seed: int, is_band_split: bool = False
+) -> tuple[Fingerprint, ...]:
+    """Fingerprints at true poses (n, 3), each merged over the phones; is_band_split: each phone scans one band, by
+    turns 2.4 and 5 GHz, as phones do that are set to (papers.md R3)."""
     model = _model(radio, plan)
     receivers = [WifiReceiver(radio, model, device, seed) for device in range(PHONES)]
     prints = []
     for k, pose in enumerate(poses):
         scans = [receiver.scan(pose[:2], k * SCAN_PERIOD_S) for receiver in receivers]
+        if is_band_split:
+            scans = [_in_band(scan, model, device % 2) for device, scan in enumerate(scans)]
         prints.append(fingerprint(scans, 0.0))
     return tuple(prints)
+
+
+def _in_band(scan: WifiScan, model: RadioModel, band: int) -> WifiScan:
+    """The readings of one band."""
+    kept = model.band_of[np.searchsorted(model.macs, scan.macs)] == band
+    return WifiScan(scan.macs[kept], scan.rssi_dbm[kept])
 
 
 def subsampled(fingerprints: Sequence[Fingerprint], share: float, seed: int) -> tuple[Fingerprint, ...]:

@@ -16,6 +16,7 @@ frame. `--split validation` has other buildings, on which the engine's tests wer
 
 `right`: teams that share one map at the end and never held a wrong one. `wrong`: teams in which at any time two robots
 shared a map that their own paths place more than 1 m or 10 degrees apart; `wrong_at_end` those in which they still do.
+`wrong_share_at_most` is the upper end of its 95 % interval (`metrics.shares`).
 `abstained`: all others, whose robots stay in several maps, each of them right. `merged_share` is the mean share of the
 robots in the largest map at the end, `undone` the number of merges that the engine undid.
 """
@@ -29,6 +30,7 @@ import numpy as np
 
 from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.metrics.shares import share_interval
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.runner import Runner, add_some
 from twc_env.reproduce.twc.alike_wings import alike_wings
@@ -69,7 +71,7 @@ SETTINGS: dict[str, dict] = {
 }
 """The settings of the others."""
 KINDS = (*SETTINGS, *TASKS)
-SEEDS = {"validation": 4_000_000, "test": 5_000_000}
+SEEDS = {"validation": 4_000_000, "test": 5_000_000, "fresh": 7_000_000}
 """Added to the number of a team for the seeds of corridors and wings, which have no splits of their own."""
 
 
@@ -111,9 +113,13 @@ def building(kind: str, split: str, number: int) -> tuple[EnvConfig, Floorplan |
 
 def episode(split: str, agent: str, kind: str, number: int) -> dict:
     """One team."""
-    config, plan = building(kind, split, number)
+    return team_figures(*building(kind, split, number), agent, number)
+
+
+def team_figures(config: EnvConfig, plan: Floorplan | None, agent: str, seed: int) -> dict:
+    """What became of the maps of one team. plan: None for the building that the settings name."""
     env = ExplorationEnv(config=config, floorplan=plan)
-    drive(env, agent, number)
+    drive(env, agent, seed)
     figures = env.result().figures
     wrong_now = sum(len(score.wrong_pairs) for score in env.episode.map_scores())
     undone = sum(mapper.merges_undone for mapper in env.engine.mappers)
@@ -125,6 +131,8 @@ def episode(split: str, agent: str, kind: str, number: int) -> dict:
         "wrong_pairs_at_end": wrong_now,
         "undone": undone,
         "ate_m": figures["team_ate_m"],
+        "odometry_ate_m": figures["odometry_ate_m"],
+        "wall_iou": figures["wall_iou"],
     }
 
 
@@ -137,6 +145,7 @@ def _row(kind: str, runs: list[dict]) -> dict:
         "merged_share": round(float(np.mean([run["merged"] / run["robots"] for run in runs])), 3),
         "right": right,
         "wrong": wrong,
+        "wrong_share_at_most": round(share_interval(wrong, len(runs))[1], 3),
         "abstained": len(runs) - right - wrong,
         "wrong_at_end": sum(run["wrong_pairs_at_end"] > 0 for run in runs),
         "wrong_pairs": sum(run["wrong_pairs"] for run in runs),

@@ -33,6 +33,7 @@ from twc_env.reproduce.runner import Runner, add_seeds, add_some
 from twc_env.reproduce.twc.published import PRINT, over_known
 from twc_env.reproduce.twc.sign_pass_scores import COMBINED, METHODS, RECALL_LEVELS, TEXT, WIFI, score_all, score_some
 from twc_env.reproduce.twc.twc_scenes import AS_DRAWN, DEPARTMENTS, SCENES, scene_config, walk_scene
+from twc_env.reproduce.twc.twin_signs import twin_signs
 from twc_env.running.command_line import picture_options
 from twc_env.slam.places.rssi_similarity import BY_DISTANCE, COSINES
 
@@ -53,10 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
-    """One row per scene, method and thresholds, as means over the seeds."""
+    """One row per scene, method and thresholds, as means over the seeds; two signs of one text below (Fig. 3)."""
+    found = _evaluated(options, runner)
+    runner.notes += [f"Fig. 3, {scene}: {line}" for scene, walks in found.items() for line in walks[0]["twin_signs"]]
     return [
         _summary(scene, figures)
-        for scene, walks in _evaluated(options, runner).items()
+        for scene, walks in found.items()
         for figures in zip(*(evaluated["figures"] for evaluated in walks), strict=True)
     ]
 
@@ -71,7 +74,7 @@ def evaluate_scene(scene: str, seed: int, has_alternatives: bool = False) -> dic
     """Figures per method and thresholds for one walk of all robots, and each method's precision-recall curves."""
     config = scene_config(scene)
     walks = walk_scene(config, scene, AS_DRAWN, seed)
-    evaluated = score_all(config, walks)
+    evaluated = score_all(config, walks) | {"twin_signs": twin_signs(config, walks)}
     like_print = walk_scene(config, scene, DEPARTMENTS, seed)
     evaluated["figures"] += score_some(config, like_print, DEPARTMENTS, ("text", "wifi", "twc", "fused"))
     if has_alternatives:

@@ -51,7 +51,9 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     if not paths:
         raise DataError(f"{folder} holds no plans (*.json); check the path")
     found = runner.each(
-        paths, lambda path: measure(path, options), lambda path: f"{path.stem[:8]}, drawn in {options.out}"
+        paths,
+        lambda path: measure(path, options.out, picture_options(options)),
+        lambda path: f"{path.stem[:8]}, drawn in {options.out}",
     )
     runs = [run for run in found if run]
     table = []
@@ -69,8 +71,9 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     return [row for run in runs for row in run["rows"]] + table
 
 
-def measure(path: Path, options: argparse.Namespace) -> dict | None:
-    """Results of both methods on one plan, and (probability, is wall) of our cells; None without a complete route."""
+def measure(path: Path, out: Path | None, kind: Kind | None = None) -> dict | None:
+    """Results of both methods on one plan, and (probability, is wall) of our cells; None without a complete route. out:
+    folder for the picture; None: none is drawn."""
     plan = read_house_expo(path)
     found = _route(plan)
     if found is None:
@@ -83,7 +86,8 @@ def measure(path: Path, options: argparse.Namespace) -> dict | None:
     walk = read_walk(plan, radio, route, seed=0, faces_per_wall=WALL_FACES)
     cells = plan.cells(scoring.RESOLUTION_M)
     maps = {"paper": scoring.by_paper(walk, cells), "ours": scoring.by_ours(walk, cells, seed=0)}
-    scoring.draw_maps(options.out / path.stem[:8], picture_options(options), path.stem, walk, cells, maps)
+    if out is not None:
+        scoring.draw_maps(out / path.stem[:8], kind, path.stem, walk, cells, maps)
     ours = maps["ours"]
     told = np.isfinite(ours.probability) & (ours.truth != UNKNOWN)
     pairs = np.column_stack([ours.probability[told], ours.truth[told] == WALL]).round(3)

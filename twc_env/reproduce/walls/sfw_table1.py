@@ -152,11 +152,11 @@ def measure(experiment: int, seed: int, out: Path | None, kind: Kind | None = No
     return _measured(load_map(f"sfw-e{experiment}"), POINTS[experiment], seed, picture, kind)
 
 
-def measure_flat(number: int, routers: int, out: Path, kind: Kind | None = None) -> dict:
+def measure_flat(number: int, routers: int, out: Path | None, kind: Kind | None = None) -> dict:
     """All methods on one generated flat: {method: figures}, and the number of readings under `points`."""
     plan = flat(number, routers)
     points = round(_READINGS_PER_M * path_length_m(wall_following_route(plan)))
-    picture = out / f"{plan.name}-{routers}"
+    picture = None if out is None else out / f"{plan.name}-{routers}"
     return {"points": points, **_measured(plan, points, _FLAT_NOISE_SEED + number, picture, kind)}
 
 

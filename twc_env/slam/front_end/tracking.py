@@ -23,13 +23,14 @@ from twc_env.slam.odometry.odometry_filter import (
     CompiledFilters,
     anchor,
     believe_match,
+    motion_noise,
     open_direction,
     predict_state,
 )
 from twc_env.slam.places.radio_fingerprint import NO_AGES, ScanWindows, ages_of, keep
 from twc_env.slam.scans.deskewing import limit_open
 from twc_env.slam.scans.lost_beams import bridge, mark_lost, opening_beams
-from twc_env.slam.scans.scan_continuity import BUMP_MAX_M, BUMPED_MIN, agreement, continues
+from twc_env.slam.scans.scan_continuity import BUMP_MAX_M, BUMPED_MIN, agreement, continues, is_explained
 from twc_env.slam.scans.teammate_detection import DISCS_MAX, mark_teammates
 
 
@@ -124,11 +125,24 @@ def _track(
         is_carried[k] = False
         if dts[a] > 0.0:
             _move_on(moved[k], odometry[a])
+            is_misread = False
             if has_lidar and believes_scans and has_scan[a] and scans_before[k, 0] != 0.0:
                 is_carried[k] = not continues(scans_before[k], ranges[a], moved[k], range_max, directions)
+                if is_carried[k]:
+                    variance_m2, variance_rad2 = motion_noise(moved[k, 0], moved[k, 1], noise[k])
+                    is_misread = is_explained(
+                        scans_before[k], ranges[a], moved[k], math.sqrt(variance_m2), math.sqrt(variance_rad2),
+                        range_max, directions, motion,
+                    )  # fmt: skip
+                    is_carried[k] = not is_misread
         before[k, 0], before[k, 1] = states[k, 0], states[k, 1]
         if dts[a] > 0.0:
             predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise[k])
+            if is_misread:  # both scans tell the motion better than odometry, and matching begins there
+                c, s = math.cos(poses_before[k, 2]), math.sin(poses_before[k, 2])
+                states[k, 0] = poses_before[k, 0] + c * motion[0] - s * motion[1]
+                states[k, 1] = poses_before[k, 1] + s * motion[0] + c * motion[1]
+                states[k, 2] += motion[2] - moved[k, 2]
     _see(
         robots, ranges, has_scan, states, directions, opening, free, is_soft, mask_radii, marked, discs, disc_counts,
         cells, lines, origins, match_rule, has_lidar, room, matched, information, is_matched, is_clear, explained,

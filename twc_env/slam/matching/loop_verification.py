@@ -39,6 +39,8 @@ SIGN_INFORMATION, NEAR_INFORMATION = (
     np.stack([np.diag(1.0 / np.square(std)) for std in stds]) for stds in ((SIGN_STD, SIGN_STD), (NEAR_STD, OPEN_STD))
 )
 """(2, 3, 3) information of these, the second for loose matches."""
+FITNESS_MAX_M2 = 0.1
+"""Greatest mean squared distance of pairs of points in radio SLAM; the unit is not printed."""
 Path = Sequence[Keyframe]
 """All stored keyframes of a robot, in order."""
 
@@ -65,6 +67,8 @@ class LoopVerifier:
         """
         target, source = _keyframes_of(candidate, target_path, source_path)
         rule, points = self._config, self._points(source, source_path, SPACING_M)
+        if rule.method == "fitness":
+            return self._by_fitness(candidate, self._points(target, target_path), points)
         pose, covariance, overlap = self._match(candidate, target, target_path, points)
         is_meeting, reason = candidate.recogniser == MEETING, ""
         overlap_min = max(rule.overlap_min, MEETING_OVERLAP_MIN) if is_meeting else rule.overlap_min
@@ -76,6 +80,21 @@ class LoopVerifier:
                 reason = f"contradiction {contradiction:.2f} > {rule.contradiction_max:g}"
         status = "rejected" if reason else "accepted"
         return LoopClosure(candidate, pose, covariance, overlap, status, reason)
+
+    def _by_fitness(self, candidate: LoopCandidate, target: Array, source: Array) -> LoopClosure:
+        """ICP, accepted as printed in radio SLAM: fitness below FITNESS_MAX_M2, and more pairs than half of the mean
+        number of points of both scans."""
+        paired = match_points(target, source, candidate.guess)
+        pairs, needed = paired.inlier_ratio * len(source), 0.25 * (len(target) + len(source))
+        reason = ""
+        if not paired.fitness_m2 < FITNESS_MAX_M2:
+            reason = f"fitness {paired.fitness_m2:.3f} >= {FITNESS_MAX_M2:g}"
+        elif pairs <= needed:
+            reason = f"{pairs:.0f} matches <= {needed:.0f}"
+        information = paired.information(self._noise.match_std_m, self._noise.match_correlation)
+        covariance = closure_covariance(information, _priors(candidate), float(paired.pose[2]))
+        status = "rejected" if reason else "accepted"
+        return LoopClosure(candidate, paired.pose, covariance, paired.inlier_ratio, status, reason)
 
     def is_fixed_by_walls(self, closure: LoopClosure, target_path: Path, source_path: Path, width_m: float) -> bool:
         """Whether a closure is not loose even without objects narrower than width_m, which may be robots."""

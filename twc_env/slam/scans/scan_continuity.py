@@ -29,6 +29,11 @@ BEAMS_MIN = 8
 """With fewer returns, scans are not compared."""
 MOTION_MAX_M, TURN_MAX_RAD = 0.8, 0.6
 """Nor after greater motions: too much of what is seen is new."""
+DOUBT_STDS = 4.0
+"""Odometry may err by so many standard deviations: a robot is carried only if no motion within explains its scan."""
+DOUBT_STEP_M, DOUBT_STEP_RAD = 0.15, 0.04
+"""Steps in which these motions are tried: what `AGREEMENT_M` allows for. Within a tenth of a second odometry errs by
+less; from scan to scan of a log, by several."""
 
 
 @borrowing_kernel
@@ -41,6 +46,32 @@ def continues(before, scan, motion, range_max, directions):
     rest = beams - shift
     changed = _changed(scan[:rest], before[shift:]) + _changed(scan[rest:], before[:shift])
     return changed < CHANGED_SHARE * beams or agreement(before, scan, motion, range_max, directions) >= AGREEMENT_MIN
+
+
+@borrowing_kernel
+def is_explained(before, scan, motion, std_m, std_rad, range_max, directions, found):
+    """Whether another motion within what odometry may err by, which has these standard deviations, predicts enough of a
+    scan that does not continue the one before by the motion (3,) that odometry read. Writes the one that predicts most
+    to found (3,)."""
+    ways, turns = int(DOUBT_STDS * std_m / DOUBT_STEP_M), int(DOUBT_STDS * std_rad / DOUBT_STEP_RAD)
+    if ways == 0 and turns == 0:
+        return False
+    most, side, best = 0.0, 2 * ways + 1, 0
+    for number in range((2 * turns + 1) * side * side):
+        _tried(motion, number, side, ways, turns, found)
+        share = agreement(before, scan, found, range_max, directions)
+        if share > most:
+            most, best = share, number
+    _tried(motion, best, side, ways, turns, found)
+    return most >= AGREEMENT_MIN
+
+
+@borrowing_kernel
+def _tried(motion, number, side, ways, turns, out):
+    """Write one of the motions that `is_explained` tries to out (3,)."""
+    out[0] = motion[0] + (number % side - ways) * DOUBT_STEP_M
+    out[1] = motion[1] + (number // side % side - ways) * DOUBT_STEP_M
+    out[2] = motion[2] + (number // (side * side) - turns) * DOUBT_STEP_RAD
 
 
 @borrowing_kernel

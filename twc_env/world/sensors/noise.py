@@ -40,6 +40,11 @@ class StepNoise:
         self._taken += 1
         return self.numbers[(self._taken - 1) % len(self.numbers)]
 
+    @property
+    def taken(self) -> int:
+        """Number of calls of `next`."""
+        return self._taken
+
     def hold(self, step: int) -> None:
         """Draw the numbers of a step into row `step % len(numbers)`, for kernels.
 

@@ -16,7 +16,7 @@ from twc_env.world.sensors.noise import StepNoise
 
 @dataclass(frozen=True, slots=True)
 class OdometryPreset:
-    """Errors of one platform at drift 1; biases are constant over an episode."""
+    """Errors of one platform at drift 1; biases are constant over an episode unless `odometry.variation` says else."""
 
     scale_std: float
     """Relative bias of distances."""
@@ -61,6 +61,10 @@ PRESETS = {
 }
 
 
+WAVES, PERIODS_S = 8, (20.0, 200.0)
+"""A bias that varies is a sum of so many cosines of periods in this range, log-uniform."""
+
+
 class Odometry:
     """The odometers and gyros of all robots for one episode."""
 
@@ -79,6 +83,17 @@ class Odometry:
         gyro_spreads = np.array([each.gyro_bias_std_rad_s for each in presets])
         biases = np.column_stack([draws * np.array(spreads), gyro * gyro_spreads])  # (robots, 4)
         self._biases = drift * (biases + np.array(means))
+        shares = np.array([[each.variation] for each in own])
+        self.varies = bool(shares.any())
+        """Whether `vary` changes anything."""
+        if self.varies:
+            self._spreads = drift * np.column_stack([np.array(spreads), gyro_spreads]) * np.sqrt(shares)
+            self._steady = drift * (np.sqrt(1.0 - shares) * biases + np.array(means))
+            wave_streams = [random_stream(seed, "odometry variation", robot) for robot in range(robots)]
+            drawn = np.array([stream.random((2, WAVES, 4)) for stream in wave_streams])
+            low, high = np.log(PERIODS_S)
+            self._turns_per_step = time_step_s / np.exp(low + (high - low) * drawn[:, 0])
+            self._phases = drawn[:, 1]
         self._slips_per_m = np.array([each.slips_per_m for each in presets]) * (drift[:, 0] > 0)
         white = [
             (each.position_std_m, each.heading_std_rad, each.turn_std_rad, each.slip_share, each.gyro_std_rad)
@@ -90,9 +105,16 @@ class Odometry:
     def measure(self, poses_before: Array, poses: Array) -> tuple[Array, Array]:
         """True poses (n, 3) at the last frame and now -> odometry (n, 3), gyro turn rate (n,) [rad/s]."""
         odometry, turn_rates = np.empty((len(poses), 3)), np.empty(len(poses))
+        if self.varies:
+            self.vary(self.noise.taken)
         *arguments, _ = self.arguments
         measure(poses_before, poses, *arguments, self.noise.next(), odometry, turn_rates)
         return odometry, turn_rates
+
+    def vary(self, step: int) -> None:
+        """Set the systematic errors to those of a step, in place."""
+        waves = np.cos(2 * np.pi * (self._turns_per_step * step + self._phases))
+        self._biases[:] = self._steady + self._spreads * np.sqrt(2.0 / WAVES) * waves.sum(axis=1)
 
     @property
     def arguments(self) -> tuple:

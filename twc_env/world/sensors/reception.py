@@ -19,6 +19,8 @@ from twc_env.world.sensors.radio import RadioModel
 
 _LEVEL_MAX_DBM = -1.0
 """Receivers saturate; 0 is what drivers report of what they did not hear, and the engine refuses it."""
+CHANGE_PERIOD_S = 60.0
+"""How long access points keep a power (`radio.power_change_std_db`)."""
 _ROUNDING = 1e-9
 """Bound of rounding errors of numbers of order 1."""
 
@@ -44,8 +46,10 @@ class WifiReceiver:
             self._draws.beside([random_stream(seed, "cell-detection", robot)], beside, "random")
         self._sweep = random_stream(seed, "wifi-sweep", robot)
         self._is_partial = config.sweep_share < 1.0 or config.sweep_share_std > 0.0
-        self.is_plain = model.is_indoor and not self._is_partial and not config.stale_age_max_s
-        """Whether `hear` computes the same as `scan`: no cells, no partial sweeps, no stale readings."""
+        is_steady = not (self._is_partial or config.stale_age_max_s or config.power_change_std_db)
+        self.is_plain = model.is_indoor and is_steady
+        """Whether `hear` computes the same as `scan`: no cells, partial sweeps, stale readings or changes of power."""
+        self._seed, self._changes = seed, (-1, np.zeros(count))
         device = random_stream(seed, "wifi-device", robot)
         device_offset_db = config.device_offset_std_db * device.standard_normal() + (
             config.device_offset_db + offset_db
@@ -69,6 +73,8 @@ class WifiReceiver:
             self._refresh_fading(x, y)
         count = len(model.macs)
         rssi, heard = model.mean_rssi_dbm(np.array([x, y]), bodies), np.empty(count, np.bool_)
+        if config.power_change_std_db:
+            rssi += self._power_changes_db(int(time_s // CHANGE_PERIOD_S))
         _receive(
             rssi, self._fading_db, self.constants, self._draws.next()[0], self.detection, model.macs, heard,
             np.empty(count, np.int64), np.empty(count),
@@ -81,6 +87,17 @@ class WifiReceiver:
         if config.stale_age_max_s > 0.0:
             return self._with_stale_readings(rssi, heard, time_s)
         return WifiScan(model.macs[heard], rssi[heard])
+
+    def _power_changes_db(self, period: int) -> Array:
+        """(transmitters,) what each access point adds to its power in a period, the same for all robots; 0 for
+        cells."""
+        if self._changes[0] != period:
+            model = self._model
+            stream = random_stream(self._seed, "access point power", period)
+            drawn = stream.standard_normal(int(model.access_point_of.max(initial=0)) + 1)
+            changes_db = self._config.power_change_std_db * drawn[model.access_point_of]
+            self._changes = period, np.where(model.is_cell, 0.0, changes_db)
+        return self._changes[1]
 
     def _drop_weakest_cells(self, rssi: Array, heard: Array) -> None:
         """Keep only the strongest `cells.listed_max` cells: phones list their own and a few neighbours."""

@@ -1,0 +1,1 @@
+"""Claims on data that no setting was chosen on."""
