@@ -30,8 +30,8 @@ WORLD_PRESETS: dict[str, dict[str, object]] = {
         "clutter.furniture": 15,
         "clutter.moves_per_min": 0.1,
     },
-    # People who walk and lie or sit in equal parts, doors that they open, beds and trolleys that they push; staff lift a
-    # robot out of their way every twenty minutes.
+    # People who walk and lie or sit in equal parts, doors that they open, beds and trolleys that they push; staff lift
+    # a robot out of their way every twenty minutes.
     "ward": {
         "people.count": 20,
         "people.walking_share": 0.5,

@@ -246,7 +246,9 @@ def _scan(
             for b in range(count):
                 if row[b] < work[b]:
                     hit[b] = NOTHING
-        cast_discs(paths, taus, radii, members[i], beams, centre, reach, range_max, row, hit)
+        cast_discs(
+            paths, taus, radii, members[i], beams, centre, begin, mean_step, spread, reach, range_max, row, hit
+        )  # fmt: skip
         if panes.shape[0] > 0:
             reflect_glass(panes, beams, glass_chance[i], glass_probability, incidence_max, row, hit)
         if mirrors.shape[0] > 0:
