@@ -64,14 +64,3 @@ def test_wide_things_are_walls_that_come_into_view():
 
 def test_a_robot_goes_on_soon_after_they_left():
     assert not waits(approaching() + [scan_with([])] * 10)
-
-
-def test_a_pane_of_glass_that_returns_some_beams_is_nobody():
-    random, scans = np.random.default_rng(0), []
-    for _ in range(60):
-        ranges = np.full(BEAMS, 3.0)
-        pane = np.arange(-12, 13)
-        returned = pane[random.random(len(pane)) < 0.3]
-        ranges[returned] = 0.8 / np.cos(2 * math.pi * returned / BEAMS)
-        scans.append(ranges)
-    assert sum(waits(scans[: k + 1]) for k in range(20, 60)) <= 8

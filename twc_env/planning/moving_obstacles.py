@@ -25,20 +25,16 @@ STEP_M = 0.15
 """Greatest difference of neighbouring ranges on one thing."""
 BEHIND_COS = -0.2
 """What moves further behind than this is left behind."""
-STOOD_FROM_S, STOOD_TO_S = 0.5, 1.5
-"""What gave a return within `STOOD_M` this long ago has stood there: a pane of glass, which returns some beams only."""
-STOOD_M = 0.15
 HOLD_S = 0.4
 """Something that stops stays a moving obstacle for this long."""
 
 
 @kernel
-def _has_moved(ranges, pose, old_ranges, old_pose, reach, forward, teammates, teammate_radius, past, past_poses):
+def _has_moved(ranges, pose, old_ranges, old_pose, reach, forward, teammates, teammate_radius):
     """Whether an end point within `reach` on something narrow lies well inside the free space of the old scan.
 
     The beams beside its bearing must have been free as well: along a grazing wall, ranges of neighbours differ. Points
-    behind a robot that drives forward (1) or back (-1), or within teammate_radius of teammates (k, 2), do not count,
-    nor do places where a scan of the past (scans, beams), taken at past_poses (scans, 3), has an end point.
+    behind a robot that drives forward (1) or back (-1), or within teammate_radius of teammates (k, 2), do not count.
     """
     beams = ranges.shape[0]
     per_beam = beams / (2.0 * math.pi)
@@ -62,26 +58,7 @@ def _has_moved(ranges, pose, old_ranges, old_pose, reach, forward, teammates, te
         for b in range(beam - 1, beam + 3):
             is_free &= old_ranges[b % beams] > away + SHIFT_M
         if is_free and _width(ranges, i) < WIDTH_M:
-            x, y = pose[0] + c * ax - s * ay, pose[1] + s * ax + c * ay
-            if not _has_stood(past, past_poses, x, y):
-                return True
-    return False
-
-
-@kernel
-def _has_stood(past, poses, x, y):
-    """Whether one of the scans (k, beams) taken at poses (k, 3) has an end point near (x, y)."""
-    beams = past.shape[1]
-    per_beam = beams / (2.0 * math.pi)
-    for k in range(past.shape[0]):
-        wx, wy = x - poses[k, 0], y - poses[k, 1]
-        away = math.hypot(wx, wy)
-        beam = int(np.rint((math.atan2(wy, wx) - poses[k, 2]) * per_beam))
-        half = int(min(STOOD_M / max(away, 0.05) * per_beam, 0.5 * beams))
-        for b in range(beam - half, beam + half + 1):
-            found = past[k, b % beams]
-            if found > 0.0 and abs(found - away) < STOOD_M:
-                return True
+            return True
     return False
 
 
@@ -116,9 +93,7 @@ class MovingObstacles:
 
     def __init__(self, dynamics: DynamicsConfig):
         self._time_step_s, self._radius_m = dynamics.time_step_s, dynamics.robot_radius_m
-        self._lag = max(1, round(LAG_S / dynamics.time_step_s))
-        self._stood_steps = round(STOOD_FROM_S / dynamics.time_step_s)
-        self._earlier: deque[tuple[Array, Array]] = deque(maxlen=round(STOOD_TO_S / dynamics.time_step_s) + 1)
+        self._earlier: deque[tuple[Array, Array]] = deque(maxlen=max(1, round(LAG_S / dynamics.time_step_s)) + 1)
         self._hold_steps = 0
 
     def stop(self, belief: Belief, speed_m_s: float) -> bool:
@@ -135,15 +110,11 @@ class MovingObstacles:
             return False
         ranges = np.ascontiguousarray(ranges_m, float)
         self._earlier.append((np.array(pose_odom, float), ranges))
-        old_pose, old_ranges = self._earlier[max(len(self._earlier) - 1 - self._lag, 0)]
-        count = max(len(self._earlier) - self._stood_steps, 0)
-        past = np.empty((count, len(ranges))), np.empty((count, 3))
-        for k in range(count):
-            past[1][k], past[0][k] = self._earlier[k]
+        old_pose, old_ranges = self._earlier[0]
         forward = 1.0 if speed_m_s >= 0.0 else -1.0
         moved = _has_moved(
             ranges, self._earlier[-1][0], old_ranges, old_pose, self._radius_m + REACH_M, forward,
-            np.ascontiguousarray(teammates_m, float), 2.0 * self._radius_m, *past,
+            np.ascontiguousarray(teammates_m, float), 2.0 * self._radius_m,
         )  # fmt: skip
         self._hold_steps = round(HOLD_S / self._time_step_s) if moved else max(self._hold_steps - 1, 0)
         return self._hold_steps > 0
