@@ -27,6 +27,8 @@ from twc_env.world.building.floorplan import Floorplan
 
 PEOPLE = 12
 """In the world with people, unless the settings have some."""
+ROLLING: dict[str, float] = {"lidar.rate_hz": 10.0, "lidar.is_rolling": True}
+"""A scanner whose beams are measured one after the other."""
 _OPEN_M = 3.0
 """Range that the Wanderer assumes where its scan says nothing."""
 
@@ -159,18 +161,22 @@ def bench(config: EnvConfig, episodes: int, report: Callable[[str], None] = lamb
     plan = load_map(config.map)
     off = override(config, {"slam.mode": "off"})
     of_world, of_slam = OurRuns(off, plan), OurRuns(config, plan)
-    of_people = OurRuns(override(off, {"people.count": config.people.count or PEOPLE}), plan)
-    world, slam, people = [], [], []
+    crowd: dict[str, float] = {"people.count": config.people.count or PEOPLE}
+    of_people, of_rolling = OurRuns(override(off, crowd), plan), OurRuns(override(off, crowd | ROLLING), plan)
+    world, slam, people, rolling = [], [], [], []
     for seed in range(episodes):
         world.append(of_world.once(seed))
         report(f"world alone, seed {seed}: {world[-1].rate:,.0f} steps/s")
         people.append(of_people.once(seed))
         report(f"the same among people: {people[-1].rate:,.0f} steps/s")
+        rolling.append(of_rolling.once(seed))
+        report(f"and with a scanner that rolls: {rolling[-1].rate:,.0f} steps/s")
         slam.append(of_slam.once(seed))
         report(f"whole step,  seed {seed}: {slam[-1].rate:,.0f} steps/s, team ATE {slam[-1].team_ate_m:.3f} m")
     return {
         "world_env_steps_per_s": statistics.median(run.rate for run in world),
         "world_with_people_env_steps_per_s": statistics.median(run.rate for run in people),
+        "world_with_people_and_rolling_scanner_env_steps_per_s": statistics.median(run.rate for run in rolling),
         "slam_env_steps_per_s": statistics.median(run.rate for run in slam),
         "world_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in world),
         "slam_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in slam),

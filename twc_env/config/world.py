@@ -56,6 +56,12 @@ class OdometryConfig(Checked):
     """Share of the variance of the systematic errors (scale, curl, turns, gyro bias) that comes and goes within an
     episode, over 20 to 200 s: tyres, floors and temperatures change. With 0 they are constant, as the engine's filter
     assumes of all but the gyro bias."""
+    bumps_per_m: float = number(0.0, 0.0, 10.0, is_later=True)
+    """Rate at which a wheel drives over something 1 cm high, such as a cable, which turns the robot by 0.44 degrees
+    unseen by odometry (Borenstein and Feng, UMBmark, 1995)."""
+    threshold_slip_m: float = number(0.0, 0.0, 0.5, is_later=True)
+    """Way that wheels turn in vain in each doorway (root mean square; half of a normal distribution), beside one
+    bump."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,6 +113,9 @@ class LidarConfig(Checked):
     beam_divergence_rad: float = number(0.0, 0.0, 0.1, is_later=True)
     """Angle of the cone of a beam. A cone that meets two surfaces, at an edge, measures a range between both (a mixed
     pixel)."""
+    delay_s: float = number(0.0, 0.0, 0.5, is_later=True)
+    """Age of a scan when its frame says that it was measured: the clocks of scanner and odometry differ by this, which
+    the engine is not told."""
     mirror_probability: float = number(0.0, 0.0, 1.0, is_later=True)
     """Probability that a beam that meets a wall of material `mirror` measures what it sees in the mirror, as far away
     as the whole path is long; 0 makes mirrors ordinary walls."""
@@ -344,6 +353,10 @@ class FailureConfig(Checked):
     frame_loss_probability: float = number(0.0, 0.0, 0.99, is_later=True)
     """Probability that a robot's frame never reaches its engine; the next one has the odometry since the last that
     did."""
+    clock_offset_std_s: float = number(0.0, 0.0, 1e6, is_later=True)
+    """Differences between the clocks of the robots (standard deviation) ..."""
+    clock_skew_std_ppm: float = number(0.0, 0.0, 1e5, is_later=True)
+    """... and between their rates; 20 to 50 ppm are usual of crystals."""
     kidnap_step: int = number(0, 0, 10_000_000, is_later=True)
     """Step before which the last robot is lifted and put down elsewhere, unseen by its odometry (0: never)."""
     kidnaps_per_min: float = number(0.0, 0.0, 60.0, is_later=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 WORLD_PRESETS: dict[str, dict[str, object]] = {
     "clean": {},
-    # Many sit, some walk; door plates repeat; partitions of glass.
+    # Many sit, some walk; door plates repeat; partitions of glass; every second doorway has a door that moves.
     "office": {
         "people.count": 12,
         "people.walking_share": 0.4,
@@ -13,8 +13,12 @@ WORLD_PRESETS: dict[str, dict[str, object]] = {
         "lidar.dropout_probability": 0.02,
         "lidar.glass_return_probability": 0.6,
         "building.sign_duplication": 0.2,
+        "clutter.door_share": 0.5,
+        "clutter.furniture": 20,
+        "clutter.hidden_share": 0.1,
+        "odometry.threshold_slip_m": 0.01,
     },
-    # A crowd that walks, shop windows, and radio as measured in a mall.
+    # A crowd that walks, shop windows, stands that are moved, and radio as measured in a mall.
     "mall": {
         "people.count": 30,
         "people.walking_share": 0.8,
@@ -23,8 +27,11 @@ WORLD_PRESETS: dict[str, dict[str, object]] = {
         "lidar.dropout_probability": 0.05,
         "lidar.glass_return_probability": 0.3,
         "radio.preset": "radio-mall",
+        "clutter.furniture": 15,
+        "clutter.moves_per_min": 0.1,
     },
-    # People who walk and lie or sit in equal parts; staff lift a robot out of their way every twenty minutes.
+    # People who walk and lie or sit in equal parts, doors that they open, beds and trolleys that they push; staff lift
+    # a robot out of their way every twenty minutes.
     "ward": {
         "people.count": 20,
         "people.walking_share": 0.5,
@@ -32,8 +39,13 @@ WORLD_PRESETS: dict[str, dict[str, object]] = {
         "lidar.range_noise_std_m": 0.02,
         "lidar.dropout_probability": 0.05,
         "failure.kidnaps_per_min": 0.05,
+        "clutter.door_share": 0.8,
+        "clutter.furniture": 20,
+        "clutter.moves_per_min": 0.2,
+        "odometry.threshold_slip_m": 0.01,
     },
-    # Few people, rows of shelves with repeated labels, and robots that slip in turns.
+    # Few people, rows of shelves with repeated labels, pallets that scanners do not see, and robots that slip in turns
+    # and drive over rubbish.
     "warehouse": {
         "people.count": 4,
         "people.walking_share": 1.0,
@@ -41,6 +53,10 @@ WORLD_PRESETS: dict[str, dict[str, object]] = {
         "lidar.dropout_probability": 0.02,
         "building.sign_duplication": 0.5,
         "odometry.platform": "skid-steer",
+        "odometry.bumps_per_m": 0.1,
+        "clutter.furniture": 15,
+        "clutter.hidden_share": 0.3,
+        "clutter.moves_per_min": 0.1,
     },
 }
 """Settings, by dotted name, that differ from the defaults."""

@@ -22,7 +22,7 @@ from twc_env.records.random_streams import random_stream
 from twc_env.records.team_messages import TeamFrames
 from twc_env.slam.modes import Engine, make_engine
 from twc_env.world.building.floorplan import Floorplan
-from twc_env.world.failures import Failures, FrameLoss, silenced
+from twc_env.world.failures import Failures, FrameLoss, OwnClocks, silenced
 from twc_env.world.link import Link
 from twc_env.world.world import World
 
@@ -58,6 +58,7 @@ class Episode:
             self.engine.give_transmitters(*world.transmitters_home, world.poses_home.copy())
         self._failures = Failures(config.failure, count, config.dynamics.time_step_s)
         self._loss = FrameLoss(config.failure.frame_loss_probability, count, seed)
+        self._clocks = OwnClocks(config.failure, count, seed)
         self._link = Link(config.link, count, world.plan.home.wall_index, random_stream(seed, "link"))
         self._builder = ObservationBuilder(config)
         self._velocities = action_blocks.Velocities([own.dynamics for own in robot_configs(config)], count)
@@ -207,6 +208,8 @@ class Episode:
                 self._shown = silenced(frames, is_alive)
             if self._loss.probability:
                 self.frames = self._loss.arriving(self.frames)
+        if not self._clocks.are_one:
+            self.frames = self._clocks.timed(self.frames)
         self.frames_of_step.append(self.frames)
         if self.frames is frames or self.frames:
             engine.track(self.frames)

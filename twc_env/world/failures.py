@@ -82,6 +82,30 @@ def silenced(frames: TeamFrames, is_alive: Array) -> TeamFrames:
     )
 
 
+class OwnClocks:
+    """The time of each robot's frames by its own clock, which begins anywhere and runs at a rate of its own."""
+
+    def __init__(self, config: FailureConfig, robots: int, seed: int):
+        offsets, rates = random_stream(seed, "clocks").standard_normal((2, robots))
+        self._offsets_s, self._rates = (
+            config.clock_offset_std_s * offsets,
+            1.0 + 1e-6 * config.clock_skew_std_ppm * rates,
+        )
+        self.are_one = not (config.clock_offset_std_s or config.clock_skew_std_ppm)
+        """Whether all robots have the same clock."""
+
+    def timed(self, frames: Sequence[SensorFrame]) -> list[SensorFrame]:
+        """The frames with the times that their robots know, and turn rates as the angle per their second."""
+        return [
+            replace(
+                frame,
+                time_s=float(self._offsets_s[frame.robot] + self._rates[frame.robot] * frame.time_s),
+                turn_rate_rad_s=float(frame.turn_rate_rad_s / self._rates[frame.robot]),
+            )
+            for frame in frames
+        ]
+
+
 class FrameLoss:
     """Frames that do not reach the engine; the next one of the robot has the odometry since the last that did."""
 

@@ -23,7 +23,9 @@ from twc_env.world.building.floor_cells import Cells
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.floorplan_check import validate
 from twc_env.world.clutter.clutter import Clutter
+from twc_env.world.clutter.doorways import doorways_of
 from twc_env.world.dynamics import Dynamics, advance
+from twc_env.world.jolts import Jolts
 from twc_env.world.kidnapping import Kidnapping
 from twc_env.world.people.crowd import Crowd
 from twc_env.world.sensors.lidar import Lidar, glass_walls, sweep
@@ -107,6 +109,8 @@ class World:
         self.contacts = dynamics.contacts
         """(n,) bool: whether each robot touches a wall or a robot."""
         self._odometry = Odometry([each.odometry for each in own], config.dynamics.time_step_s, robots, seed)
+        if any(each.odometry.bumps_per_m or each.odometry.threshold_slip_m for each in own):
+            self._odometry.jolts = Jolts([each.odometry for each in own], doorways_of(self._home), seed)
         lidar, kind = own[0].lidar, Scanners if has_one_scanner(config) else MixedScanners
         self._lidar = Lidar(lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
         self.crowd = self.clutter = legs = rims = seen = None
@@ -253,6 +257,8 @@ class World:
             ranges, has_scan = self._scanners.scan(step, poses)
         elif not self._lidar.is_plain:
             ranges = self._lidar.scan(poses)
+        if self._odometry.jolts is not None:
+            self._odometry.jolts.apply(poses, odometry)
         if step == 0:
             odometry[:], turn_rates[:] = 0.0, 0.0
         time_s = step * self.config.dynamics.time_step_s

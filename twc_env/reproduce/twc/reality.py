@@ -9,7 +9,8 @@ them.
 `merged_share` is the share of robots in the largest map at the end, `wrong_merges` the number of pairs of robots (or of
 parts of the path of a carried robot) that shared a map at any time although their own paths place it more than 1 m or
 10 degrees apart, summed over the buildings. `ate_m` and `coverage_correct` are means over buildings, `steps_per_s` is
-measured with everything in it. `people_collisions` counts contacts that robots began by driving.
+measured with everything in it. `stuck_share` is the share of time in which a robot stood for ten seconds or more.
+`people_collisions` counts contacts that robots began by driving.
 """
 
 from __future__ import annotations
@@ -29,6 +30,15 @@ EFFECTS: dict[str, dict] = {
     "clean": {},
     "people 12": {"people.count": 12},
     "people 30": {"people.count": 30},
+    "doors": {"clutter.door_share": 0.8},
+    "furniture": {"clutter.furniture": 25},
+    "furniture below the scan": {"clutter.furniture": 25, "clutter.hidden_share": 1.0},
+    "moved furniture": {"clutter.furniture": 25, "clutter.moves_per_min": 1.0},
+    "bumps and slips": {"odometry.bumps_per_m": 0.5, "odometry.threshold_slip_m": 0.03},
+    "late scans": {"lidar.delay_s": 0.05},
+    "unlike clocks": {"failure.clock_offset_std_s": 100.0, "failure.clock_skew_std_ppm": 50.0},
+    "good odometry": {"odometry.drift": 0.25},
+    "bad odometry": {"odometry.drift": 2.0},
     "carried once": {"failure.kidnap_step": 300},
     "carried often": {"failure.kidnaps_per_min": 1.0},
     "noisy scanner": {"lidar.range_noise_std_m": 0.03, "lidar.dropout_probability": 0.1, "lidar.beam_count": 90},
@@ -38,19 +48,23 @@ EFFECTS: dict[str, dict] = {
     "repeated signs": {"building.sign_duplication": 0.5},
     "measured radio": {"radio.preset": "radio-mall"},
     "access points that change": {"radio.power_change_std_db": 5.0},
+    "measured radio, fused": {"radio.preset": "radio-mall", "slam.place_recognition.recogniser": "fused"},
     "weak links": {"link.topology": "peer", "link.range_max_m": 10.0, "link.wall_range_m": 4.0},
     "late starts": {"failure.start_spread_s": 20.0},
     "lost frames": {"failure.frame_loss_probability": 0.3},
     "lost robot": {"failure.robots": 1, "failure.robots_step": 400},
 }
 """Settings of each effect."""
-FIGURES = ("ate_m", "coverage_correct", "steps_per_s")
+FIGURES = ("ate_m", "coverage_correct", "stuck_share", "steps_per_s")
 ALL = "all"
 WORLDS = tuple(f"world {name}" for name in WORLD_PRESETS if name != "clean")
 MOVED_M = 0.3
 """A robot that a decision moved less than this chooses another goal next."""
-_NOT_TOGETHER = ("people 12", "carried often", "lost robot")
-"""Left out of `all`: another row has more people, and lost and carried robots leave nothing of the rest to see."""
+_NOT_TOGETHER = (
+    "people 12", "furniture", "furniture below the scan", "good odometry", "bad odometry", "carried often",
+    "lost robot", "measured radio, fused",
+)  # fmt: skip
+"""Left out of `all`: another row has more of it, and lost and carried robots leave nothing of the rest to see."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -105,6 +119,7 @@ def episode(effect: dict, building: int, area_m2: int, robots: int, steps: int) 
         "undone": sum(mapper.merges_undone for mapper in env.engine.mappers),
         "ate_m": figures["team_ate_m"],
         "coverage_correct": figures["coverage_correct"],
+        "stuck_share": figures["stuck_share"],
         "steps_per_s": figures["steps"] / took_s,
         "people_collisions": figures.get("people_collisions", 0),
         "robot_hours": robots * figures["sim_time_s"] / 3600.0,

@@ -97,25 +97,50 @@ def _meet(near, w, beams, low, high, ranges, hit):
 
 
 @borrowing_kernel
-def cast_discs(places, taus, radii, own, beams, centre, reach, range_max, ranges, hit):
+def cast_discs(places, taus, radii, own, beams, centre, first, step, spread, reach, range_max, ranges, hit):
     """Lower ranges (beams,) to discs that move: places (steps, discs, 3), the latest first, radii (discs,).
 
-    own: number of the disc that carries the scanner, which does not see itself; -1: none.
+    own: number of the disc that carries the scanner, which does not see itself; -1: none. Else as `cast`.
     """
+    beam_count = ranges.shape[0]
+    per_step, turn = 1.0 / step, 2.0 * math.pi / abs(step)
     for j in range(places.shape[1]):
-        radius = radii[j]
         if j == own:
             continue
-        if math.hypot(places[0, j, 0] - centre[0], places[0, j, 1] - centre[1]) > range_max + 2.0 * reach + radius:
+        dx, dy = places[0, j, 0] - centre[0], places[0, j, 1] - centre[1]
+        nearest = math.hypot(dx, dy)
+        if nearest > range_max + 2.0 * reach + radii[j]:
             continue
-        for b in range(ranges.shape[0]):
-            k = min(int(taus[b]), places.shape[0] - 2)
-            share = taus[b] - k
-            ax = places[k, j, 0] + share * (places[k + 1, j, 0] - places[k, j, 0]) - beams[0, b]
-            ay = places[k, j, 1] + share * (places[k + 1, j, 1] - places[k, j, 1]) - beams[1, b]
-            ahead, aside = ax * beams[2, b] + ay * beams[3, b], ax * beams[3, b] - ay * beams[2, b]
-            inside = radius * radius - aside * aside
-            if ahead > 0.0 and inside >= 0.0 and ax * ax + ay * ay > radius * radius:
-                range_m = ahead - math.sqrt(inside)
-                if range_m < ranges[b]:
-                    ranges[b], hit[b] = range_m, NOTHING
+        moved = 0.0
+        for k in range(1, places.shape[0]):
+            moved = max(moved, math.hypot(places[k, j, 0] - places[0, j, 0], places[k, j, 1] - places[0, j, 1]))
+        wide = reach + moved + radii[j]
+        if nearest <= 1.5 * wide + 1e-6:
+            _meet_disc(places, taus, radii, j, beams, 0, beam_count - 1, ranges, hit)
+            continue
+        middle = (math.atan2(dy, dx) - first) * per_step
+        margin = (math.asin(wide / nearest) + spread) * abs(per_step) + 1.0
+        shift = math.floor((middle + margin) / turn)
+        low_beam, high_beam = middle - margin - shift * turn, middle + margin - shift * turn
+        while low_beam < beam_count:
+            if high_beam >= 0.0:
+                low, high = max(int(math.ceil(low_beam)), 0), min(int(math.floor(high_beam)), beam_count - 1)
+                _meet_disc(places, taus, radii, j, beams, low, high, ranges, hit)
+            low_beam, high_beam = low_beam + turn, high_beam + turn
+
+
+@borrowing_kernel
+def _meet_disc(places, taus, radii, j, beams, low, high, ranges, hit):
+    """Lower the ranges of beams from low to high to disc j where they meet it."""
+    radius = radii[j]
+    for b in range(low, high + 1):
+        k = min(int(taus[b]), places.shape[0] - 2)
+        share = taus[b] - k
+        ax = places[k, j, 0] + share * (places[k + 1, j, 0] - places[k, j, 0]) - beams[0, b]
+        ay = places[k, j, 1] + share * (places[k + 1, j, 1] - places[k, j, 1]) - beams[1, b]
+        ahead, aside = ax * beams[2, b] + ay * beams[3, b], ax * beams[3, b] - ay * beams[2, b]
+        inside = radius * radius - aside * aside
+        if ahead > 0.0 and inside >= 0.0 and ax * ax + ay * ay > radius * radius:
+            range_m = ahead - math.sqrt(inside)
+            if range_m < ranges[b]:
+                ranges[b], hit[b] = range_m, NOTHING

@@ -11,6 +11,7 @@ from numpy.typing import NDArray as Array
 from twc_env.config import OdometryConfig
 from twc_env.kernels.compiled import borrowing_kernel
 from twc_env.records.random_streams import random_stream
+from twc_env.world.jolts import Jolts
 from twc_env.world.sensors.noise import StepNoise
 
 
@@ -100,6 +101,8 @@ class Odometry:
             for each in presets
         ]
         self._white = drift * np.array(white)
+        self.jolts: Jolts | None = None
+        """Set where robots have bumps or slip at thresholds."""
         self.noise = StepNoise(streams, 3).beside(gyro_streams, 1).beside(slip_streams, 2, "random")
 
     def measure(self, poses_before: Array, poses: Array) -> tuple[Array, Array]:

@@ -68,6 +68,7 @@ class Scanners:
         self.period_steps = max(1, round(1.0 / (lidar.rate_hz * step_s))) if lidar.rate_hz else 1
         """Time steps from one scan to the next."""
         taus = self.scanner.sweep_s / step_s * (1.0 - np.arange(lidar.beam_count) / max(lidar.beam_count - 1, 1))
+        taus = taus + lidar.delay_s / step_s
         self._discs = np.zeros((0, 3)) if discs is None else discs
         self._things = np.zeros((0, 4)) if things is None else things
         self._cast_things = np.zeros((4, len(self._things)))
@@ -171,7 +172,7 @@ _NAMES = "lidar-glass", "lidar-mirror", "lidar-loss", "lidar-edge", "lidar", "li
 
 def needs_scanners(lidar: LidarConfig) -> bool:
     """Whether `Scanners` must simulate this scanner, as it has limits or errors that `Lidar` does not know."""
-    known = "range_noise_per_m", "beam_divergence_rad", "mirror_probability"
+    known = "range_noise_per_m", "beam_divergence_rad", "mirror_probability", "delay_s"
     return lidar.scanner is not None or any(getattr(lidar, name) > 0.0 for name in known)
 
 
@@ -245,7 +246,9 @@ def _scan(
             for b in range(count):
                 if row[b] < work[b]:
                     hit[b] = NOTHING
-        cast_discs(paths, taus, radii, members[i], beams, centre, reach, range_max, row, hit)
+        cast_discs(
+            paths, taus, radii, members[i], beams, centre, begin, mean_step, spread, reach, range_max, row, hit
+        )  # fmt: skip
         if panes.shape[0] > 0:
             reflect_glass(panes, beams, glass_chance[i], glass_probability, incidence_max, row, hit)
         if mirrors.shape[0] > 0:
