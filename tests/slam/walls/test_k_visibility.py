@@ -10,7 +10,7 @@ from twc_env.metrics.k_visibility import walls_crossed_in_raster, walls_crossed_
 from twc_env.records.geometry import points_along, travelled_m
 from twc_env.slam.walls import k_visibility_rules as rules
 from twc_env.slam.walls.k_clusters import compensate_distance, k_means, predict_walls, silhouette_k, sliding_window
-from twc_env.slam.walls.k_visibility import map_structure
+from twc_env.slam.walls.k_visibility import EXPLAINED_MIN, map_structure
 from twc_env.slam.walls.k_visibility_grid import cell_probabilities
 from twc_env.slam.walls.k_visibility_signal import (
     _forward_backward,
@@ -266,6 +266,14 @@ def test_the_wall_between_two_rooms_is_found_at_the_signal_drop():
     assert found.probability[on_wall].mean() > 0.9
     again = map_structure(path, rssi, ROUTER[None])
     assert np.array_equal(found.probability, again.probability)
+
+
+def test_strengths_that_say_nothing_tell_no_walls():
+    path, rssi, _ = two_rooms()
+    assert map_structure(path, rssi, ROUTER[None]).explained > 2 * EXPLAINED_MIN
+    found = map_structure(path, np.random.default_rng(1).permutation(rssi), ROUTER[None])
+    assert not found.is_told and not found.walls.any()
+    assert not (found.grid.classes() == rules.WALL).any()
 
 
 def test_too_few_readings_are_rejected_with_a_reason():

@@ -35,9 +35,7 @@ NEAR_CELLS = 3
 SAME_PLACE_M = 1.2
 """Two places of different groups closer than this after a merge must have similar fingerprints ..."""
 REFERENCE_M = (1.5, 3.5)
-"""... as similar as pairs of one robot at this distance range, or as pairs of one robot that came back to a place ..."""
-RETURN_M = 12.0
-"""... after a path of this length: access points may have changed their power since."""
+"""... as similar as pairs of one robot at this distance range."""
 PAIRS_MIN, PLACES_MAX = 4, 150
 """Minimum number of pairs for a decision; of more than twice PLACES_MAX places only every n-th is compared with all."""
 REFERENCE_SLACK = 1.1
@@ -306,9 +304,9 @@ def _fingerprint_distance_db(macs, levels, starts, a, b, differences):
 
 @kernel
 def _compare_places(macs, levels, starts, places, positions, robots, travels, is_b):
-    """Fingerprint distances [dB] of pairs that the merge brings together, of the reference pairs, and of returns."""
-    together, reference, returns = np.empty(256), np.empty(256), np.empty(256)
-    found = learned = returned = longest = 0
+    """Fingerprint distances [dB] of pairs that the merge brings together, and of the reference pairs."""
+    together, reference = np.empty(256), np.empty(256)
+    found = learned = longest = 0
     for i in range(positions.shape[0]):
         longest = max(longest, starts[places[i] + 1] - starts[places[i]])
     differences = np.empty(longest)
@@ -322,8 +320,7 @@ def _compare_places(macs, levels, starts, places, positions, robots, travels, is
             is_together = apart < SAME_PLACE_M and is_b[i] != is_b[j]
             is_own = robots[i] == robots[j] and abs(travels[i] - travels[j]) < 2 * REFERENCE_M[1]
             is_yardstick = is_own and REFERENCE_M[0] <= apart <= REFERENCE_M[1]
-            is_return = robots[i] == robots[j] and apart < SAME_PLACE_M and abs(travels[i] - travels[j]) >= RETURN_M
-            if not is_together and not is_yardstick and not is_return:
+            if not is_together and not is_yardstick:
                 continue
             distance = _fingerprint_distance_db(macs, levels, starts, places[i], places[j], differences)
             if math.isnan(distance):
@@ -338,12 +335,7 @@ def _compare_places(macs, levels, starts, places, positions, robots, travels, is
                     reference = enlarged(reference, 0)
                 reference[learned] = distance
                 learned += 1
-            if is_return:
-                if returned == len(returns):
-                    returns = enlarged(returns, 0)
-                returns[returned] = distance
-                returned += 1
-    return together[:found], reference[:learned], returns[:returned]
+    return together[:found], reference[:learned]
 
 
 def wifi_difference(
@@ -354,19 +346,15 @@ def wifi_difference(
 
     positions (k, 2) of all keyframes of both groups in the proposed common frame, robots (k,), travels_m (k,) path
     length of each, `heard` fingerprints, places (k,) index of each keyframe's fingerprint in it, is_b (k,) bool. The
-    reference is computed from the same data: the median distance of fingerprints of one robot taken REFERENCE_M apart,
-    or at one place before and after RETURN_M of path if that is more.
+    reference is computed from the same data: the median distance of fingerprints of one robot taken REFERENCE_M apart.
     """
-    together, reference, returns = _compare_places(
+    together, reference = _compare_places(
         heard.macs, heard.rssi_dbm, heard.starts, places, np.ascontiguousarray(positions, float), robots, travels_m,
         is_b,
     )  # fmt: skip
     if len(together) < PAIRS_MIN or len(reference) < PAIRS_MIN:
         return None
-    usual = max(_median(reference), 1e-9)
-    if len(returns) >= PAIRS_MIN:
-        usual = max(usual, _median(returns))
-    return _median(together) / usual
+    return _median(together) / max(_median(reference), 1e-9)
 
 
 def _median(values: Array) -> float:

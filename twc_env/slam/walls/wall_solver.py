@@ -106,6 +106,17 @@ class WallSolver:
         return self.candidates.standoff_m[sure & (sure.sum() >= 8)]
 
     @property
+    def explained(self) -> float:
+        """Share of the variance of readings, beyond path loss of each router, that the walls explain; at most 1."""
+        level, decades, errors = self._level[self._heard], self._decades[self._heard], self._errors()[self._heard]
+        rest, router_of = np.zeros(len(level)), self._router_of[self._heard]
+        for router in np.unique(router_of):
+            own = router_of == router
+            design = np.column_stack([np.ones(np.count_nonzero(own)), -decades[own]])
+            rest[own] = level[own] - design @ np.linalg.lstsq(design, level[own], rcond=None)[0]
+        return 1.0 - float((errors**2).mean() / max((rest**2).mean(), 1e-9)) if len(level) else 0.0
+
+    @property
     def is_crossed(self) -> Array:
         """(pieces,) bool: crossed by some ray, so that readings carry information about it."""
         return np.diff(self._first) > 0
