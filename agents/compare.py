@@ -20,7 +20,7 @@ from twc_env.running.finished_parts import FinishedParts
 from twc_env.running.worker_processes import in_processes
 
 from .explore import commanded, commanded_stuck_share, origin_of
-from .policy import begin, make_policy
+from .policy import LEARNED, begin, make_policy
 from .roster import display_name
 
 GOAL = 0.9
@@ -75,7 +75,8 @@ def compare(
         make_policy(agent, config)  # an unknown name fails before the first episode
     parts = [(name, agent, seed) for seed, name in enumerate(maps) for agent in agents]
     found: dict[tuple[str, str, int], Outcome] = {}
-    finished = FinishedParts(folder, "compare", to_dict(config), ("twc_env.agents",))
+    packages = ("twc_env.agents", "twc_env.training") if LEARNED in agents else ("twc_env.agents",)
+    finished = FinishedParts(folder, "compare", to_dict(config), packages)
     if finished.remark:
         tell(finished.remark)
     run = partial(_once, config, finished)

@@ -28,7 +28,7 @@ from twc_env.running.command_line import alone_in
 from twc_env.running.finished_parts import code_digest
 
 from . import picture
-from .policy import begin, make_policy
+from .policy import LEARNED, begin, make_policy
 
 WARM_UP_STEPS = 10
 """Steps at the start that are excluded from the speed."""
@@ -148,7 +148,12 @@ def origin_of(config: EnvConfig, agent: str) -> dict[str, str]:
         "back_end_digest": slam.pose_graph.robust,
     }
     own = {key: digest_of(name) for key, name in named.items() if is_in_file(name)}
-    return {"code_digest": code_digest("twc_env.agents"), "map_digest": load_map(config.map).digest, **own}
+    packages = ("twc_env.agents", "twc_env.training") if agent == LEARNED else ("twc_env.agents",)
+    return {
+        "code_digest": code_digest(*packages),
+        "map_digest": load_map(config.map).digest,
+        **own,
+    }
 
 
 def _clock_s(compiling: TimingListener) -> float:

@@ -13,11 +13,16 @@ from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError, did_you_mean
 from twc_env.records.class_file import class_in, is_in_file
 from twc_env.records.messages import Belief
+from twc_env.suite.learned import LearnedTeam
 
 from .roster import TEAMS
 
 if TYPE_CHECKING:
     from twc_env import ExplorationEnv
+
+
+LEARNED = "learned"
+"""Name of the team that plays a policy which comes with the package (`twc_env/suite/learned.py`)."""
 
 
 class Policy(Protocol):
@@ -49,10 +54,8 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
 
     Raises ConfigError for an unknown name, and unless `action.kind` is `velocity`.
     """
-    if name not in TEAMS and not is_in_file(str(name)):
-        if name == "learned":
-            raise ConfigError("learned chooses among frontiers: play it with benchmark --suite v1 --agents learned")
-        known = f"choose one of {', '.join(policy_names())}, or FILE.py:CLASS"
+    if name not in TEAMS and name != LEARNED and not is_in_file(str(name)):
+        known = f"choose one of {', '.join(policy_names())}, {LEARNED}, or FILE.py:CLASS"
         begun = [team for team in TEAMS if team.startswith(str(name))]
         raise ConfigError(f"unknown agent {name!r}; {known}{did_you_mean(name, begun or TEAMS)}")
     config = config or EnvConfig()
@@ -60,6 +63,9 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
         raise ConfigError(
             f"scripted teams need action.kind = 'velocity'; got {config.action.kind!r}: remove this setting"
         )
+    if name == LEARNED:
+        learned: Policy = LearnedTeam(config)
+        return learned
     if name in TEAMS:
         team = TEAMS[name]
         module = import_module(f"{__package__}.{team.module}")
@@ -79,6 +85,9 @@ def begin(policy: Policy, agent: str, env: ExplorationEnv, seed: int) -> None:
     What users write as FILE.py:CLASS is never given it.
     """
     policy.reset(seed, env.possible_agents)
+    if agent == LEARNED:
+        learned: Any = policy
+        learned.watch(lambda: env.frames)
     if agent in TEAMS and TEAMS[agent].is_oracle:
         oracle: Any = policy
         oracle.give_truth(env.floorplan, env.state)

@@ -73,6 +73,7 @@ PUBLIC_MODULES = {
     "twc_env.running",
     "twc_env.training",
     "twc_env.vector",
+    "twc_env.suite.learned",
 }
 
 

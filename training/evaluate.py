@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -16,20 +16,14 @@ from twc_env.config import override
 from twc_env.pictures.curves import draw_coverage, sampled
 from twc_env.pictures.video import RecordEpisodes
 from twc_env.records.json_values import write_json
-from twc_env.records.random_streams import random_stream
 from twc_env.records.text_tables import aligned_text, csv_text, latex_table
 from twc_env.records.whole_file import write_text
 from twc_env.running.command_line import refuse_code
 
-from .checkpoint import below, load
-from .encoder import USED, Actor
 from .progress import progress_bar
 from .run_folder import Task, model_in, read_settings, task_of
-from .team_notes import TeamNotes
-from .weights import fill
+from .trained_policy import Choose, load_actor, sampling
 
-Choose = Callable[[dict, int], dict]
-"""Observations and time steps gone by -> actions."""
 _EVALUATED: dict[str, object] = {"reward.sharing": "team"}
 """Coverage is taken from the reward terms of the team, independent of the rewards used in training."""
 POLICIES = ("trained", "random", "nearest", "nearest-frontier")
@@ -153,59 +147,19 @@ def evaluate(
     task = task_of(read_settings(model_path.parent))
     if not allow_code:
         refuse_code(task.config, model_path.parent / "config.json")
-    actor = load_actor(model_path, _team(task))
+    actor = load_actor(model_path, _team(task).observation_space("robot_0"))
     episodes: dict[str, list[Episode]] = {name: [] for name in POLICIES}
     filmed = None
     if films is not None:
         filmed = RecordEpisodes(_team(task, "rgb_array"), films)
     for seed in progress_bar(seeds, unit=" buildings", disable=not show_progress):
-        choosers = {"trained": _trained(actor, task.config, seed), "random": _random(seed), "nearest": _nearest}
+        choosers = {"trained": sampling(actor, task.config, seed), "random": _random(seed), "nearest": _nearest}
         for name, choose in choosers.items():
             env = (filmed if name == "trained" else None) or _team(task)
             episodes[name].append(_played(task, seed, env, choose))
         episodes["nearest-frontier"].append(scripted(task, "nearest-frontier", seed))
     time_max_s = task.config.max_cycles * task.config.dynamics.time_step_s
     return Evaluation(tuple(seeds), {name: tuple(values) for name, values in episodes.items()}, time_max_s)
-
-
-def load_actor(model_path: Path, env: twc_env.ExplorationEnv) -> Actor:
-    """The policy of a model for the observations of an environment, of any number of robots and candidates.
-
-    Raises DataError for a model that cannot be read, or was trained with other observations.
-    """
-    record, (arrays, _) = read_settings(model_path.parent), load(model_path)
-    space = TeamNotes.space(env.observation_space("robot_0"))
-    actor = Actor(space, int(record["settings"].get("hidden_size", 64)))
-    own = below(arrays, "actor.") or below(arrays, "policy.mlp_extractor.actor.")
-    fill(actor, own, model_path)
-    return actor
-
-
-def chooser_of(model_path: Path, env: twc_env.ExplorationEnv, seed: int) -> Choose:
-    """What a trained model does in an environment; raises DataError as `load_actor`."""
-    torch.set_num_threads(1)
-    return _trained(load_actor(model_path, env), env.config, seed)
-
-
-def _trained(actor: Actor, config: twc_env.EnvConfig, seed: int) -> Choose:
-    """Samples as in training: two robots that always take their most likely choice may wait for each other forever."""
-    random = random_stream(seed, "choices")
-    notes = TeamNotes(1, config.robots, config.max_cycles)
-    elapsed_before = 0
-
-    def choose(seen: dict, elapsed: int) -> dict:
-        nonlocal elapsed_before
-        rows = {name: np.stack([o[name] for o in seen.values()]) for name in next(iter(seen.values()))}
-        notes.note_outcome(elapsed - elapsed_before)
-        elapsed_before = elapsed
-        noted = {k: torch.from_numpy(np.asarray(v, np.float32)) for k, v in notes.beside(rows).items() if k in USED}
-        with torch.inference_mode():
-            reached = torch.softmax(actor(noted), 1).cumsum(1).numpy()
-        actions = (random.random((len(reached), 1)) * reached[:, -1:] >= reached).sum(1)
-        notes.note_choices(rows, actions)
-        return dict(zip(seen, actions.tolist(), strict=True))
-
-    return choose
 
 
 def _random(seed: int) -> Choose:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+from twc_env import task_config
+from twc_env.config import EnvConfig, digest
 from twc_env.errors import DataError
 
 from .checkpoint import FILE_NAME, load, save
@@ -24,6 +26,22 @@ def shipped(task: str) -> Path:
             f"--task {task}, and name its folder"
         )
     return folder
+
+
+def shipped_for(config: EnvConfig) -> Path:
+    """The folder of the policy that suits settings best: trained on this task; else in buildings of this set; else with
+    this number of robots; else the first by name. Raises DataError if no policy comes with this version."""
+    folders = [path.parent for path in sorted(FOLDER.glob(f"*/{FILE_NAME}"))]
+    if not folders:
+        raise DataError("no policy comes with this version: train one with twc-env train mappo")
+
+    def likeness(folder: Path) -> tuple[bool, bool, bool]:
+        of = task_config(f"twc/{folder.name}")
+        family = of.map.rpartition(":")[0]
+        is_of_set = config.map == of.map or (bool(family) and config.map.startswith(f"{family}:"))
+        return digest(of) == digest(config), is_of_set, of.robots == config.robots
+
+    return max(folders, key=likeness)
 
 
 def ship(run: Path, folder: Path) -> None:

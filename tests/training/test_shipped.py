@@ -21,3 +21,28 @@ def test_the_team_learned_plays_the_policy_of_the_task_which_is_small_and_has_a_
     assert set(act(seen)) == set(env.agents)
     with pytest.raises(DataError, match=r"no policy for twc/ExploreMall-v1 .* train one with twc-env train mappo"):
         shipped("twc/ExploreMall-v1")
+
+
+def test_the_team_learned_explores_any_map_with_velocities_and_says_which_policy_it_is(caplog):
+    from twc_env.agents.compare import explore
+
+    from twc_env.config import override
+    from twc_env.errors import ConfigError
+    from twc_env.tasks import task_config
+
+    config = override(task_config("twc/ExploreOffice-v0"), {"robots": 2, "max_cycles": 300, "map": "twin-01"})
+    with caplog.at_level("INFO"):
+        learned = explore(config, "learned", 0)
+    assert "the shipped policy for ExploreQuick-v1" in caplog.text and "here 2 robots in twin-01" in caplog.text
+    assert learned == explore(config, "learned", 0)
+    assert learned.coverage_mean > explore(config, "random", 0).coverage_mean + 0.1
+    with pytest.raises(ConfigError, match=r"remove failure"):
+        explore(override(config, {"failure.robots": 1}), "learned", 0)
+
+
+def test_the_shipped_policy_of_a_task_suits_its_settings_best():
+    from twc_env.training.shipped import shipped_for
+
+    from twc_env.tasks import task_config
+
+    assert shipped_for(task_config("twc/ExploreQuick-v1")).name == "ExploreQuick-v1"

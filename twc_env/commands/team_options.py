@@ -30,6 +30,7 @@ def agents_help() -> str:
     from twc_env.agents.roster import display_name
 
     lines = [(display_name(name), team.summary) for name, team in teams.items()]
+    lines.append(("learned", "the shipped policy that suits task and map best (docs/learning.md, extra train)"))
     lines.append(("FILE.py:CLASS", "your own class, derived from agents.Policy (docs/library.md)"))
     width = max(len(name) for name, _ in lines) + 2
     return "An AGENT is\n" + "".join(f"  {name:<{width}}{summary}\n" for name, summary in lines)
@@ -39,7 +40,7 @@ def agent_names() -> str:
     """All names of agents, for help texts."""
     from twc_env.agents.roster import TEAMS as teams
 
-    return ", ".join(teams)
+    return ", ".join((*teams, "learned"))
 
 
 def team_config(options: argparse.Namespace, map_name: str | None, steps: int | None) -> EnvConfig:

@@ -51,7 +51,7 @@ def model_for(entry: Entry) -> tuple[Path, EnvConfig]:
 def model_in_task(entry: Entry) -> tuple[ExplorationEnv, Callable[[dict[str, Any]], dict[str, Any]]]:
     """The environment of an entry for its model, and what the model does in it. Raises DataError as `model_for`."""
     with learning_libraries():
-        from twc_env.training.evaluate import chooser_of
+        from twc_env.training.trained_policy import chooser_of
 
     path, config = model_for(entry)
     env = ExplorationEnv(config=config)
