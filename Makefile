@@ -64,7 +64,7 @@ soak: .venv/installed-test ## hours: 1,000,000 steps, malformed actions, maps, l
 .venv-ray/installed: pyproject.toml
 	$(PYTHON) -m venv .venv-ray || { rm -rf .venv-ray; exit 1; }
 	@echo "installing ray into .venv-ray (several minutes)"
-	.venv-ray/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ray,viz]' torch pytest hypothesis
+	.venv-ray/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ray,viz]' torch==2.13.0 pytest hypothesis
 	@touch $@
 
 test-ray: .venv-ray/installed ## RLlib trains a team, Ray plays a benchmark (in .venv-ray: ray asks for an older gymnasium)
@@ -76,7 +76,7 @@ test-ray: .venv-ray/installed ## RLlib trains a team, Ray plays a benchmark (in 
 .venv-benchmarl/installed: pyproject.toml
 	$(PYTHON) -m venv .venv-benchmarl || { rm -rf .venv-benchmarl; exit 1; }
 	@echo "installing BenchMARL into .venv-benchmarl (several minutes)"
-	.venv-benchmarl/bin/python -m pip install --quiet --disable-pip-version-check -e '.[viz]' 'benchmarl>=1.5' torch
+	.venv-benchmarl/bin/python -m pip install --quiet --disable-pip-version-check -e '.[viz]' 'benchmarl>=1.5' torch==2.13.0
 	@touch $@
 
 train-benchmarl: .venv-benchmarl/installed ## BenchMARL trains MAPPO on a task v1 (in .venv-benchmarl: it asks for an older TorchRL)

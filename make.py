@@ -29,7 +29,7 @@ TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
     "docs": (".venv/installed-docs", [*PINS, "-e", ".[viz,docs]"], [["-m", "mkdocs", "build", "--strict"]]),
     "train-benchmarl": (
         ".venv-benchmarl/installed",
-        ["-e", ".[viz]", "benchmarl>=1.5", "torch"],
+        ["-e", ".[viz]", "benchmarl>=1.5", "torch==2.13.0"],
         [["docs/tutorials/benchmarl_mappo.py", "1200", "runs/benchmarl", "twc/ExploreQuick-v1"]],
     ),
 }

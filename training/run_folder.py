@@ -171,8 +171,8 @@ def check_same_run(folder: Path, algorithm: str, task: Task, settings: Any) -> N
 
 
 def model_in(path: Path) -> Path:
-    """The model of a run folder, or the given model file."""
-    return path / FILE_NAME if path.is_dir() else path
+    """The model of a run folder, or the given model file; what is not there and has no suffix is taken for a folder."""
+    return path / FILE_NAME if path.is_dir() or not (path.suffix or path.exists()) else path
 
 
 def task_of(record: dict) -> Task:

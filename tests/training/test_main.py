@@ -15,6 +15,7 @@ from twc_env.__main__ import main
     ("arguments", "message"),
     [
         (["evaluate", "--model", "nowhere/model.safetensors"], "nowhere holds no training run"),
+        (["evaluate", "--model", "nowhere"], "nowhere holds no training run"),
         (["evaluate", "--seeds", "a-b"], "seeds must be numbers and ranges"),
         (["evaluate", "--seeds", "0-99999999999"], "a range holds at most 100000 seeds; got 0-99999999999"),
         (["evaluate", "--seeds", "3,99999999999999999999"], "--seeds must be 0 to 2147483647"),

@@ -106,6 +106,8 @@ class Window:
 
         try:
             pygame.display.init()
+            if pygame.display.get_driver() == "offscreen" and "SDL_VIDEODRIVER" not in os.environ:
+                raise pygame.error("there is no display, so nobody would see it")
             self._screen = pygame.display.set_mode((width, height))
         except pygame.error as error:
             raise ConfigError(

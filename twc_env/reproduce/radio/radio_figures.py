@@ -81,7 +81,8 @@ def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any], kind: Kind
         axes.set(xlabel="x [m]", ylabel="y [m]", title=f"{name}: paths by method, and the building")
         axes.set_aspect("equal", adjustable="datalim")
         legend_below(figure, *axes.get_legend_handles_labels())
-        wide, high = np.ptp(np.concatenate([walls_m, *map(np.array, walk["paths"].values())]), axis=0)
+        drawn_m = np.concatenate([walls_m, *map(np.array, walk["paths"].values())])
+        wide, high = np.nanmax(drawn_m, axis=0) - np.nanmin(drawn_m, axis=0)  # walls are separated by NaN
         fit_height(figure, axes, high / wide, 9.0)
         figures["trajectories"] = figure
     for method, picture in walk["maps"].items():
