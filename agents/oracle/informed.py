@@ -35,8 +35,8 @@ THERE_M = 0.75
 """Within this distance of a stop, a robot goes on to the next."""
 TRAIL_M = 2.5
 """Robots that pass a place within this distance of each other's path can match what they see there."""
-COMMON_MIN = 4
-"""About so many common places merge two maps."""
+COMMON_MIN, COMMON_MIN_RADIO = 4, 12
+"""About so many common places merge two maps, with and without scan matching."""
 PACE = 0.8
 """Mean speed, as a share of the greatest."""
 LOOKS_MAX = 30
@@ -61,7 +61,8 @@ class Informed(Explorer):
         self._state = TeamState.begin(len(self.robots), self._views)
         self._looks = np.zeros(len(self._views.bits), np.int64)
         speeds = [PACE * own.dynamics.speed_max_m_s for own in robot_configs(self._config)]
-        self._tours = LatencyTours(self._views, np.array(speeds), COMMON_MIN, self._links() if self._is_peer else None)
+        common_min = COMMON_MIN if self._config.slam.cues.lidar else COMMON_MIN_RADIO
+        self._tours = LatencyTours(self._views, np.array(speeds), common_min, self._links() if self._is_peer else None)
         self._planned_step, self._merged = -1, self._state.is_merged
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:

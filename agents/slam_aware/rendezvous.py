@@ -108,10 +108,12 @@ class Rendezvous(MinPos):
         return None if first is None or (self._met[agent] + 1) % ALONE else np.asarray(first.position_m, float)
 
     def _appoint(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> None:
-        """The robot of the lowest number in contact chooses the next place: the middle one of the frontiers."""
+        """While all of a group are in contact, the robot of the lowest number chooses the next place: the middle one of
+        the frontiers. Nobody is left behind with an appointment that the others have changed."""
         belief = beliefs[agent]
-        contacts = [beliefs[other].robot for other in self.teammates_in_contact(agent, beliefs)]
-        if self._is_peer and contacts and belief.robot < min(contacts) and len(frontiers.labels):
+        contacts = {beliefs[other].robot for other in self.teammates_in_contact(agent, beliefs)}
+        is_whole = len(contacts) > 0 and contacts == set(belief.teammates)
+        if self._is_peer and is_whole and belief.robot < min(contacts) and len(frontiers.labels):
             middle = frontiers.places_m.mean(axis=0)
             place = frontiers.places_m[int(np.argmin(np.hypot(*(frontiers.places_m - middle).T)))]
             self._keep(agent, belief, belief.robot, belief.step, place)
