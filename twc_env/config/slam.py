@@ -69,6 +69,8 @@ class KeyframeConfig(Checked):
     """... or at this distance (and a rotation reduced in proportion) if the scan shows something new, that is if"""
     explained_min: float = number(0.98, 0.0, 1.0)
     """fewer than this share of its beams end near walls of the local map."""
+    still_s: float = number(0.0, 0.0, 3600.0, is_later=True)
+    """A robot that stands creates one after this time as well, so that its map notices doors that open (0: never)."""
     mask_teammates: bool = True
     """Ignore beams that hit something with the shape and size of a robot (`dynamics.robot_radius_m`)."""
     fingerprint_window_s: float = number(2.0, 0.1, 60.0)

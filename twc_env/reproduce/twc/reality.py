@@ -31,6 +31,7 @@ EFFECTS: dict[str, dict] = {
     "people 12": {"people.count": 12},
     "people 30": {"people.count": 30},
     "doors": {"clutter.door_share": 0.8},
+    "doors, keyframes in standing": {"clutter.door_share": 0.8, "slam.keyframe.still_s": 3.0},
     "furniture": {"clutter.furniture": 25},
     "furniture below the scan": {"clutter.furniture": 25, "clutter.hidden_share": 1.0},
     "moved furniture": {"clutter.furniture": 25, "clutter.moves_per_min": 1.0},

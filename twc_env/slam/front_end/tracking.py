@@ -70,7 +70,7 @@ def _arrive(robots, odometry, dts, has_scan, states, explained, rule, keyframe_p
     """Poses after the step, path lengths, and whether each robot needs a new keyframe, for which it needs a scan.
 
     rule: minimum share of explained beams of a known place; distance to a new keyframe, distance where less is known,
-    and turn. Returns whether any robot needs one.
+    turn, and steps after which even a robot that stands needs one. Returns whether any robot needs one.
     """
     has_arrived = False
     for a in range(robots.shape[0]):
@@ -84,7 +84,7 @@ def _arrive(robots, odometry, dts, has_scan, states, explained, rule, keyframe_p
         turned = (poses[k, 2] - keyframe_poses[k, 2] + math.pi) % (2 * math.pi) - math.pi
         share = 1.0 if explained[k] >= rule[0] else rule[2] / rule[1]
         is_near = math.sqrt(dx * dx + dy * dy) < share * rule[1] and abs(turned) < share * rule[3]
-        is_new[k] = has_scan[a] and not is_near
+        is_new[k] = has_scan[a] and (not is_near or steps[k] >= rule[4])
         has_arrived |= is_new[k]
     return has_arrived
 
@@ -259,7 +259,10 @@ class Tracker(BindsAnew):
         self._matching = (fields.cells, fields.lines, fields.origins_m, fields.rule, self._has_lidar, room)
         self._run: Callable[..., bool] | None = None
         """`_track` bound to its constant arguments."""
-        self._keyframe_rule = np.array([rule.explained_min, rule.distance_m, rule.distance_new_m, rule.turn_rad])
+        still_steps = rule.still_s / config.dynamics.time_step_s or math.inf
+        self._keyframe_rule = np.array(
+            [rule.explained_min, rule.distance_m, rule.distance_new_m, rule.turn_rad, still_steps]
+        )
 
     def update(self, robots: Array, frames: TeamFrames) -> None:
         """Process the frames of these robots (k,), one row each."""
