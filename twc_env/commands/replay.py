@@ -86,22 +86,13 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
             metavar="TOPIC",
             help=f"use this topic of a bag ({what}) instead of the one found; repeatable, for several robots",
         )
-    replay.add_argument(
-        "--wifi",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE.csv",
-        help="WiFi readings beside the log: columns timestamp, bssid, rssi and, for several robots, robot; repeatable",
-    )
-    replay.add_argument(
-        "--signs",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE.csv",
-        help="sign readings: columns timestamp, text, bearing, range as seen from the robot, and robot; repeatable",
-    )
+    for option, what in (
+        ("--wifi", "WiFi readings beside the log: columns timestamp, bssid, rssi and, for several robots, robot"),
+        ("--signs", "sign readings: columns timestamp, text, bearing, range as seen from the robot, and robot"),
+    ):
+        replay.add_argument(
+            option, type=Path, action="append", default=[], metavar="FILE.csv", help=f"{what}; repeatable"
+        )
     replay.add_argument(
         "--units",
         action="append",
@@ -109,22 +100,11 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         metavar="QUANTITY=UNIT",
         help="units of these tables where they are not recognised: time=s|ms|us|ns, angle=rad|deg, length=m|cm|mm",
     )
-    replay.add_argument(
-        "--html",
-        type=Path,
-        nargs="?",
-        const=Path(),
-        metavar="FILE",
-        help="write the web page (default: RUN/replay.html)",
-    )
-    replay.add_argument(
-        "--rerun",
-        type=Path,
-        nargs="?",
-        const=Path(),
-        metavar="FILE",
-        help="write a recording for the Rerun viewer (default: RUN/replay.rrd; pip install 'twc_env[rerun]')",
-    )
+    for option, what in (
+        ("--html", "write the web page (default: RUN/replay.html)"),
+        ("--rerun", "write a recording for the Rerun viewer (default: RUN/replay.rrd; pip install 'twc_env[rerun]')"),
+    ):
+        replay.add_argument(option, type=Path, nargs="?", const=Path(), metavar="FILE", help=what)
     replay.add_argument(
         "--truth", type=Path, metavar="FILE", help="truth.npz, to also print the team's trajectory error"
     )

@@ -174,9 +174,3 @@ def test_the_turn_of_a_common_wing_is_searched_beside_that_of_the_walls_that_dom
     turns_deg = np.degrees(turns_along_walls(target, source)) % 90
     assert 80.0 in turns_deg.round(), "the walls that dominate"
     assert 70.0 in turns_deg.round(), "the wing"
-
-
-@pytest.mark.parametrize(("evidence_m", "second_m", "is_believed"), [(11, 3, True), (11, 6, False), (9, 1, False)])
-def test_less_wall_is_believed_only_where_no_other_placement_comes_near(evidence_m, second_m, is_believed):
-    best, second = (Agreement(np.array([x, 0.0, 0.0]), m, 0.0, 50.0, 0.3) for x, m in ((0, evidence_m), (9, second_m)))
-    assert judged([best, second]).is_believed == is_believed

@@ -33,8 +33,6 @@ OTHER_M, OTHER_RAD = 1.0, np.radians(10.0)
 FINE_COUNT = 12
 EVIDENCE_MIN_M, RATIO_MAX = 13.0, 0.55
 """A placement is believed from this evidence on, if the second best has at most this share of it, ..."""
-SCARCE_MIN_M, SCARCE_RATIO_MAX = 10.0, 0.4
-"""... or from less evidence on, if the second best has this little, ..."""
 CONTRADICTION_MAX, CONTRADICTION_PER_RATIO = 0.08, 0.1
 """... and if a smaller share of its walls contradicts than the first, less the second times that share: buildings whose
 rooms repeat have false placements with few contradictions, and a strong second best."""
@@ -105,7 +103,7 @@ def judged(ranked: list[Agreement]) -> Placement:
     log_odds = float(np.dot(LOG_ODDS, [1.0, np.log(best.evidence_m), ratio, best.contradiction]))
     certainty = 1.0 / (1.0 + np.exp(-log_odds))
     reason = ""
-    if best.evidence_m < (EVIDENCE_MIN_M if ratio > SCARCE_RATIO_MAX else SCARCE_MIN_M):
+    if best.evidence_m < EVIDENCE_MIN_M:
         reason = f"too little in common: {best.agreeing_m:.1f} m of wall agree, {best.contradicting_m:.1f} m contradict"
     elif second is not None and ratio > RATIO_MAX:
         away = between(second.pose, best.pose)
