@@ -8,6 +8,7 @@ import pytest
 
 from twc_env.config import EnvConfig, override
 from twc_env.records.messages import LoopCandidate, LoopClosure, SignObservation
+from twc_env.slam.merging import merge_tests
 from twc_env.slam.merging.sign_consistency import SignsRead, count_shared, found_apart
 from twc_env.slam.team import TeamMapper
 
@@ -76,9 +77,11 @@ NAMES, WING_B = ["A101 LAB", "A102 MAIL", "A103 PRINT", "A104 LAB"], ["B101 LAB"
 
 
 @pytest.fixture
-def team_along_doors(keyframe, scan, walls):
+def team_along_doors(monkeypatch, keyframe, scan, walls):
     """Two robots that passed the same doors, with different texts, and the exits between them; pending closures by the
     exit signs."""
+
+    monkeypatch.setattr(merge_tests, "REPEATED_MAX", 1.0)  # as if many more names had been read
 
     def passed(first, second, third=False):
         room = scan(walls((-30, -2), (30, -2), (30, 2), (-30, 2)), (0.0, 0.0, 0.0))
