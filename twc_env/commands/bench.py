@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from twc_env.commands.train import learning_libraries
 from twc_env.records.json_values import write_json
 from twc_env.running.command_line import add_json, add_set, aligned, assignments, count, tell, terminal_width
 
@@ -22,6 +23,7 @@ def add_arguments(speed: argparse.ArgumentParser) -> None:
         "examples:\n  twc-env bench --json runs/bench.json\n"
         "  twc-env bench --map gen:office:800:7 --robots 5 --set link.range_max_m=10\n"
         "  twc-env bench --parts\n"
+        "  twc-env bench --training ExploreQuick-v1\n"
         "  twc-env bench --vector --map twin-02 --steps 1000\n"
         "  twc-env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer"
     )
@@ -29,7 +31,9 @@ def add_arguments(speed: argparse.ArgumentParser) -> None:
     speed.add_argument("--robots", type=count, default=3, help="number of robots")
     speed.add_argument("--beams", type=count, default=180, help="beams per scan")
     speed.add_argument("--steps", type=count, default=1500, help="steps per episode")
-    speed.add_argument("--episodes", type=count, default=3, help="number of episodes, with seeds 0, 1, ...")
+    speed.add_argument(
+        "--episodes", type=count, default=3, help="episodes, with seeds 0, 1, ...; with --training: updates"
+    )
     add_set(speed)
     instead = speed.add_mutually_exclusive_group()
     instead.add_argument("--parts", action="store_true", help="print the time of each part of a step instead")
@@ -51,6 +55,12 @@ def add_arguments(speed: argparse.ArgumentParser) -> None:
         help="VectorTeams with 8 and 16 environments: two workers against none, in lockstep and asynchronously, and "
         "gymnasium's SyncVectorEnv and AsyncVectorEnv with the same teams",
     )
+    instead.add_argument(
+        "--training",
+        metavar="TASK",
+        help="decisions of mappo per second of CPU time in a task such as ExploreQuick-v1, in one process, and the "
+        "shares of environments, inference and update; other settings are those of training (extra train)",
+    )
     instead.add_argument("--long", action="store_true", help="step times along one long episode, in tenths")
     add_json(speed)
     speed.set_defaults(run=_bench)
@@ -69,7 +79,9 @@ def _bench(options: argparse.Namespace) -> None:
         _bench_long(config, options)
         return
     figures: dict[str, Any]
-    if options.vector:
+    if options.training:
+        figures = dict(_bench_training(options))
+    elif options.vector:
         from twc_env.bench.vector_teams import bench_vector
 
         figures = dict(bench_vector(config, report=_report))
@@ -91,6 +103,17 @@ def _bench_peers(options: argparse.Namespace) -> dict:
 
     figures = bench_peers(report=_report) if options.peers else {}
     return figures | bench_large_reset() | {"scaling": bench_scaling(report=_report)}
+
+
+def _bench_training(options: argparse.Namespace) -> dict[str, float]:
+    with learning_libraries():
+        from twc_env.training.mappo import Settings
+        from twc_env.training.run_folder import Task, task_id
+        from twc_env.training.throughput import throughput
+
+    task = Task(task_id(options.training), overrides=assignments(options.set))
+    found: dict[str, float] = throughput(task, options.episodes, Settings(workers=1))
+    return found
 
 
 def _report(line: str) -> None:

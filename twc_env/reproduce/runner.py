@@ -81,6 +81,10 @@ TABLES = {
     "ambiguity": Table(
         "merging where places look alike: teams merged rightly, wrongly and not at all, in buildings of eight kinds"
     ),
+    "transfer": Table(
+        "a trained policy with other numbers of robots, in flats of HouseExpo and on ROS maps, beside scripted teams",
+        needs_data=True,
+    ),
     "reality": Table(
         "what each effect of reality costs: people, carried robots, poor scanners, drifting odometry, weak links"
     ),
