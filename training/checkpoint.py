@@ -23,7 +23,7 @@ from twc_env.records.whole_file import whole_file
 FORMAT = "twc_env/checkpoint-1"
 FILE_NAME = "model.safetensors"
 """Name of the checkpoint in the folder of a run."""
-BYTES_MAX = 1_000_000_000
+BYTES_MAX = 300_000_000
 _KEY = "twc_env"
 _REMEDY = "train anew, or name another"
 
@@ -43,7 +43,7 @@ def load(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
         raise DataError(f"there is no model {path}; train one, or name the folder of a run")
     try:
         if path.stat().st_size > BYTES_MAX:
-            raise DataError(f"it is larger than the {BYTES_MAX / 1e9:.0f} GB that are possible")
+            raise DataError(f"it is larger than the {BYTES_MAX / 1e6:.0f} MB that are possible")
         content = path.read_bytes()
         if content[:2] in (b"PK", b"\x80\x02", b"\x80\x04", b"\x80\x05"):
             raise DataError("it is an archive or pickle of another program, which could run code when it is read")

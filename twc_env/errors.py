@@ -3,6 +3,9 @@
 import difflib
 from collections.abc import Iterable
 
+_LINE_MAX = 1200
+"""Characters of a message; of longer ones, which name values without end, the middle is left out."""
+
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """End of a message about an unknown name: the most similar known name, or "" if there is none."""
@@ -14,7 +17,8 @@ class TwcError(ValueError):
     """Base class of all errors that twc_env raises on bad input; the message is always one line."""
 
     def __init__(self, message: object = ""):
-        super().__init__(" ".join(line.strip() for line in str(message).splitlines()))
+        line = " ".join(line.strip() for line in str(message).splitlines())
+        super().__init__(line if len(line) <= _LINE_MAX else f"{line[: _LINE_MAX // 2]} ... {line[-_LINE_MAX // 4 :]}")
 
 
 class ConfigError(TwcError):

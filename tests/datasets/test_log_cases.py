@@ -110,7 +110,7 @@ def test_a_packed_text_is_unpacked_up_to_a_limit(tmp_path, monkeypatch, suffix):
 def test_the_size_of_arrays_is_checked_before_they_are_read(tmp_path, monkeypatch):
     write_arrays(tmp_path / "a.npz", format=np.array("f"), zeros=np.zeros(100_000))
     monkeypatch.setattr(arrays_file, "ARRAYS_BYTES_MAX", 100_000)
-    with pytest.raises(DataError, match=r"GB of arrays, .* are possible; record fewer steps"):
+    with pytest.raises(DataError, match=r"MB of arrays, .* are possible; record fewer steps"):
         read_arrays(tmp_path / "a.npz", "log", "f", (), "record it again")
 
 

@@ -1,12 +1,15 @@
-"""`make soak`: long runs with memory monitoring, malformed actions, maps and logs, observation checks."""
+"""`make soak`: long runs with memory monitoring, malformed input of every kind, observation checks."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
 
-from twc_env.errors import TwcError
+from twc_env.errors import ActionError, MapError, TwcError
 from twc_env.records.json_values import write_json
 from twc_env.running.command_line import (
     Parser,
@@ -21,6 +24,31 @@ from twc_env.running.command_line import (
 )
 
 
+class Kind(NamedTuple):
+    """A kind of malformed input."""
+
+    generator: str
+    """MODULE.FUNCTION of tests.soak, which yields attempts for a count and a seed."""
+    error: type[TwcError]
+    """What may be raised."""
+    what: str
+    is_watched: bool = True
+    """Whether time, files and processes are watched; not if each attempt is a command of its own."""
+
+
+KINDS = {
+    "actions": Kind("action_fuzz.broken_steps", ActionError, "malformed actions; a rejected one has no side effects"),
+    "maps": Kind("map_fuzz.mutated_maps", MapError, "mutated map files of all formats"),
+    "logs": Kind("log_fuzz.damaged_logs", TwcError, "damaged bags, tables and laser logs, which are replayed"),
+    "settings": Kind("settings_fuzz.malformed_settings", TwcError, "malformed settings: TOML, JSON, run folders"),
+    "graphs": Kind("graph_fuzz.mutated_graphs", TwcError, "mutated pose graphs, which are optimised"),
+    "arrays": Kind("array_fuzz.malformed_arrays", TwcError, "malformed maps that last, frame logs and models"),
+    "calls": Kind("call_fuzz.misused_calls", TwcError, "calls of public functions and methods with odd arguments"),
+    "bombs": Kind("bombs.bombs", TwcError, "files that are huge once unpacked, nest deeply or name files elsewhere"),
+    "accidents": Kind("accidents.accidents", TwcError, "commands that meet kills, full disks and the like", False),
+}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what the options say; the exit status is 2 if there are faults."""
     return run_command(_parser(), arguments)
@@ -29,44 +57,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     long = Parser(
         prog="python -m tests.soak",
-        description="Run episodes of 500 steps, each in another building of the training split, with robots driven by "
-        "a reactive policy, and print the memory growth after a warm-up. An exception ends the run and names the "
-        "seed of its episode. With --actions, --observations, --maps, --logs or --graphs, run these tests instead.",
-        epilog="examples:\n  python -m tests.soak --steps 100000 --set observation.kind=flat\n"
-        "  python -m tests.soak --actions 100000 --observations 10000 --maps 10000",
+        description="Run episodes of 500 steps over all tasks, effects and kinds of action; count those that raise, "
+        "with the memory, open files and step time of the process. With one of the options that say COUNT, test "
+        "malformed input instead: each attempt must succeed or be refused in one line that says what to do, within 2 s "
+        "and 1 GB, and touch no file elsewhere. JSON: tried, refused, accepted, wrong.",
+        epilog="examples:\n  python -m tests.soak --steps 100000 --resume runs/soak.jsonl --json soak.json\n"
+        "  python -m tests.soak --actions 100000 --maps 10000 --json input.json",
     )
     long.add_argument("--steps", type=count, default=1_000_000, help="total time steps, in whole episodes")
     long.add_argument(
-        "--actions",
-        type=count,
-        metavar="COUNT",
-        help="number of malformed actions; each must be rejected without side effects",
+        "--resume",
+        type=Path,
+        metavar="FILE",
+        help="a line per episode; a run goes on after the last line that is there",
     )
-    long.add_argument(
-        "--observations",
-        type=count,
-        metavar="STEPS",
-        help="number of random steps, with all kinds of action and all blocks, in which observations are checked: "
-        "inside their spaces, no shared memory, not constant over a whole episode",
-    )
-    long.add_argument(
-        "--maps",
-        type=count,
-        metavar="COUNT",
-        help="number of mutated map files; each must load or be rejected in one line",
-    )
-    long.add_argument(
-        "--logs",
-        type=count,
-        metavar="COUNT",
-        help="number of damaged bags, tables and laser logs; each must be replayed or be rejected in one line",
-    )
-    long.add_argument(
-        "--graphs",
-        type=count,
-        metavar="COUNT",
-        help="number of mutated pose graphs; each must be optimised or rejected in one line",
-    )
+    long.add_argument("--observations", type=count, metavar="STEPS", help="random steps whose observations are checked")
+    for name, kind in KINDS.items():
+        long.add_argument(f"--{name}", type=count, metavar="COUNT", help=f"number of {kind.what}")
     long.add_argument("--seed", type=natural, default=0, help="seed of the first episode")
     add_set(long)
     add_json(long)
@@ -75,97 +82,56 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _soak(options: argparse.Namespace) -> None:
-    long_tests = (options.actions, options.observations, options.maps, options.logs, options.graphs)
-    if any(each is not None for each in long_tests):
-        _misuse(options)
-        return
-    from tests.soak.long_runs import soak
-    from twc_env.config import EnvConfig, override
-
-    config = override(EnvConfig(), assignments(options.set))
-    figures = soak(options.steps, options.seed, config, show_line)
-    for key, value in figures.items():
-        print(f"{key:<28} {value:,.1f}" if isinstance(value, float) else f"{key:<28} {value}")
-    write_json(options.json, figures)
-
-
-def _misuse(options: argparse.Namespace) -> None:
-    """Run the tests of malformed actions and of observations. Raises TwcError with the faults found."""
-    from tests.soak.action_fuzz import fuzz_actions
-    from tests.soak.observation_check import check_observations
-
-    figures: dict[str, object] = {}
-    faults: list[str] = []
-    if options.actions is not None:
-        thrown = fuzz_actions(options.actions, options.seed, show_count)
-        print(
-            f"{thrown.count} malformed actions: {thrown.refused} rejected, {thrown.accepted} valid after all, "
-            f"{len(thrown.escaped)} raised something else; {thrown.steps_compared} steps equal to those of a team "
-            "without them" + (f", but for {thrown.changed}" if thrown.changed else "")
-        )
-        faults += thrown.escaped[:5] + [f"rejected {kind} actions changed the episode" for kind in thrown.changed]
-        figures["actions"] = {name: getattr(thrown, name) for name in thrown.__slots__}
+    asked = {name: getattr(options, name) for name in KINDS if getattr(options, name) is not None}
+    figures: dict[str, dict] = {}
+    for name, tries in asked.items():
+        figures[name] = _tried(name, tries, options.seed)
+        write_json(options.json, figures)
     if options.observations is not None:
-        seen = check_observations(options.observations, options.seed, show_count)
-        print(f"{seen.steps} random steps, {seen.blocks} blocks checked, {len(seen.faults)} faults")
-        if seen.too_short:
-            print(f"less than an episode, so constant blocks were not searched for: {'; '.join(seen.too_short)}")
-        faults += seen.faults
-        figures["observations"] = {name: getattr(seen, name) for name in seen.__slots__}
-    if options.maps is not None:
-        faults += _mutated_maps(options.maps, options.seed, figures)
-    if options.logs is not None:
-        faults += _damaged_logs(options.logs, options.seed, figures)
-    if options.graphs is not None:
-        faults += _mutated_graphs(options.graphs, options.seed, figures)
+        figures["observations"] = _observed(options.observations, options.seed)
+    if not figures:
+        figures["soak"] = _long_run(options)
     write_json(options.json, figures)
-    if faults:
+    if faults := [f"{name}: {fault}" for name, own in figures.items() for fault in own["faults"]]:
         raise TwcError("; ".join(faults))
 
 
-def _mutated_maps(files: int, seed: int, figures: dict[str, object]) -> list[str]:
-    from tests.soak.map_fuzz import MEMORY_MAX_MB, SECONDS_MAX, fuzz_maps
+def _tried(name: str, tries: int, seed: int) -> dict:
+    from tests.soak.attempts import attempt_all
 
-    report = fuzz_maps(files, seed)
-    print(
-        f"{report.count} mutated files: {report.refused} refused, {report.loaded} still sound, "
-        f"{len(report.escaped)} raised something else; slowest {report.slowest_s:.3f} s ({report.slowest}); "
-        f"peak memory grew by {report.grown_mb:.0f} MB"
+    module, _, function = KINDS[name].generator.partition(".")
+    generator: Callable[[int, int], Iterator] = getattr(import_module(f"tests.soak.{module}"), function)
+    done = attempt_all(
+        generator(tries, seed),
+        KINDS[name].error,
+        lambda tried: show_count(tried, tries, f" {name}", every=20),
+        is_watched=KINDS[name].is_watched,
     )
-    figures["maps"] = {name: getattr(report, name) for name in report.__slots__}
-    faults = list(report.escaped)
-    if report.slowest_s > SECONDS_MAX:
-        faults.append(f"{report.slowest} took {report.slowest_s:.1f} s, more than {SECONDS_MAX:g} s")
-    if report.grown_mb > MEMORY_MAX_MB:
-        faults.append(f"memory grew by {report.grown_mb:.0f} MB, more than {MEMORY_MAX_MB:g} MB")
-    return faults
-
-
-def _damaged_logs(files: int, seed: int, figures: dict[str, object]) -> list[str]:
-    from tests.soak.log_fuzz import SECONDS_MAX, fuzz_logs
-
-    report = fuzz_logs(files, seed)
     print(
-        f"{report.count} damaged logs: {report.refused} refused, {report.loaded} replayed, {len(report.escaped)} "
-        f"raised something else; slowest {report.slowest_s:.1f} s ({report.slowest})"
+        f"{name}: {done.tried} tried, {done.refused} refused, {done.accepted} accepted, {len(done.wrong)} wrong; "
+        f"slowest {done.slowest_s:.2f} s ({done.slowest}); memory grew by {done.grown_mb:.0f} MB"
     )
-    figures["logs"] = {name: getattr(report, name) for name in report.__slots__}
-    slow = report.slowest_s > SECONDS_MAX
-    return report.escaped + ([f"{report.slowest} took {report.slowest_s:.0f} s"] if slow else [])
+    return done.figures()
 
 
-def _mutated_graphs(files: int, seed: int, figures: dict[str, object]) -> list[str]:
-    from tests.soak.graph_fuzz import SECONDS_MAX, fuzz_graphs
+def _observed(steps: int, seed: int) -> dict:
+    from tests.soak.observation_check import check_observations
 
-    report = fuzz_graphs(files, seed, show_count)
-    print(
-        f"{report.count} mutated pose graphs: {report.refused} refused, {report.optimised} optimised, of which "
-        f"{report.lost} are reported as lost, {len(report.escaped)} raised something else; slowest "
-        f"{report.slowest_s:.2f} s ({report.slowest})"
-    )
-    figures["graphs"] = {name: getattr(report, name) for name in report.__slots__}
-    slow = [f"{report.slowest} took more than {SECONDS_MAX:g} s"] if report.slowest_s > SECONDS_MAX else []
-    return list(report.escaped) + slow
+    seen = check_observations(steps, seed, show_count)
+    print(f"{seen.steps} random steps, {seen.blocks} blocks checked, {len(seen.faults)} faults")
+    if seen.too_short:
+        print(f"less than an episode, so constant blocks were not searched for: {'; '.join(seen.too_short)}")
+    wrong = len(seen.faults)
+    return {"tried": seen.blocks, "refused": 0, "accepted": seen.blocks, "wrong": wrong, "faults": seen.faults}
+
+
+def _long_run(options: argparse.Namespace) -> dict:
+    from tests.soak.long_runs import soak
+
+    figures = soak(options.steps, options.seed, assignments(options.set), options.resume, show_line)
+    for key, value in figures.items():
+        print(f"{key:<32} {value:,.2f}" if isinstance(value, float) else f"{key:<32} {value}")
+    return figures
 
 
 if __name__ == "__main__":

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import gzip
 import math
-import tempfile
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from tests.soak.attempts import Attempt, workplace
 from twc_env.datasets.logs.pose_graph_file import read_pose_graph, write_pose_graph
-from twc_env.errors import DataError
 from twc_env.records.geometry import between
 from twc_env.records.random_streams import random_stream
 from twc_env.slam.graph_optimisation.whole_graph import METHODS, optimise_graph
 
-SECONDS_MAX = 10.0
 _ODD_WORDS = (
     "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "0", "-1", "x", "9" * 30, "1e9", "", "0x10", "1,5", "\x00",
 )  # fmt: skip
@@ -31,59 +28,29 @@ _ODD_LINES = (
 )  # fmt: skip
 
 
-@dataclass(slots=True)
-class GraphFuzzReport:
-    """Results of `fuzz_graphs`."""
-
-    count: int = 0
-    refused: int = 0
-    optimised: int = 0
-    lost: int = 0
-    slowest_s: float = 0.0
-    slowest: str = ""
-    escaped: list[str] = field(default_factory=list)
-    """Mutations that raised another exception than DataError, or whose result is not finite."""
-
-
-def fuzz_graphs(count: int, seed: int = 0, show: Callable[[int, int], None] = lambda *_: None) -> GraphFuzzReport:
+def mutated_graphs(count: int, seed: int = 0) -> Iterator[Attempt]:
     """Optimise `count` mutated graphs by all methods in turn; equal seeds give the same files."""
-    report = GraphFuzzReport()
     random = random_stream(seed, "graph-fuzz")
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with workplace() as folder:
         plain = folder / "graph.g2o"
         plain.write_text(ring_graph())
         for method in METHODS:  # kernels compile before the clock runs
-            optimise_graph(read_pose_graph(plain), method)
+            optimise(plain, method)
         for number in range(count):
             raw, what = _mutated(random)
             target = folder / ("mutated.g2o.gz" if number % 7 == 6 else "mutated.g2o")
             target.write_bytes(gzip.compress(raw) if target.suffix == ".gz" and random.random() < 0.8 else raw)
-            _try(target, METHODS[number % len(METHODS)], f"#{number} {what}", report)
-            show(number + 1, count)
-    return report
+            method = METHODS[number % len(METHODS)]
+            yield f"#{number} {what} ({method})", partial(optimise, target, method)
 
 
-def _try(path: Path, method: str, what: str, report: GraphFuzzReport) -> None:
-    start = time.perf_counter()
-    try:
-        graph = read_pose_graph(path)
-        result = optimise_graph(graph, method)
-        if not np.isfinite(result.poses).all() or not math.isfinite(sum(t.contradiction for t in result.trust)):
-            report.escaped.append(f"{what} ({method}): the result is not finite")
-        write_pose_graph(path.with_name("out.g2o"), graph, result.poses, result.landmarks_m, result.accepted)
-        report.optimised += 1
-        report.lost += result.is_lost
-    except DataError as error:
-        report.refused += 1
-        if "\n" in str(error):
-            report.escaped.append(f"{what}: an error of several lines")
-    except Exception as error:  # any other exception is a fault
-        report.escaped.append(f"{what} ({method}): {type(error).__name__}: {str(error)[:100]}")
-    elapsed = time.perf_counter() - start
-    report.count += 1
-    if elapsed > report.slowest_s:
-        report.slowest_s, report.slowest = elapsed, f"{what} ({method})"
+def optimise(path: Path, method: str) -> None:
+    """Read, optimise and write a graph; an AssertionError if the result is not finite."""
+    graph = read_pose_graph(path)
+    result = optimise_graph(graph, method)
+    is_finite = np.isfinite(result.poses).all() and math.isfinite(sum(t.contradiction for t in result.trust))
+    assert is_finite, "the result is not finite"
+    write_pose_graph(path.with_name("out.g2o"), graph, result.poses, result.landmarks_m, result.accepted)
 
 
 def ring_graph(count: int = 24, closures: int = 8, first: int = 0) -> str:

@@ -94,11 +94,13 @@ class Checked:
             if isinstance(section, type) and issubclass(section, Checked) and not isinstance(value, section):
                 remedy = "`twc_env.config.from_dict` makes a config of tables"
                 raise ConfigError(f"{self._name(f)} must be a {section.__name__}; got {value!r}: {remedy}")
-            if (choices := f.metadata.get("choices")) and value not in choices:
+            if (choices := f.metadata.get("choices")) and not (isinstance(value, str) and value in choices):
                 if f.metadata["or_class"] and is_in_file(str(value)):
                     continue
                 hint = did_you_mean(value, choices)
                 raise ConfigError(f"{self._name(f)} must be one of {choices_of(f)}; got {value!r}{hint}")
+            if type(f.default) in (bool, str) and type(value) is not type(f.default):
+                raise ConfigError(f"{self._name(f)} must be {KINDS[type(f.default)]}; got {value!r}")
             if "minimum" in f.metadata:
                 low, high = f.metadata["minimum"], f.metadata["maximum"]
                 if isinstance(value, bool) or not isinstance(value, (int, float)):

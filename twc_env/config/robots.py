@@ -112,7 +112,7 @@ def _overrides(where: str, robot: Any) -> Overrides:
         ) from None
     preset = given.pop("preset", None)
     if preset is not None:
-        if preset not in ROBOT_PRESETS:
+        if not isinstance(preset, str) or preset not in ROBOT_PRESETS:
             raise ConfigError(
                 f"{where}.preset must be one of {', '.join(ROBOT_PRESETS)}; got {preset!r}"
                 f"{did_you_mean(str(preset), ROBOT_PRESETS)}"
@@ -123,7 +123,7 @@ def _overrides(where: str, robot: Any) -> Overrides:
         given = own | given
     scanner = given.pop("lidar.preset", None)
     if scanner is not None:
-        if scanner not in LIDAR_PRESETS:
+        if not isinstance(scanner, str) or scanner not in LIDAR_PRESETS:
             raise ConfigError(
                 f"{where}.lidar.preset must be one of {', '.join(LIDAR_PRESETS)}; got {scanner!r}"
                 f"{did_you_mean(str(scanner), LIDAR_PRESETS)}"

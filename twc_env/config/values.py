@@ -6,6 +6,7 @@ import codecs
 import dataclasses
 import hashlib
 import json
+import re
 import tomllib
 import typing
 from collections.abc import Mapping
@@ -23,6 +24,7 @@ from twc_env.config.world_presets import WORLD_PRESETS
 from twc_env.errors import ConfigError, did_you_mean
 from twc_env.records.class_file import is_in_file
 from twc_env.records.json_values import table_of
+from twc_env.records.whole_file import file_path
 
 
 @cache
@@ -49,7 +51,7 @@ _PRESETS: dict[type, tuple[str, dict[str, dict]]] = {
 
 def _preset(section: type, name: str):
     where, known = _PRESETS[section]
-    if name not in known:
+    if not isinstance(name, str) or name not in known:
         names = ", ".join(known)
         raise ConfigError(f"{where}.preset must be one of {names}; got {name!r}{_near(name, known)}")
     return from_dict(known[name], section, where)
@@ -57,7 +59,7 @@ def _preset(section: type, name: str):
 
 def world_preset(name: str) -> EnvConfig:
     """The default settings with the effects of reality in one type of place. Raises ConfigError for an unknown name."""
-    if name not in WORLD_PRESETS:
+    if not isinstance(name, str) or name not in WORLD_PRESETS:
         known = ", ".join(WORLD_PRESETS)
         raise ConfigError(f"world must be one of {known}; got {name!r}{_near(name, WORLD_PRESETS)}")
     return override(EnvConfig(), WORLD_PRESETS[name])
@@ -150,13 +152,15 @@ def load(path: str | Path) -> EnvConfig:
 
     Files whose names end in .json are JSON, all others TOML. Raises ConfigError if the file is unreadable or invalid.
     """
-    path = Path(path)
+    path = file_path(path)
     if path.is_dir():
         if not (path / "config.json").is_file():
             raise ConfigError(f"{path} is a folder without config.json: name a run folder, or {_FILE}")
         path = path / "config.json"
     text = _text_of(path)
     kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
+    if kind == "TOML" and any(part.count(".") > _DOTS_MAX for part in re.split(r"[=,\[\]{}\n]", text)):
+        raise ConfigError(f"{path} has a key with more than {_DOTS_MAX} dots; settings are {_FILE}")
     try:
         values = json.loads(text, object_pairs_hook=table_of) if kind == "JSON" else tomllib.loads(text)
     except RecursionError as error:
@@ -172,6 +176,8 @@ def load(path: str | Path) -> EnvConfig:
         raise ConfigError(f"{path}: {error}") from None
 
 
+_BYTES_MAX, _DOTS_MAX = 1_000_000, 200
+"""Bytes of a file of settings and dots of its keys, whose reading takes a time that grows with their square."""
 _FILE = "a .toml or .json file such as `twc-env settings > mine.toml` writes"
 
 
@@ -180,10 +186,13 @@ def _text_of(path: Path) -> str:
     if path.suffix.lower() in (".yaml", ".yml"):
         raise ConfigError(f"{path} is YAML by its name; settings are {_FILE}")
     try:
-        raw = path.read_bytes()
+        with path.open("rb") as file:
+            raw = file.read(_BYTES_MAX + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ConfigError(f"cannot read the config file {path}: {reason}; name {_FILE}") from error
+    if len(raw) > _BYTES_MAX:
+        raise ConfigError(f"{path} holds more than {_BYTES_MAX // 1000} kB; settings are {_FILE}")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -210,6 +219,8 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
     """
     if not isinstance(assignments, Mapping) or not all(isinstance(key, str) for key in assignments):
         raise ConfigError(f"settings must be a dict with names as keys, such as {{'robots': 2}}; got {assignments!r}")
+    if not isinstance(config, EnvConfig):
+        raise ConfigError(f"config must be an EnvConfig, which from_dict makes of a dict; got {config!r:.100}")
     values, assignments = to_dict(config), dotted_keys(assignments)
     if "world" in assignments:
         name = str(assignments.pop("world"))
@@ -289,6 +300,6 @@ RENAMED = {"mask_mates": "mask_teammates", "sightings_check": "mutual_observatio
 
 
 def _near(key, known) -> str:
-    if RENAMED.get(key) in known:
+    if isinstance(key, str) and RENAMED.get(key) in known:
         return f": it is now {RENAMED[key]}"
     return did_you_mean(key, known) or (f"; known are {', '.join(known)}" if known else "")

@@ -196,7 +196,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return self._space_of(agent, self.action_spaces)
 
     def _space_of(self, agent: str, known: Mapping[str, spaces.Space]) -> spaces.Space:
-        if agent not in self.possible_agents:
+        if not isinstance(agent, str) or agent not in self.possible_agents:
             raise ConfigError(f"agents are {', '.join(self.possible_agents)}; got {agent!r}")
         return known[agent]
 
@@ -311,7 +311,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
         Raises TwcError for an unknown agent.
         """
-        if agent not in self.action_spaces:
+        if not isinstance(agent, str) or agent not in self.action_spaces:
             raise TwcError(f"there is no agent {agent!r}; the team is {', '.join(self.possible_agents)}")
         return self.episode.belief(self.possible_agents.index(agent))
 
@@ -339,8 +339,10 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def watch(self, spectator: Callable[[], None]) -> None:
         """Call `spectator` after every time step from now on, also within long actions; for example to record video.
 
-        Until `close`; one that watches already is not called twice.
+        Until `close`; one that watches already is not called twice. Raises ConfigError for what cannot be called.
         """
+        if not callable(spectator):
+            raise ConfigError(f"a spectator is a function without arguments; got {spectator!r}")
         if spectator not in self._spectators:
             self._spectators.append(spectator)
         self._watch = self._tell
@@ -413,7 +415,7 @@ def _make_viewer(render_mode: str | None, frames_per_s: float, with_signal: bool
     """The viewer of a render_mode, or None without one. Raises ConfigError for an unknown mode."""
     if render_mode is None:
         return None
-    if render_mode not in ExplorationEnv.metadata["render_modes"]:
+    if not isinstance(render_mode, str) or render_mode not in ExplorationEnv.metadata["render_modes"]:
         raise ConfigError(f"render_mode must be 'human', 'rgb_array' or None; got {render_mode!r}")
     from twc_env.exploration.viewer import Viewer
 

@@ -51,4 +51,4 @@ def _base(config: EnvConfig | Mapping[str, Any] | None, task: str | None) -> Env
         if task_config(task) != config and override(config, TASKS[task]) != config:
             raise ConfigError(f"config has other settings than {task}: give what differs from the task as a dict")
         return config
-    return override(task_config(task), config or {})
+    return override(task_config(task), {} if config is None else config)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twc_env.errors import DataError
+from twc_env.records.array_validation import real_array
 from twc_env.records.geometry import between
 
 DISTANCE_MAX_M = 0.5
@@ -34,10 +35,11 @@ def closures_are_correct(measured: ArrayLike, true: ArrayLike) -> NDArray[np.boo
 
     Raises DataError for other shapes.
     """
-    shapes = np.shape(measured), np.shape(true)
+    pose, true_pose = real_array(measured, "measured"), real_array(true, "true")
+    shapes = pose.shape, true_pose.shape
     if shapes[0] != shapes[1] or shapes[0][-1:] != (3,):
         raise DataError(f"need as many measured as true poses (n, 3); got {shapes[0]} and {shapes[1]}")
-    error = between(true, measured)
+    error = between(true_pose, pose)
     return (np.hypot(error[..., 0], error[..., 1]) <= DISTANCE_MAX_M) & (np.abs(error[..., 2]) <= ANGLE_MAX_RAD)
 
 
@@ -46,14 +48,15 @@ def score_closures(is_correct: ArrayLike, is_accepted: ArrayLike) -> ClosureScor
 
     Raises DataError for other shapes.
     """
-    is_correct, is_accepted = np.asarray(is_correct, bool), np.asarray(is_accepted, bool)
-    if is_correct.ndim != 1 or is_correct.shape != is_accepted.shape:
-        raise DataError(f"need as many true answers as decisions (k,); got {is_correct.shape} and {is_accepted.shape}")
-    right = int(np.count_nonzero(is_correct & is_accepted))
-    accepted = int(np.count_nonzero(is_accepted))
-    possible = int(np.count_nonzero(is_correct))
+    correct = real_array(is_correct, "is_correct") != 0.0
+    taken = real_array(is_accepted, "is_accepted") != 0.0
+    if correct.ndim != 1 or correct.shape != taken.shape:
+        raise DataError(f"need as many true answers as decisions (k,); got {correct.shape} and {taken.shape}")
+    right = int(np.count_nonzero(correct & taken))
+    accepted = int(np.count_nonzero(taken))
+    possible = int(np.count_nonzero(correct))
     return ClosureScore(
-        proposed=len(is_correct),
+        proposed=len(correct),
         accepted=accepted,
         correct=right,
         precision=right / accepted if accepted else math.nan,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray as Array
 from twc_env.errors import DataError
 from twc_env.kernels.compiled import borrowing_kernel
 from twc_env.metrics.trajectory import turns_between
+from twc_env.records.array_validation import real_array
 
 WRONG_M, WRONG_RAD = 1.0, math.radians(10.0)
 """Robots whose implied frames differ by more than one of these are wrongly merged."""
@@ -67,7 +68,8 @@ def wrong_pairs(poses_building_map: ArrayLike, centre_map_m: ArrayLike = (0.0, 0
     amid the group's paths, at most WRONG_M apart, and differ by at most WRONG_RAD. A robot without poses (a row of NaN)
     disagrees with none. Raises DataError for invalid poses.
     """
-    frames, centre_m = np.asarray(poses_building_map, float), np.asarray(centre_map_m, float)
+    frames = real_array(poses_building_map, "poses_building_map")
+    centre_m = real_array(centre_map_m, "centre_map_m")
     is_shaped = frames.ndim == 2 and frames.shape[1] == 3 and centre_m.shape == (2,)
     if not is_shaped or not (np.isfinite(frames).all(axis=1) | np.isnan(frames).all(axis=1)).all():
         raise DataError(

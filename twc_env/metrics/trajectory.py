@@ -10,6 +10,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.kernels.compiled import borrowing_kernel, kernel
+from twc_env.records.array_validation import real_array
 from twc_env.records.geometry import between, transform_points
 
 HEADING_LEVER_M = 1.0
@@ -34,7 +35,7 @@ def lay_map(estimated: ArrayLike, true: ArrayLike) -> Array:
     As `align_team`, but headings count too, like points one metre ahead: the rotation of a robot that has hardly moved
     follows from its heading, not from a path of few centimetres. Raises the same errors.
     """
-    estimated, true, pose = np.asarray(estimated, float), np.asarray(true, float), np.empty(3)
+    estimated, true, pose = real_array(estimated, "estimated"), real_array(true, "true"), np.empty(3)
     _check_pairs(estimated, true)
     if estimated.shape[-1:] != (3,) or true.shape[-1:] != (3,):
         raise DataError(f"a map is aligned by poses (..., 3); got {estimated.shape} and {true.shape}")
@@ -103,7 +104,7 @@ def end_point_error_m(estimated: ArrayLike, true: ArrayLike) -> float:
 
     Both (t, 3). If the true path is closed, this is the start-to-end gap that the paper prints.
     """
-    estimated, true = np.asarray(estimated, float), np.asarray(true, float)
+    estimated, true = real_array(estimated, "estimated"), real_array(true, "true")
     if estimated.shape != true.shape or estimated.ndim != 2 or len(true) == 0 or true.shape[1] != 3:
         raise DataError(f"need two paths of equal shape (steps, 3); got {estimated.shape} and {true.shape}")
     end_estimated, end_true = between(estimated[0], estimated[-1]), between(true[0], true[-1])
@@ -112,7 +113,7 @@ def end_point_error_m(estimated: ArrayLike, true: ArrayLike) -> float:
 
 def path_length_m(poses: ArrayLike) -> float:
     """Length of the path through (t, 2) or (t, 3) poses. Raises DataError for other shapes."""
-    path = np.asarray(poses, float)
+    path = real_array(poses, "poses")
     if path.ndim != 2 or path.shape[1] not in (2, 3):
         raise DataError(f"a path has positions (steps, 2) or poses (steps, 3); got {path.shape}")
     steps_m = np.diff(path[:, :2], axis=0)
@@ -127,7 +128,7 @@ def stuck_share(true_poses: ArrayLike, window: int, radius_m: float, is_commande
     from each pose to the next, only windows count in more than half of which it was: a robot that waits is not stuck.
     Raises DataError for other shapes.
     """
-    poses = np.asarray(true_poses, float)
+    poses = real_array(true_poses, "true_poses")
     if poses.ndim != 3 or poses.shape[2] not in (2, 3):
         raise DataError(f"poses of a team have shape (steps, robots, 2 or 3); got {poses.shape}")
     positions_m = poses[..., :2]  # (t, n, 2)
@@ -150,7 +151,7 @@ def stuck_share(true_poses: ArrayLike, window: int, radius_m: float, is_commande
 
 
 def _position_pairs(estimated: ArrayLike, true: ArrayLike) -> tuple[Array, Array]:
-    estimated, true = np.asarray(estimated, float), np.asarray(true, float)
+    estimated, true = real_array(estimated, "estimated"), real_array(true, "true")
     _check_pairs(estimated, true)
     return estimated[..., :2].reshape(-1, 2), true[..., :2].reshape(-1, 2)
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.metrics.mapping import validated_grid
+from twc_env.records.array_validation import real_array
 from twc_env.records.geometry import transform_points
 
 STRETCH_M, SAMPLE_M = 0.25, 0.05
@@ -25,7 +26,7 @@ def wall_thickness_m(
     """
     from scipy.spatial import cKDTree  # slow to import, needed only here
 
-    walls_m, log_odds = np.asarray(walls_m, float), validated_grid(log_odds, "log_odds")
+    walls_m, log_odds = real_array(walls_m, "walls_m"), validated_grid(log_odds, "log_odds")
     if walls_m.ndim != 3 or walls_m.shape[1:] != (2, 2):
         raise DataError(f"walls_m must have shape (walls, 2, 2), both ends of each; got {walls_m.shape}")
     samples, stretches, spacings_m = _sampled_walls(walls_m)

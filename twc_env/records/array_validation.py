@@ -33,6 +33,20 @@ def validated_rows(values: ArrayLike, shape: tuple[int, ...], name: str, kind: A
     return made
 
 
+def real_array(values: ArrayLike, name: str) -> Array:
+    """Values of any shape as floats. Raises DataError if they are no real numbers."""
+    if _is_plain(values):
+        return values
+    try:
+        with np.errstate(all="ignore"):
+            given = np.asarray(values)
+            if given.dtype.kind not in "biufO":
+                raise TypeError(f"their type is {given.dtype}")
+            return given.astype(float)
+    except Exception as error:  # an object of another library may raise any
+        raise DataError(f"{name} must be real numbers; got {values!r:.80}: {error}") from None
+
+
 def validated_points(values: ArrayLike, name: str = "points") -> Array:
     """(n, 2) finite points. Raises DataError for others."""
     is_ready = _is_plain(values) and values.ndim == 2 and values.shape[1] == 2

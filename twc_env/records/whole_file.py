@@ -6,11 +6,19 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from twc_env.errors import DataError
 
 _NAME_MAX = 100
 """Characters kept of the file's name."""
+
+
+def file_path(name: Any) -> Path:
+    """The path that a caller names. Raises DataError if it is no name of a file."""
+    if not isinstance(name, (str, os.PathLike)) or "\x00" in str(name):
+        raise DataError(f"a file is named by text or a Path, without null characters; got {name!r:.100}")
+    return Path(name)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import CuesConfig, EnvConfig, shared_config
 from twc_env.config.checks import whole_number
-from twc_env.errors import ConfigError, TwcError
+from twc_env.errors import ConfigError, DataError, TwcError
 from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of
 from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import Belief, Contacts, Keyframe, SensorFrame
@@ -232,7 +232,12 @@ class CooperativeSlam(CopiedWhole):
         return len(self._latest_scans[1][robot]) == 0 and self._clocks.times_s[robot] == -math.inf
 
     def absorb(self, step: int, contacts: Contacts | None = None) -> None:
-        """Exchange messages as the contacts of this step allow (None: all are in contact) and update the mappers."""
+        """Exchange messages as the contacts of this step allow (None: all are in contact) and update the mappers.
+
+        Raises DataError for contacts of another kind.
+        """
+        if contacts is not None and not isinstance(contacts, Contacts):
+            raise DataError(f"contacts must be a Contacts, or None for all robots; got {contacts!r:.100}")
         contacts = contacts or self._full_contact
         self._listening.note(step, contacts.heard)
         deliveries = self._exchange.deliver(contacts, self._wanted)
@@ -327,7 +332,9 @@ class CooperativeSlam(CopiedWhole):
         return mapper.prior is not None and mapper.group_index(robot) == mapper.group_of_segment(mapper.prior)
 
     def pose_map_robot(self, robot: int) -> Array:
-        """(3,) estimate of a robot in its group's map frame, as of the last `absorb`."""
+        """(3,) estimate of a robot in its group's map frame, as of the last `absorb`. Raises TwcError for an unknown
+        robot."""
+        self._check_robot(robot)
         return self._poses[robot, 0]
 
     def lacked(self) -> list[str]:
@@ -341,11 +348,14 @@ class CooperativeSlam(CopiedWhole):
 
     def belief(self, robot: int) -> Belief:
         """Current belief of one robot. Raises TwcError for an unknown robot."""
-        if not 0 <= robot < len(self.robots):
-            raise TwcError(f"robots are 0 to {len(self.robots) - 1}; got {robot!r}")
+        self._check_robot(robot)
         belief, mapper = self.beliefs()[robot], self.mapper_of(robot)
         hypotheses = mapper.hypotheses_of(mapper.group_index(robot)) if len(mapper.groups) > 1 else ()
         return dataclasses.replace(belief, hypotheses=hypotheses) if hypotheses else belief
+
+    def _check_robot(self, robot: int) -> None:
+        if not (isinstance(robot, (int, np.integer)) and 0 <= robot < len(self.robots)):
+            raise TwcError(f"robots are 0 to {len(self.robots) - 1}; got {robot!r}")
 
     def beliefs(self) -> TeamBeliefs:
         """Current beliefs of all robots."""
@@ -384,6 +394,8 @@ class CooperativeSlam(CopiedWhole):
 def _check_prior(config: EnvConfig, prior: LastingMap | None) -> None:
     """Raise ConfigError for a prior map that this engine cannot begin with."""
     slam, lidar = config.slam, config.lidar
+    if prior is not None and not isinstance(prior, LastingMap):
+        raise ConfigError(f"prior must be a map as datasets.lasting_maps.read_lasting_map gives; got {prior!r:.100}")
     if prior is None:
         raise ConfigError(f"slam.prior is {slam.prior!r}: give its content, prior=datasets.read_lasting_map(FILE)")
     reasons = {

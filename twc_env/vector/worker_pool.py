@@ -153,8 +153,10 @@ class _Worker:
     def close(self) -> None:
         """Wait for the end of the process."""
         self._process.join(5.0)
-        if self._process.is_alive():
-            self._process.terminate()
+        for end in (self._process.terminate, self._process.kill):
+            if self._process.is_alive():
+                end()
+                self._process.join(5.0)
         self.pipe.close()
 
 

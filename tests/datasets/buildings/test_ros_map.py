@@ -152,7 +152,7 @@ def test_lists_of_several_lines_a_byte_order_mark_and_ends_of_documents_are_read
         ("occupied_thresh: 0.65", "occupied_thresh: 65", "must be shares from 0 to 1, .* got 0.196 and 65"),
         ("1.5, 0.0]", "1.5, 90]", "yaw, the last of origin, is in radians, at most a turn; got 90"),
         ("[-3.0, 1.5, 0.0]", "[-3.0, 1.5]", r"origin must be \[x, y, yaw\]"),
-        ("image: mine.pgm", "image: other.pgm", "names the picture 'other.pgm', which is not beside it"),
+        ("image: mine.pgm", "image: other.pgm", "names the picture 'other.pgm', which is not there; put it beside it"),
         ("free_thresh: 0.196", "free_thresh: 0.0", "shows no free space"),
     ],
 )

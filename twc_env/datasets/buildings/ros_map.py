@@ -66,10 +66,12 @@ def read_ros_cells(path: str | Path) -> RosMap:
     """The cells of a map_server yaml. The picture may lie beside it compressed (`map.pgm.gz` for `map.pgm`)."""
     path = Path(path)
     values = _read_yaml(path)
-    # The path may be that of another machine.
-    picture = _picture(path.parent / values["image"]) or _picture(path.parent / PureWindowsPath(values["image"]).name)
+    # The path may be that of another machine, and a map of strangers must not name files elsewhere.
+    named = Path(values["image"])
+    inside = None if named.is_absolute() or ".." in named.parts else _picture(path.parent / named)
+    picture = inside or _picture(path.parent / PureWindowsPath(values["image"]).name)
     if picture is None:
-        raise MapError(f"{path.name} names the picture {values['image']!r}, which is not beside it; put it there")
+        raise MapError(f"{path.name} names the picture {values['image']!r}, which is not there; put it beside it")
     occupancy = _occupancy(picture, values, path)
     resolution_m = _number(values, "resolution", path)
     if not RESOLUTION_MIN_M <= resolution_m < 10:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
 from twc_env.records.seal import is_unbroken, seal
-from twc_env.records.whole_file import whole_file
+from twc_env.records.whole_file import file_path, whole_file
 
-ARRAYS_BYTES_MAX = 4_000_000_000
+ARRAYS_BYTES_MAX = 900_000_000
 """Maximum size of the arrays of a file, unpacked."""
 
 
@@ -33,7 +33,7 @@ def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], rem
 
     `kind` names the expected file and `remedy` the advice in error messages. Raises DataError.
     """
-    path = Path(path)
+    path = file_path(path)
     try:
         if path.is_file() and not zipfile.is_zipfile(path):
             raise DataError(f"{path} is not a {kind} or is truncated; {remedy}")
@@ -41,15 +41,16 @@ def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], rem
             raise DataError(f"{path} is not as it was written: its checksum differs; {remedy}")
         _check_size(path)
         with path.open("rb") as file, np.load(file) as data:
-            arrays = {key: data[key] for key in data.files}
+            named = str(data["format"]) if "format" in data.files else None
+            arrays = {key: data[key] for key in data.files} if named == form else {}  # others may be of any size
     except OSError as error:
         raise DataError(f"cannot read the {kind} {path}: {error.strerror or error}; {remedy}") from error
     except DataError:
         raise
     except Exception as error:  # a broken archive surfaces as almost any exception
         raise DataError(f"{path} is not a {kind} or is truncated: {error}; {remedy}") from error
-    if str(arrays.get("format")) != form:
-        raise DataError(f"{path} has format {str(arrays.get('format'))!r}; expected {form!r}: {remedy}")
+    if named != form:
+        raise DataError(f"{path} has format {named!r:.60}; expected {form!r}: {remedy}")
     if missing := sorted(set(keys) - set(arrays)):
         raise DataError(f"{path} lacks {', '.join(missing)}; {remedy}")
     return arrays
@@ -76,6 +77,6 @@ def _check_size(path: Path) -> None:
         size = sum(part.file_size for part in archive.infolist())
     if size > ARRAYS_BYTES_MAX:
         raise DataError(
-            f"{path} holds {size / 1e9:.0f} GB of arrays, {ARRAYS_BYTES_MAX / 1e9:.0f} GB are possible; "
+            f"{path} holds {size / 1e6:.0f} MB of arrays, {ARRAYS_BYTES_MAX / 1e6:.0f} MB are possible; "
             "record fewer steps"
         )

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import gzip
-import io
 import lzma
 import zlib
 from pathlib import Path
+from typing import BinaryIO
 
 from twc_env.errors import DataError
+from twc_env.records.whole_file import file_path
 
-TEXT_BYTES_MAX = 1_000_000_000
+TEXT_BYTES_MAX = 250_000_000
 """Maximum size of a text, unpacked: a packed file of a few megabytes can hold any number of equal bytes."""
+
+
+def _unpacked(suffix: str, packed: BinaryIO) -> BinaryIO | gzip.GzipFile | lzma.LZMAFile:
+    if suffix == ".gz":
+        return gzip.GzipFile(fileobj=packed)
+    return lzma.LZMAFile(packed) if suffix == ".xz" else packed
 
 
 def read_text(path: str | Path, errors: str = "strict") -> str:
@@ -19,16 +26,10 @@ def read_text(path: str | Path, errors: str = "strict") -> str:
 
     errors: "replace" also accepts invalid UTF-8, for formats where it occurs in comments only.
     """
-    path = Path(path)
+    path = file_path(path)
     try:
-        packed = path.read_bytes()
-        raw = packed
-        if path.suffix == ".gz":
-            with gzip.GzipFile(fileobj=io.BytesIO(packed)) as file:
-                raw = file.read(TEXT_BYTES_MAX + 1)
-        elif path.suffix == ".xz":
-            with lzma.LZMAFile(io.BytesIO(packed)) as unpacked:
-                raw = unpacked.read(TEXT_BYTES_MAX + 1)
+        with path.open("rb") as packed, _unpacked(path.suffix, packed) as file:
+            raw = file.read(TEXT_BYTES_MAX + 1)
         if len(raw) > TEXT_BYTES_MAX:
             raise DataError(f"{path} holds more than {TEXT_BYTES_MAX // 10**6} MB of text; cut it into parts")
         return raw.decode("utf-8-sig", errors)

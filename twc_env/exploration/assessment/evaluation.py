@@ -22,6 +22,7 @@ from twc_env.exploration.assessment.seen_floor import seen_share
 from twc_env.exploration.assessment.team_alignment import TeamPaths, position_error_m
 from twc_env.records.geometry import between, transform_points
 from twc_env.records.messages import GridMap
+from twc_env.records.whole_file import file_path
 from twc_env.slam.modes import Engine
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid
 from twc_env.world.building.floor_cells import Cells
@@ -113,7 +114,7 @@ class EpisodeResult:
         """
         from twc_env.exploration.assessment.result_files import save
 
-        return save(self, Path(folder), format, dpi)
+        return save(self, file_path(folder), format, dpi)
 
 
 def progress(

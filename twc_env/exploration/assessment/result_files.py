@@ -18,11 +18,12 @@ from twc_env.records.text_tables import csv_text, flat
 from twc_env.records.whole_file import write_text
 
 TABLES = ("figures", "paths")
+DPI_MIN, DPI_MAX = 20, 1200
 
 
 def frame_of(result: Any, what: str) -> Any:
     """See `EpisodeResult.to_frame`."""
-    if what not in TABLES:
+    if not isinstance(what, str) or what not in TABLES:
         raise ConfigError(f"tables are {' and '.join(TABLES)}; got {what!r}")
     if find_spec("pandas") is None:
         raise ConfigError("to_frame() needs pandas: run `pip install pandas`; save(FOLDER) writes the same as CSV")
@@ -52,8 +53,10 @@ def save(result: Any, folder: Path, format: str, dpi: float | None) -> list[Path
     """See `EpisodeResult.save`."""
     from twc_env.exploration.drawing.figures import FORMATS, save_figure
 
-    if format not in FORMATS:
+    if not isinstance(format, str) or format not in FORMATS:
         raise ConfigError(f"format must be one of {', '.join(FORMATS)}; got {format!r}")
+    if dpi is not None and not (isinstance(dpi, (int, float)) and DPI_MIN <= dpi <= DPI_MAX):
+        raise ConfigError(f"dpi must be dots per inch from {DPI_MIN} to {DPI_MAX}; got {dpi!r}")
     paths = [folder / name for name in ("report.json", "config.json", "figures.csv", "figures.tex", "paths.csv")]
     write_json(paths[0], result.figures)
     write_json(paths[1], to_dict(result.config))

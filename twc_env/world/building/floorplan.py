@@ -155,6 +155,8 @@ class Floorplan:
 
     def cells(self, resolution_m: float = 0.1) -> Cells:
         """The raster, cached per resolution; walls at multiples of the cell size are one cell thick."""
+        if not isinstance(resolution_m, (int, float)) or not 0.005 <= resolution_m <= 10.0:
+            raise MapError(f"cells have a size of 0.005 to 10 m; got {resolution_m!r}")
         if ("cells", resolution_m) not in self._cache:
             self._cache["cells", resolution_m] = rasterise(self.name, self.walls_m, self.interior_m, resolution_m)
         return self._cache["cells", resolution_m]

@@ -1,0 +1,182 @@
+"""Accidents that meet commands: kills, Ctrl-C, no room, no right to write, closed pipes, two at once, another time.
+
+After each: no traceback, no half file where one was said to be written, and the same command once more in the same
+folder ends as if nothing had happened.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from tests.soak.attempts import Attempt, workplace
+from twc_env.records.seal import is_unbroken
+
+SETTINGS = ("--set", "lidar.beam_count=60")
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "explore": ("explore", "--robots", "1", "--steps", "150", "--no-pictures", *SETTINGS),
+    "record": ("record", "--robots", "1", "--steps", "150", *SETTINGS),
+    "replay": ("replay", "LOG"),
+    "compare": (
+        "compare",
+        "--agents",
+        "nearest-frontier",
+        "--maps",
+        "twin-01",
+        "twin-02",
+        "--steps",
+        "60",
+        "--no-pictures",
+    ),
+    "benchmark": ("benchmark", "--maps", "twin-01", "--seeds", "0-1", "--steps", "60", "--no-pictures"),
+    "train": ("train", "mappo", "--steps", "300", "--workers", "0", "--max-cycles", "40", "--references", "0"),
+    "reproduce": ("reproduce", "bare-places", "--seeds", "0", "--steps", "60"),
+}
+"""Small runs; each gets `--out`, but `reproduce`, which gets `--json` in the folder."""
+RESUMED = ("train",)
+"""Commands that go on with `--resume`; others find what is finished by themselves, or begin anew."""
+PROGRAM = (
+    "import os, sys; from twc_env.__main__ import main\n{0}\nif __name__ == '__main__': sys.exit(main(sys.argv[1:]))"
+)
+ROOM = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000)); sys.dont_write_bytecode = True"
+MEMORY = "import resource; resource.setrlimit(resource.RLIMIT_AS, (700_000_000,) * 2)"
+CLOCK = "import time; real = time.time; time.time = lambda: real() - 86400.0"
+SECONDS = 240.0
+
+
+def accidents(count: int, seed: int = 0) -> Iterator[Attempt]:
+    """Up to `count` of all pairs of a command and an accident, kills at random moments; equal seeds, equal order."""
+    random = np.random.default_rng(seed)
+    pairs = [(name, kind) for kind in ACCIDENTS for name in COMMANDS if name != "train" or find_spec("torch")]
+    with workplace() as folder:
+        log = folder / "log"
+        _finished(_started(("record", "--robots", "1", "--steps", "30", *SETTINGS, "--out", str(log)), folder))
+        for number in range(count):
+            name, kind = pairs[number % len(pairs)]
+            place = folder / f"{number}"
+            place.mkdir()
+            yield f"{name}, {kind}", partial(meet, name, kind, place, log / "frames.npz", float(random.uniform(0, 1)))
+            shutil.rmtree(place, ignore_errors=True)
+
+
+def meet(name: str, kind: str, place: Path, log: Path, share: float) -> None:
+    """Let a command meet an accident, look at what is left, and run it again."""
+    arguments = [str(log) if word == "LOG" else word for word in COMMANDS[name]]
+    out = place / "out"
+    arguments += (
+        ["--json", str(out / "table.json"), "--cache", str(out)] if name == "reproduce" else ["--out", str(out)]
+    )
+    status, told = ACCIDENTS[kind](tuple(arguments), out, share)
+    assert "Traceback" not in told, f"a traceback: {told[-300:]}"
+    assert status != 1, f"status 1: {told[-300:]}"
+    look_at(out, may_have_parts=kind in ("kill -9", "killed twice"))
+    again = [*arguments, "--resume"] if name in RESUMED and (out / "model.safetensors").exists() else arguments
+    status, told = _finished(_started(tuple(again), place))
+    refused = status == 2 and name in RESUMED and "--resume" in told
+    assert status == 0 or refused, f"once more it ends with status {status}: {told[-300:]}"
+    look_at(out, may_have_parts=kind in ("kill -9", "killed twice"))
+
+
+def look_at(folder: Path, may_have_parts: bool = False) -> None:
+    """Every file is whole. Raises AssertionError otherwise."""
+    for path in folder.rglob("*") if folder.exists() else ():
+        if path.name.startswith(".part-"):
+            assert may_have_parts, f"{path.name} is left"
+            continue
+        if path.suffix == ".json":
+            json.loads(path.read_text())
+        elif path.suffix == ".npz":
+            assert is_unbroken(path), f"{path.name} is cut off"
+            np.load(path).close()
+        elif path.suffix == ".tum":
+            assert np.loadtxt(path, ndmin=2).shape[1] == 8, f"{path.name} is cut off"
+        elif path.suffix == ".csv" and (text := path.read_text()):
+            assert text.endswith("\n"), f"{path.name} is cut off"
+        elif path.suffix == ".safetensors":
+            from twc_env.training.checkpoint import load
+
+            load(path)
+
+
+def _started(arguments: tuple[str, ...], place: Path, before: str = "pass", **options) -> subprocess.Popen:
+    place.mkdir(parents=True, exist_ok=True)
+    before = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n" + before
+    call = [sys.executable, "-c", PROGRAM.format(before), *arguments]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, **options}
+    return subprocess.Popen(call, text=True, start_new_session=True, **streams)
+
+
+def _finished(running: subprocess.Popen) -> tuple[int, str]:
+    try:
+        told, _ = running.communicate(timeout=SECONDS)
+    except subprocess.TimeoutExpired:
+        running.kill()
+        told, _ = running.communicate()
+        raise AssertionError(f"it hangs: {told[-300:]}") from None
+    return running.returncode, told or ""
+
+
+def _signalled(signals: tuple[int, ...], arguments: tuple[str, ...], out: Path, share: float) -> tuple[int, str]:
+    """Send signals at a random moment of the work, most likely while something is written."""
+    running = _started(arguments, out.parent)
+    time.sleep(1.0 + 8.0 * share)
+    for number in signals:
+        if running.poll() is None:
+            running.send_signal(number)
+            time.sleep(0.5)
+    status, told = _finished(running)
+    return (0 if status == -signal.SIGKILL else status), told
+
+
+def _limited(before: str, arguments: tuple[str, ...], out: Path, _: float) -> tuple[int, str]:
+    status, told = _finished(_started(arguments, out.parent, before))
+    return status, told if "MemoryError" not in told else ""
+
+
+def _read_only(arguments: tuple[str, ...], out: Path, _: float) -> tuple[int, str]:
+    """A file where the folder should be, since root may write everywhere."""
+    out.parent.mkdir(exist_ok=True)
+    out.write_text("in the way")
+    status, told = _finished(_started(arguments, out.parent))
+    assert status == 2, f"status {status}"
+    out.unlink()
+    return status, told
+
+
+def _closed_pipe(arguments: tuple[str, ...], out: Path, _: float) -> tuple[int, str]:
+    running = _started(arguments, out.parent, stderr=subprocess.DEVNULL)
+    assert running.stdout is not None
+    running.stdout.close()
+    return running.wait(SECONDS), ""
+
+
+def _two_at_once(arguments: tuple[str, ...], out: Path, _: float) -> tuple[int, str]:
+    both = [_started(arguments, out.parent) for _ in range(2)]
+    (first, told), (second, also) = map(_finished, both)
+    assert 0 in (first, second), f"neither ends well: {told[-200:]} {also[-200:]}"
+    return max(first, second), told + also
+
+
+Accident = Callable[[tuple[str, ...], Path, float], tuple[int, str]]
+ACCIDENTS: dict[str, Accident] = {
+    "kill -9": partial(_signalled, (signal.SIGKILL,)),
+    "SIGTERM": partial(_signalled, (signal.SIGTERM,)),
+    "Ctrl-C": partial(_signalled, (signal.SIGINT,)),
+    "Ctrl-C twice": partial(_signalled, (signal.SIGINT, signal.SIGINT)),
+    "no room": partial(_limited, ROOM),
+    "no folder": _read_only,
+    "closed pipe": _closed_pipe,
+    "two at once": _two_at_once,
+    "clock set back": partial(_limited, CLOCK),
+    "little memory": partial(_limited, MEMORY),
+}
