@@ -120,6 +120,17 @@ def test_progress_has_a_bar_and_the_time_left_by_the_weight_of_the_episodes():
     assert progress.line.endswith("4/4 episodes, 0 s left")
 
 
+def test_a_first_episode_that_waited_for_kernels_tells_no_time_left():
+    entry, now = Entry("twc/A-v1", EnvConfig(robots=1, max_cycles=100), "random", 0), [0.0]
+    progress = Progress([entry] * 40, range(40), lambda: now[0])
+    now[0] = 60.0
+    progress.note(entry)
+    assert progress.line == "[------------------------] 1/40 episodes"
+    now[0] = 62.0
+    progress.note(entry)
+    assert progress.line.endswith("2/40 episodes, 76 s left")
+
+
 def test_a_worker_with_other_code_is_refused(tiny, tmp_path, monkeypatch):
     monkeypatch.setattr(runs, "in_processes", lambda work, parts, jobs: [(0, ("abcd0123", {}))])
     with pytest.raises(Exception, match=r"a worker has other code \(abcd0123\)"):

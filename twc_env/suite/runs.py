@@ -9,7 +9,7 @@ from typing import Any
 
 from twc_env.config import to_dict
 from twc_env.errors import DataError
-from twc_env.running.command_line import show_line
+from twc_env.running.command_line import COMPILING_SHARE, show_line
 from twc_env.running.finished_parts import FinishedParts, code_digest
 from twc_env.running.worker_processes import in_processes
 from twc_env.suite.entries import Entry
@@ -85,7 +85,7 @@ class Progress:
     def __init__(self, entries: Sequence[Entry], waiting: Sequence[int], clock_s: Callable[[], float] = time.monotonic):
         self._total, self._done = len(entries), len(entries) - len(waiting)
         self._weight_left = sum(entries[k].weight for k in waiting)
-        self._weight_done = 0.0
+        self._weight_done, self._is_first = 0.0, True
         self._clock_s, self._began_s = clock_s, clock_s()
 
     def note(self, entry: Entry) -> None:
@@ -93,15 +93,21 @@ class Progress:
         self._done += 1
         self._weight_done += entry.weight
         self._weight_left -= entry.weight
+        if self._is_first and self._done <= COMPILING_SHARE * self._total:
+            self._weight_done, self._began_s = 0.0, self._clock_s()  # it may have waited for kernels
+        self._is_first = False
         show_line(f"{self.line}: {entry.task} {entry.config.map} {entry.team}", self._done == self._total)
 
     @property
     def line(self) -> str:
-        """A bar, the number of episodes and the time left."""
+        """A bar, the number of episodes and the time left, as soon as that can be told."""
         filled = BAR_WIDTH * self._done // max(self._total, 1)
         bar = "#" * filled + "-" * (BAR_WIDTH - filled)
-        left_s = (self._clock_s() - self._began_s) * self._weight_left / max(self._weight_done, 1e-9)
-        return f"[{bar}] {self._done}/{self._total} episodes, {_duration(left_s)} left"
+        text = f"[{bar}] {self._done}/{self._total} episodes"
+        if not self._weight_done:
+            return text
+        left_s = (self._clock_s() - self._began_s) * self._weight_left / self._weight_done
+        return f"{text}, {_duration(left_s)} left"
 
 
 def _duration(seconds: float) -> str:
