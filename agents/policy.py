@@ -13,7 +13,6 @@ from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError, did_you_mean
 from twc_env.records.class_file import class_in, is_in_file
 from twc_env.records.messages import Belief
-from twc_env.suite.learned import LearnedTeam
 
 from .roster import TEAMS
 
@@ -64,6 +63,8 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
             f"scripted teams need action.kind = 'velocity'; got {config.action.kind!r}: remove this setting"
         )
     if name == LEARNED:
+        from twc_env.suite.learned import LearnedTeam  # imports the engine, which --help does without
+
         learned: Policy = LearnedTeam(config)
         return learned
     if name in TEAMS:

@@ -119,7 +119,7 @@ def test_a_frame_log_is_recognised_by_its_content(tmp_path, capsys):
     assert main(["record", "--steps", "5", "--out", str(tmp_path)]) == 0
     (tmp_path / "frames.npz").rename(tmp_path / "monday.frames")
     assert main(["replay", str(tmp_path / "monday.frames")]) == 0
-    assert "config_digest" in capsys.readouterr().out
+    assert "settings digest" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -330,7 +330,7 @@ def write_laser_log(path, seed, place="twin-01"):
 def test_a_carmen_log_is_mapped_and_exported_to_standard_formats(tmp_path, capsys):
     stamps_s, true = write_laser_log(tmp_path / "mine.log", 1)
     assert main(["replay", str(tmp_path / "mine.log"), "--out", str(tmp_path / "out")]) == 0
-    assert "groups" in capsys.readouterr().out
+    assert "map 1: robot 0" in capsys.readouterr().out
     written = {path.name for path in (tmp_path / "out").rglob("*.*")}
     assert {"map.pgm", "map.yaml", "pose_graph.g2o", "robot_0_estimated.tum", "robot_0_odometry.tum"} <= written
     (tmp_path / "other.log").write_text("ODOM 0 0 0")

@@ -10,11 +10,13 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from twc_env.errors import TwcError
-from twc_env.running.process_memory import peak_mb
+from twc_env.kernels.cache_folder import cache_folder
+from twc_env.running.process_memory import forget_peak, peak_mb
 
 SECONDS_MAX = 2.0
 """Limit of CPU time of one attempt; exceeding it, or the next two, is wrong."""
@@ -26,7 +28,13 @@ LINE_MAX = 1500
 """Characters of an error's line."""
 _HIDDEN = ("/etc/", "/root/", "/home/", "/proc/", "/sys/", "/var/")
 """Places whose files no input may name; those of this program are known."""
-_OWN = tuple(str(Path(place).resolve()) for place in (sys.prefix, sys.base_prefix, Path(__file__).parents[2]))
+
+
+@cache
+def _own() -> tuple[str, ...]:
+    places = sys.prefix, sys.base_prefix, Path(__file__).parents[2], cache_folder()
+    return tuple(str(Path(place).resolve()) for place in places)
+
 
 _OF_KERNELS = ("numba", "llvmlite", "twc_env.", "numpy", "copyreg", "builtins", "collections")
 
@@ -74,6 +82,7 @@ def attempt_all(
     before_mb = float("nan")
     for what, work in attempts:
         if result.tried == 0:
+            forget_peak()
             before_mb = peak_mb()
         began_s, began_wall_s = time.process_time(), time.perf_counter()
         with _touched() as touched:
@@ -126,7 +135,7 @@ def _notice(event: str, arguments: tuple) -> None:
         _watchers[-1].append(f"{event} {arguments!r:.80}")
     elif event in ("open", "sqlite3.connect", "os.remove", "os.rename") and isinstance(arguments[0], (str, bytes)):
         place = os.path.realpath(os.fsdecode(arguments[0]).removeprefix("file:").partition("?")[0])
-        if place.startswith(_HIDDEN) and not place.startswith((*_OWN, "/proc/self", "/proc/meminfo")):
+        if place.startswith(_HIDDEN) and not place.startswith((*_own(), "/proc/self", "/proc/meminfo")):
             _watchers[-1].append(place)
 
 

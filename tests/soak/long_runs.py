@@ -1,6 +1,6 @@
 """Long runs over all tasks, effects and kinds of action, with the memory, step time and open files of the process.
 
-Episode k has task k mod 17, effect k mod 8 and kind of action k mod 5, so that 680 episodes play every combination.
+Every combination of task, effect and kind of action is played once before one is played again (`combination`).
 """
 
 from __future__ import annotations
@@ -94,9 +94,7 @@ def _kept(file: Path | None) -> Iterator[Row]:
 
 def _played(number: int, settings: dict[str, Any]) -> Row:
     """One episode, with what the process holds after it."""
-    task = tuple(TASKS)[number % len(TASKS)]
-    effect = tuple(EFFECTS)[number % len(EFFECTS)]
-    kind, timing = ACTIONS[number % len(ACTIONS)]
+    task, effect, (kind, timing) = combination(number)
     row: Row = {"number": number, "task": task, "effect": effect, "actions": f"{kind}, {timing}", "steps": 0}
     began = time.process_time()
     try:
@@ -122,11 +120,21 @@ def _listed(folder: str) -> list[str]:
     return [f"{folder}/{name}" for name in os.listdir(folder)] if os.path.isdir(folder) else []
 
 
+def combination(number: int) -> tuple[str, str, tuple[str, str]]:
+    """Task, effect, and kind and timing of actions of an episode: all of them in turn, and every combination once."""
+    rounds, task = divmod(number, len(TASKS))
+    further, effect = divmod(rounds, len(EFFECTS))
+    return (
+        tuple(TASKS)[task],
+        tuple(EFFECTS)[(task + effect) % len(EFFECTS)],
+        ACTIONS[(task + effect + further) % len(ACTIONS)],
+    )
+
+
 def _config(number: int) -> EnvConfig:
     """The settings of an episode."""
-    kind, timing = ACTIONS[number % len(ACTIONS)]
-    config = task_config(tuple(TASKS)[number % len(TASKS)])
-    effect = tuple(EFFECTS)[number % len(EFFECTS)]
+    task, effect, (kind, timing) = combination(number)
+    config = task_config(task)
     chosen = {
         **EFFECTS[effect],
         "action.kind": kind,

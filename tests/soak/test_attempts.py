@@ -17,7 +17,7 @@ from twc_env.errors import MapError, TwcError
 COUNTS = {
     "actions": (900, 850, 3),
     "maps": (220, 130, 10),
-    "logs": (36, 8, 2),
+    "logs": (72, 16, 2),
     "settings": (240, 120, 10),
     "graphs": (40, 3, 10),
     "arrays": (90, 30, 5),

@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from tests.soak import long_runs
@@ -36,10 +35,10 @@ def test_a_run_that_was_interrupted_goes_on_and_reports_what_the_process_holds(t
     assert "memory_growth_mb" in capsys.readouterr().out
 
 
-def test_680_episodes_play_every_task_with_every_effect_and_kind_of_action():
-    counts = len(TASKS), len(long_runs.EFFECTS), len(long_runs.ACTIONS)
-    assert len({tuple(k % count for count in counts) for k in range(680)}) == 680 == np.prod(counts)
-    configs = [long_runs._config(k) for k in range(3, 99, 8)] + [long_runs._config(4)]
+def test_every_task_is_played_with_every_effect_and_kind_of_action():
+    count = len(TASKS) * len(long_runs.EFFECTS) * len(long_runs.ACTIONS)
+    assert len({long_runs.combination(k) for k in range(count)}) == count
+    configs = [long_runs._config(k) for k in range(100) if long_runs.combination(k)[1] in ("scanners", "mixed teams")]
     assert len({config.lidar for config in configs}) > 5 and any(config.robot for config in configs)
 
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray as Array
 from twc_env._version import __version__
 from twc_env.config import EnvConfig
 from twc_env.config.slam import EARLIER_SESSION
-from twc_env.datasets.buildings.ros_map import read_ros_grid
 from twc_env.datasets.logs.arrays_file import REAL, TEXT, TRUTH_VALUE, WHOLE, fault_of_types, read_arrays, write_arrays
 from twc_env.errors import DataError
 from twc_env.records.lasting_map import LastingMap
@@ -185,6 +184,8 @@ def prior_of(config: EnvConfig) -> LastingMap | None:
     except OSError as error:
         raise DataError(f"cannot read the saved map {config.slam.prior}: {error.strerror}; {REMEDY}") from error
     if Path(config.slam.prior).suffix.lower() in (".yaml", ".yml"):
+        from twc_env.datasets.buildings.ros_map import read_ros_grid  # slow to import: scipy
+
         grid = read_ros_grid(config.slam.prior)
         return LastingMap.of_grid(grid, config.lidar.circle_beam_count, float(config.lidar.range_max_m))
     return _read_once(config.slam.prior, state.st_mtime_ns, state.st_size)

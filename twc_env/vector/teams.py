@@ -88,7 +88,10 @@ class VectorTeams:
         self.state_space = model.state_space
         names = _building_names(buildings, family_of(self.config.map))
         spaces_of_robot = self.observation_space, self.action_space
-        self._arrays = SharedArrays(count, self.robots, *spaces_of_robot, self.state_space)
+        try:
+            self._arrays = SharedArrays(count, self.robots, *spaces_of_robot, self.state_space)
+        except (OverflowError, MemoryError, OSError) as error:
+            raise ConfigError(f"count={count}: so many environments do not fit into memory; take fewer") from error
         task = self._arrays, to_dict(self.config), names
         self._all = range(count)
         self._runner: EnvironmentGroup | WorkerPool | None = (

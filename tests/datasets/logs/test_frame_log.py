@@ -212,7 +212,7 @@ def columns(recorded, tmp_path_factory):
 def test_a_log_without_any_of_its_columns_is_named(columns, tmp_path):
     for missing in set(columns) - {"contacts_tried", "contacts_heard", "step_frames"}:  # older logs have none
         np.savez(tmp_path / "frames.npz", **{key: value for key, value in columns.items() if key != missing})
-        with pytest.raises(DataError, match=f"'{missing}|{missing};|format 'None'"):
+        with pytest.raises(DataError, match=f"'{missing}|{missing};|format None"):
             read_frame_log(tmp_path / "frames.npz")
 
 

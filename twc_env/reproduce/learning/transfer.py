@@ -42,7 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
     parser.add_argument("--buildings", type=count, default=20, help="of each kind, as far as there are as many")
     parser.add_argument("--model", default="learned", help="a run folder, or learned for the shipped policy")
-    parser.add_argument("--agents", nargs="+", default=["nearest-frontier", "information-gain"], help="scripted teams")
+    parser.add_argument(
+        "--agents",
+        nargs="+",
+        default=["nearest-frontier", "information-gain"],
+        help="scripted teams (default: nearest-frontier information-gain)",
+    )
     parser.add_argument("--jobs", type=count, default=2, help="number of worker processes")
     add_some(parser, "--kinds", KINDS, "kinds")
 

@@ -38,7 +38,7 @@ of the other differ by."""
 SCANS_ALONE_MIN = 8
 """Where neither signs nor fingerprints are compared and robots do not look for each other, places this many,
 `spread_min_m` apart, must agree: rooms and whole wings of a building look alike."""
-REPEATED_MAX = 0.1
+REPEATED_MAX = 0.2
 """Largest probability that a name is repeated elsewhere with which names alone merge maps."""
 
 
@@ -303,7 +303,7 @@ class MergeTests:
         where names seldom repeat.
 
         Else one more copy of a wing, with all its names, is no surprise. Of n names read more than once, r at several
-        places, the next one repeats with probability (r + 1) / (n + 2) (Laplace's rule of succession).
+        places, the next one repeats with probability (r + 1/2) / (n + 1) (Jeffreys' prior).
         """
         if self._rule.signs_read_alike_min == 0:
             return True
@@ -311,7 +311,7 @@ class MergeTests:
         are_tried = np.isin(robots, (*a, *b))
         are_apart = found_apart(texts, places[:, :2], np.where(are_tried, 0, robots + 1))
         is_sure = np.bincount(texts) > 1
-        if np.count_nonzero(are_apart & is_sure) + 1 > REPEATED_MAX * (np.count_nonzero(is_sure) + 2):
+        if np.count_nonzero(are_apart & is_sure) + 0.5 > REPEATED_MAX * (np.count_nonzero(is_sure) + 1):
             return False
         are_told = are_tried & ~are_apart[texts]
         same, _ = count_shared(texts[are_told], places[are_told], np.isin(robots[are_told], b))
