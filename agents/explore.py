@@ -24,8 +24,8 @@ from twc_env.pictures.video import film_name
 from twc_env.records.class_file import digest_of, is_in_file
 from twc_env.records.json_values import plain, write_json
 from twc_env.records.messages import Contacts, SensorFrame
-from twc_env.running.command_line import alone_in
 from twc_env.running.finished_parts import code_digest
+from twc_env.running.output_folder import alone_in
 
 from . import picture
 from .policy import LEARNED, begin, make_policy

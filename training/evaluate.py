@@ -18,7 +18,7 @@ from twc_env.pictures.video import RecordEpisodes
 from twc_env.records.json_values import write_json
 from twc_env.records.text_tables import aligned_text, csv_text, latex_table
 from twc_env.records.whole_file import write_text
-from twc_env.running.command_line import refuse_code
+from twc_env.running.options import refuse_code
 
 from .progress import progress_bar
 from .run_folder import Task, model_in, read_settings, task_of

@@ -36,7 +36,7 @@ from twc_env.training.weights import arrays_of, arrays_of_adam, fill, fill_adam
 
 from twc_env.errors import DataError, WorkerError
 from twc_env.records.random_streams import random_stream
-from twc_env.running.command_line import alone_in
+from twc_env.running.output_folder import alone_in
 from twc_env.vector.teams import VectorTeams
 
 STATE_FIGURES = 8

@@ -29,7 +29,7 @@ from twc_env.training.team_notes import TeamNotes
 from twc_env.training.weights import arrays_of, arrays_of_adam, fill, fill_adam
 
 from twc_env.errors import DataError, WorkerError
-from twc_env.running.command_line import alone_in
+from twc_env.running.output_folder import alone_in
 from twc_env.vector.sb3 import TeamVecEnv
 
 ACTOR = "policy.mlp_extractor.actor."

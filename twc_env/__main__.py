@@ -11,7 +11,8 @@ from importlib import import_module
 
 import argcomplete
 
-from twc_env.running.command_line import Parser, add_version, run_command
+from twc_env.running.argument_parser import Parser, add_version
+from twc_env.running.command_line import run_command
 
 COMMANDS = {
     "explore": "run one episode and write a run folder",

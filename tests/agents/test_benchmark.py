@@ -9,7 +9,7 @@ from twc_env.agents import benchmark
 from twc_env import ConfigError, EnvConfig
 from twc_env.__main__ import main
 from twc_env.maps import bundled_folder
-from twc_env.running.command_line import parse_seeds
+from twc_env.running.options import parse_seeds
 
 
 def some_report(seed=0, **changes):

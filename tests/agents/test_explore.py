@@ -17,7 +17,7 @@ from twc_env.datasets.logs.g2o import read_g2o
 from twc_env.datasets.logs.tum import read_tum
 from twc_env.exploration.assessment.result_table import text_of
 from twc_env.exploration.drawing.episode_map import placed_in_building
-from twc_env.running.command_line import alone_in
+from twc_env.running.output_folder import alone_in
 from twc_env.tasks import task_config
 
 DOCUMENTED = {

@@ -12,7 +12,7 @@ from twc_env.agents.policy import policy_names
 from twc_env.agents.roster import display_name
 
 import twc_env.__main__
-from twc_env.running.command_line import Paragraphs
+from twc_env.running.argument_parser import Paragraphs
 
 PROGRAMS = {"twc-env": twc_env.__main__}
 HELP_MAX_S = 0.7

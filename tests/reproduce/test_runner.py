@@ -8,8 +8,8 @@ import pytest
 from twc_env.__main__ import main as command
 from twc_env.errors import DataError
 from twc_env.reproduce.runner import TABLES, Runner, data_folder, main, seeds_argument, table_module
-from twc_env.running import command_line
-from twc_env.running.command_line import aligned, logging_to_terminal
+from twc_env.running import terminal
+from twc_env.running.terminal import aligned, logging_to_terminal
 
 
 def test_finished_parts_are_read_back_after_an_interruption(tmp_path):
@@ -174,8 +174,8 @@ def test_an_error_in_a_part_stands_on_a_line_of_its_own(tmp_path, capsys, monkey
 
 def test_a_log_has_a_line_each_minute_of_how_far_a_table_is(tmp_path, capsys, monkeypatch):
     clock = iter(range(0, 10_000, 10))
-    monkeypatch.setitem(command_line._progress, "logged_s", 0.0)
-    monkeypatch.setattr(command_line, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))
+    monkeypatch.setitem(terminal._progress, "logged_s", 0.0)
+    monkeypatch.setattr(terminal, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))
     Runner("toy", tmp_path, {}).each(range(30), lambda part: part)
     lines = capsys.readouterr().err.splitlines()
     assert 2 <= len(lines) <= 6 and all("/30" in line and "\r" not in line for line in lines)

@@ -7,8 +7,8 @@ import sys
 import pytest
 
 from twc_env.__main__ import main
-from twc_env.running import command_line
-from twc_env.running.command_line import Bar, bar_line, logging_to_terminal, show_line, tell
+from twc_env.running import terminal
+from twc_env.running.terminal import Bar, bar_line, logging_to_terminal, show_line, tell
 
 TEXT = "900/2000 steps on twin-01, seed 0, 54.5 % mapped correctly, 0:12 left at most"
 
@@ -35,7 +35,7 @@ def on_terminal(monkeypatch):
         monkeypatch.setattr(os, "get_terminal_size", lambda *_: os.terminal_size((70, 20)))
 
     yield become
-    command_line._progress.update(is_open=False, shown=0)
+    terminal._progress.update(is_open=False, shown=0)
 
 
 def test_a_shorter_line_covers_the_one_before_it(on_terminal, capsys):
@@ -56,7 +56,7 @@ def test_a_remark_begins_below_the_line_of_progress(on_terminal, capsys):
 def test_a_bar_tells_how_long_it_will_take_at_the_present_rate(on_terminal, capsys, monkeypatch):
     on_terminal()
     clock = iter([0.0, 100.0, *(100.0 + k for k in range(1, 40))])  # a slow beginning, then one count per second
-    monkeypatch.setattr(command_line.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: next(clock))
     bar = Bar(100, "steps")
     for done in range(1, 31):
         bar.show(done, "20 % mapped")
@@ -66,7 +66,7 @@ def test_a_bar_tells_how_long_it_will_take_at_the_present_rate(on_terminal, caps
 def test_a_first_count_that_waited_for_kernels_tells_nothing_about_the_time_left(on_terminal, capsys, monkeypatch):
     on_terminal()
     clock = iter([0.0, 400.0, 402.0])
-    monkeypatch.setattr(command_line.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: next(clock))
     bar = Bar(2000, "steps", every=20)
     bar.show(20)
     assert "left" not in capsys.readouterr().err
@@ -76,8 +76,8 @@ def test_a_first_count_that_waited_for_kernels_tells_nothing_about_the_time_left
 
 def test_a_log_gets_no_bar_and_a_line_per_minute(capsys, monkeypatch):
     clock = [1000.0]
-    monkeypatch.setattr(command_line.time, "monotonic", lambda: clock[0])
-    monkeypatch.setitem(command_line._progress, "logged_s", 1000.0)
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: clock[0])
+    monkeypatch.setitem(terminal._progress, "logged_s", 1000.0)
     bar = Bar(100, "steps")
     for done in range(1, 61):
         clock[0] += 3

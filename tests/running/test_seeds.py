@@ -1,7 +1,7 @@
 import pytest
 
 from twc_env.errors import ConfigError
-from twc_env.running.command_line import parse_seeds
+from twc_env.running.options import parse_seeds
 
 
 @pytest.mark.parametrize("text", ["1" * 5000, f"0-{'1' * 5000}", f"{'1' * 5000}-3"])

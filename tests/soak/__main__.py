@@ -11,17 +11,10 @@ from typing import NamedTuple
 
 from twc_env.errors import ActionError, MapError, TwcError
 from twc_env.records.json_values import write_json
-from twc_env.running.command_line import (
-    Parser,
-    add_json,
-    add_set,
-    assignments,
-    count,
-    natural,
-    run_command,
-    show_count,
-    show_line,
-)
+from twc_env.running.argument_parser import Parser
+from twc_env.running.command_line import run_command
+from twc_env.running.options import add_json, add_set, assignments, count, natural
+from twc_env.running.terminal import show_count, show_line
 
 
 class Kind(NamedTuple):

@@ -12,7 +12,7 @@ import pytest
 from tests.soak import long_runs
 from tests.soak.__main__ import main
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.running import command_line
+from twc_env.running import terminal
 from twc_env.tasks import TASKS
 
 SMALL = ("--set", "lidar.beam_count=36")
@@ -71,8 +71,8 @@ def test_an_exception_is_counted_with_the_episode_it_came_from(monkeypatch, caps
 
 def test_progress_is_logged_once_per_minute(monkeypatch, capsys):
     clock = iter(range(0, 10_000, 25))
-    monkeypatch.setitem(command_line._progress, "logged_s", 0.0)
-    monkeypatch.setattr(command_line, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))
+    monkeypatch.setitem(terminal._progress, "logged_s", 0.0)
+    monkeypatch.setattr(terminal, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))
     assert main(["--steps", "120", *SMALL]) == 0
     lines = [line for line in capsys.readouterr().err.splitlines() if "/120 steps" in line]
     assert 2 <= len(lines) <= 5 and all("\r" not in line for line in lines)

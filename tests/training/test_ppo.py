@@ -10,7 +10,7 @@ import pytest
 
 from twc_env.errors import DataError, MapError
 from twc_env.exploration.assessment.rewards import TERMS
-from twc_env.running.command_line import alone_in
+from twc_env.running.output_folder import alone_in
 
 pytestmark = pytest.mark.usefixtures("torch")
 

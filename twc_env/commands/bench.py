@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from twc_env.commands.train import learning_libraries
 from twc_env.records.json_values import write_json
-from twc_env.running.command_line import add_json, add_set, aligned, assignments, count, tell, terminal_width
+from twc_env.running.options import add_json, add_set, assignments, count
+from twc_env.running.terminal import aligned, tell, terminal_width
 
 if TYPE_CHECKING:
     from twc_env.config import EnvConfig

@@ -8,16 +8,9 @@ from typing import Any
 from twc_env.commands.team_options import add_agent, add_team, folder_names, paragraphs, team_config
 from twc_env.exploration.assessment.result_table import ODOMETRY_REMARK
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
-from twc_env.running.command_line import (
-    INTERRUPTED,
-    add_folder,
-    add_pictures,
-    count,
-    parse_seeds,
-    picture_options,
-    tell,
-    terminal_width,
-)
+from twc_env.running.command_line import INTERRUPTED
+from twc_env.running.options import add_folder, add_pictures, count, parse_seeds, picture_options
+from twc_env.running.terminal import tell, terminal_width
 from twc_env.suite.options import SUITE_EXAMPLES, SUITE_HELP, add_suite_options, check_options, run_suite
 
 _BENCHMARK_HELP = """\

@@ -6,7 +6,8 @@ import argparse
 
 from twc_env.commands.team_options import TEAMS, add_team, agent_names, paragraphs, team_config
 from twc_env.records.json_values import TERMINAL, write_json
-from twc_env.running.command_line import add_folder, add_pictures, count, picture_options, tell, terminal_width
+from twc_env.running.options import add_folder, add_pictures, count, picture_options
+from twc_env.running.terminal import tell, terminal_width
 
 _COMPARE_HELP = """\
 Compare teams in the same buildings from the same start poses: how much sooner than the first team each of the others

@@ -7,17 +7,9 @@ import time
 from pathlib import Path
 
 from twc_env.records.json_values import check_folder, write_json
-from twc_env.running.command_line import (
-    add_json,
-    add_set,
-    aligned,
-    assignments,
-    count,
-    end_line,
-    make_folder,
-    natural,
-    show_line,
-)
+from twc_env.running.options import add_json, add_set, assignments, count, natural
+from twc_env.running.output_folder import make_folder
+from twc_env.running.terminal import aligned, end_line, show_line
 
 KINDS = {"carmen": None, "ros1": ".bag", "mcap": ".mcap", "db3": ".db3"}
 """Kinds of simulated logs, and the suffix of bags."""

@@ -10,17 +10,8 @@ from twc_env.commands.train import SEEDS, learning_libraries
 from twc_env.errors import DataError
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
 from twc_env.records.text_tables import aligned_text
-from twc_env.running.command_line import (
-    add_allow_code,
-    add_json,
-    add_pictures,
-    aligned,
-    count,
-    parse_seeds,
-    picture_options,
-    tell,
-    terminal_width,
-)
+from twc_env.running.options import add_allow_code, add_json, add_pictures, count, parse_seeds, picture_options
+from twc_env.running.terminal import aligned, tell, terminal_width
 from twc_env.tasks import SUITES
 
 SCRIPTED = ("nearest-frontier", "information-gain", "minpos")

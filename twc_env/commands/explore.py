@@ -8,17 +8,9 @@ from pathlib import Path
 from twc_env.commands.team_options import add_agent, add_team, folder_name, paragraphs, team_config
 from twc_env.config import EnvConfig, digest, override
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
-from twc_env.running.command_line import (
-    INTERRUPTED,
-    Bar,
-    add_lasting,
-    add_pictures,
-    end_line,
-    natural,
-    picture_options,
-    prior_setting,
-    tell,
-)
+from twc_env.running.command_line import INTERRUPTED
+from twc_env.running.options import add_lasting, add_pictures, natural, picture_options, prior_setting
+from twc_env.running.terminal import Bar, end_line, tell
 
 _EXPLORE_HELP = """\
 Run one episode with a scripted team and write a run folder:

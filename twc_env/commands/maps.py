@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 from twc_env.errors import MapError
 from twc_env.records.json_values import check_writable, write_json
-from twc_env.running.command_line import Fill, add_folder, add_json, add_pictures, count, natural
+from twc_env.running.argument_parser import Fill
+from twc_env.running.options import add_folder, add_json, add_pictures, count, natural
 
 if TYPE_CHECKING:
     from twc_env.world.building.floorplan import Floorplan

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twc_env.running.command_line import add_folder, add_verbosity, count, natural, number
+from twc_env.running.argument_parser import add_verbosity
+from twc_env.running.options import add_folder, count, natural, number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from twc_env.errors import ConfigError, did_you_mean
 from twc_env.records.json_values import check_folder, write_json
-from twc_env.running.command_line import add_json, aligned
+from twc_env.running.options import add_json
+from twc_env.running.terminal import aligned
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 
 from twc_env.commands.team_options import paragraphs
-from twc_env.running.command_line import add_folder, count, parse_seeds, tell
+from twc_env.running.options import add_folder, count, parse_seeds
+from twc_env.running.terminal import tell
 
 _SURVEY_HELP = """\
 Map flats from WiFi alone with one robot, once by following the walls and once by driving to where its map is least

@@ -5,18 +5,10 @@ from __future__ import annotations
 import argparse
 
 from twc_env.records.json_values import check_folder
-from twc_env.running.command_line import (
-    INTERRUPTED,
-    add_folder,
-    add_set,
-    alone_in,
-    assignments,
-    count,
-    end_line,
-    natural,
-    show_count,
-    tell,
-)
+from twc_env.running.command_line import INTERRUPTED
+from twc_env.running.options import add_folder, add_set, assignments, count, natural
+from twc_env.running.output_folder import alone_in
+from twc_env.running.terminal import end_line, show_count, tell
 
 
 def add_arguments(record: argparse.ArgumentParser) -> None:

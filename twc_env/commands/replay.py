@@ -11,19 +11,16 @@ import numpy as np
 
 from twc_env.errors import DataError
 from twc_env.records.json_values import TERMINAL, check_folder, check_writable, write_json
-from twc_env.running.command_line import (
+from twc_env.running.options import (
     add_allow_code,
     add_json,
     add_lasting,
     add_set,
-    aligned,
     assignments,
-    end_line,
     prior_setting,
     refuse_code,
-    tell,
-    terminal_width,
 )
+from twc_env.running.terminal import aligned, end_line, tell, terminal_width
 
 if TYPE_CHECKING:
     from twc_env.config import EnvConfig

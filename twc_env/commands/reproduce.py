@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from functools import partial
 
-from twc_env.running.command_line import add_folder, add_json, add_pictures
+from twc_env.running.options import add_folder, add_json, add_pictures
 
 _EPILOG = """\
 example:

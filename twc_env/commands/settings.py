@@ -7,7 +7,8 @@ from pathlib import Path
 
 from twc_env.records.json_values import check_writable
 from twc_env.records.whole_file import write_text
-from twc_env.running.command_line import add_config, add_set, assignments, config_of, tell
+from twc_env.running.options import add_config, add_set, assignments, config_of
+from twc_env.running.terminal import tell
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from twc_env.config import ROBOT_PRESETS, TEAM_PRESETS, EnvConfig, override
 from twc_env.errors import ConfigError
-from twc_env.running.command_line import (
+from twc_env.running.options import (
     add_allow_code,
     add_config,
     add_json,

@@ -11,7 +11,8 @@ from typing import Any
 
 from twc_env.errors import DataError
 from twc_env.records.json_values import check_folder
-from twc_env.running.command_line import add_folder, add_set, add_verbosity, assignments, count, natural, number
+from twc_env.running.argument_parser import add_verbosity
+from twc_env.running.options import add_folder, add_set, assignments, count, natural, number
 
 SEEDS = 2**31
 """Seeds are below this: torch and numpy accept no larger ones, and resuming adds the number of steps."""

@@ -7,7 +7,8 @@ import argparse
 from twc_env.commands.team_options import add_team, agent_names, team_config
 from twc_env.errors import ConfigError
 from twc_env.records.json_values import TERMINAL, write_json
-from twc_env.running.command_line import INTERRUPTED, natural, number
+from twc_env.running.command_line import INTERRUPTED
+from twc_env.running.options import natural, number
 
 _WATCH_HELP = """\
 Watch a team explore in a window (extra `viz`). The true building is grey, the map that the robots have made black and

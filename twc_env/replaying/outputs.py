@@ -15,7 +15,7 @@ from twc_env.errors import DataError
 from twc_env.records.messages import GridMap
 from twc_env.records.whole_file import whole_file
 from twc_env.replaying.run import Replay, groups_by_size
-from twc_env.running.command_line import make_folder
+from twc_env.running.output_folder import make_folder
 from twc_env.slam.team import TeamMapper
 
 

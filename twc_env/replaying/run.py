@@ -14,7 +14,7 @@ from twc_env.config import EnvConfig
 from twc_env.datasets.lasting_maps import prior_of
 from twc_env.records.geometry import between, compose, inverse, travelled_m
 from twc_env.replaying.inputs import ReplayInput
-from twc_env.running.command_line import LINE_WIDTH, show_line
+from twc_env.running.terminal import LINE_WIDTH, show_line
 from twc_env.slam.modes import Engine, make_engine
 from twc_env.slam.team import TeamMapper
 

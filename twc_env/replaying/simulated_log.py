@@ -23,7 +23,7 @@ from twc_env.records.geometry import compose, poses_along
 from twc_env.records.messages import SensorFrame
 from twc_env.records.scanner import Scanner
 from twc_env.records.whole_file import whole_file
-from twc_env.running.command_line import show_count
+from twc_env.running.terminal import show_count
 
 BEGUN_S = 1_767_225_600.0
 """Unix time at which the episode begins: 2026-01-01, 00:00 UTC."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from twc_env.records.planar_graph import PlanarGraph
 from twc_env.records.whole_file import whole_file
-from twc_env.running.command_line import make_folder
+from twc_env.running.output_folder import make_folder
 from twc_env.slam.graph_optimisation.trust import Trust
 from twc_env.slam.graph_optimisation.whole_graph import OptimisedGraph
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from twc_env.errors import MapError
 from twc_env.records.json_values import check_folder, write_json
-from twc_env.running.command_line import aligned, make_folder, show_count
+from twc_env.running.output_folder import make_folder
+from twc_env.running.terminal import aligned, show_count
 from twc_env.slam.saved_maps.map_joining import Group, JoinedMaps, Pair, join_maps
 from twc_env.slam.saved_maps.saved_map import SavedMap
 

@@ -19,7 +19,7 @@ from twc_env.exploration.observation.observations import ObservationBuilder
 from twc_env.planning import as_action
 from twc_env.records.messages import Belief, SensorFrame
 from twc_env.records.team_messages import TeamBeliefs
-from twc_env.running.command_line import tell
+from twc_env.running.terminal import tell
 
 Frames = Callable[[], Sequence[SensorFrame]]
 

@@ -6,7 +6,8 @@ import argparse
 
 from twc_env.errors import ConfigError
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
-from twc_env.running.command_line import count, tell, terminal_width
+from twc_env.running.options import count
+from twc_env.running.terminal import tell, terminal_width
 from twc_env.tasks import SUITES
 
 SUITE_HELP = """\

@@ -9,8 +9,8 @@ from typing import Any
 
 from twc_env.config import to_dict
 from twc_env.errors import DataError
-from twc_env.running.command_line import COMPILING_SHARE, show_line
 from twc_env.running.finished_parts import FinishedParts, code_digest
+from twc_env.running.terminal import COMPILING_SHARE, show_line
 from twc_env.running.worker_processes import in_processes
 from twc_env.suite.entries import Entry
 from twc_env.suite.player import digest_of_team, play

@@ -38,7 +38,7 @@ from twc_env.reproduce.radio.radio_twins import PLACES
 from twc_env.reproduce.runner import Runner, add_some, data_folder
 from twc_env.reproduce.twc.ambiguity import team_figures
 from twc_env.reproduce.walls import sfw_houseexpo, sfw_table1
-from twc_env.running.command_line import count
+from twc_env.running.options import count
 from twc_env.slam.radio.trace_joining import Trace, join
 
 CHOOSES = ("fresh", "claims")

@@ -31,7 +31,7 @@ from twc_env.records.lasting_map import LastingMap
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.logs.intel import place_frames
 from twc_env.reproduce.runner import Runner, add_some, data_folder
-from twc_env.running.command_line import count, natural
+from twc_env.running.options import count, natural
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.map_localisation import MapLocalisation
 

@@ -47,7 +47,7 @@ from twc_env.reproduce.lasting.intel_sessions import intel_sessions
 from twc_env.reproduce.routes import CLEARANCE_M, RoutePlanner, room_tour
 from twc_env.reproduce.runner import Runner
 from twc_env.reproduce.twc.merging import STEPS_PER_M, begin_episode, step_walkers
-from twc_env.running.command_line import add_set, assignments, count, natural
+from twc_env.running.options import add_set, assignments, count, natural
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.splits import split_names
 

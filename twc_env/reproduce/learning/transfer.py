@@ -21,7 +21,7 @@ import numpy as np
 
 from twc_env.config import EnvConfig, override
 from twc_env.reproduce.runner import Runner, add_some, data_folder
-from twc_env.running.command_line import count
+from twc_env.running.options import count
 from twc_env.suite.entries import Entry
 from twc_env.suite.player import play
 from twc_env.suite.standings import budget_areas

@@ -32,7 +32,7 @@ from twc_env.reproduce.drawing import draw_grid, new_figure, save_picture
 from twc_env.reproduce.logs.intel import place_frames
 from twc_env.reproduce.radio_places import flat
 from twc_env.reproduce.runner import Runner, add_some, data_folder
-from twc_env.running.command_line import count, picture_options
+from twc_env.running.options import count, picture_options
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.matching.scan_matching import LineField, scan_points
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid

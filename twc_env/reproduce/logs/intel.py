@@ -40,7 +40,7 @@ from twc_env.records.geometry import between, compose
 from twc_env.records.messages import SensorFrame
 from twc_env.reproduce.drawing import draw_grid, new_figure, save_picture
 from twc_env.reproduce.runner import Runner, add_seeds, data_folder
-from twc_env.running.command_line import count, picture_options
+from twc_env.running.options import count, picture_options
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.front_end.particle_filter import ParticleFilterSettings, map_frames
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid

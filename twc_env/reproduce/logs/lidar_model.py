@@ -31,7 +31,7 @@ from twc_env.config import EnvConfig, lidar_preset, override
 from twc_env.datasets.logs.scan_log import NO_RETURN_M, ScanLog, onto_circle, read_carmen_log
 from twc_env.records.geometry import between, transform_points
 from twc_env.reproduce.runner import Runner, add_some, data_folder
-from twc_env.running.command_line import count
+from twc_env.running.options import count
 from twc_env.slam.matching.scan_matching import LineField
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid
 from twc_env.world.building.floorplan import Floorplan

@@ -17,7 +17,7 @@ from twc_env.config import OdometryConfig
 from twc_env.datasets.logs.scan_log import Relations, read_relations, read_scan_log
 from twc_env.records.geometry import between, compose, poses_along, travelled_m, wrap_angle
 from twc_env.reproduce.runner import Runner, add_seeds, data_folder
-from twc_env.running.command_line import number
+from twc_env.running.options import number
 from twc_env.world.sensors.odometry import PRESETS, Odometry
 
 CHOOSES = ("seeds",)

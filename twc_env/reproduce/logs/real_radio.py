@@ -61,7 +61,7 @@ from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.logs import real_radio_oracle
 from twc_env.reproduce.logs.intel import place_frames
 from twc_env.reproduce.runner import Runner, add_some, data_folder
-from twc_env.running.command_line import count
+from twc_env.running.options import count
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.radio import radio_slam, trace_joining
 

@@ -25,8 +25,8 @@ from twc_env.errors import DataError
 from twc_env.records.geometry import between, compose
 from twc_env.reproduce.maps.map_cuts import Cut, overlap_of, overlapping_parts, saved_parts, twice
 from twc_env.reproduce.runner import Runner, data_folder
-from twc_env.running.command_line import count
 from twc_env.running.map_merge import read_saved_maps
+from twc_env.running.options import count
 from twc_env.slam.saved_maps.placement import place
 from twc_env.slam.saved_maps.saved_map import SavedMap
 

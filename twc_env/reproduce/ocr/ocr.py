@@ -21,7 +21,7 @@ from twc_env.errors import DataError
 from twc_env.maps import load_map
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.runner import Runner, data_folder
-from twc_env.running.command_line import count, natural, number
+from twc_env.running.options import count, natural, number
 from twc_env.slam.places.text_similarity import normalise, text_similarity
 from twc_env.world.sensors.misreading import TableReader, codes_of, draw_count
 from twc_env.world.sensors.ocr import read_signs, require

@@ -30,7 +30,7 @@ from twc_env.errors import ConfigError, DataError
 from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.records.geometry import between, compose, inverse, poses_along
 from twc_env.reproduce.runner import Runner, add_seeds, add_some, data_folder, seeds_argument
-from twc_env.running.command_line import count
+from twc_env.running.options import count
 from twc_env.slam.graph_optimisation.trust import trust_in
 from twc_env.slam.pose_graph import robust_back_end as robust_backend
 from twc_env.slam.pose_graph.solver import Graph

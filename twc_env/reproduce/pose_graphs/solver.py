@@ -19,7 +19,7 @@ from twc_env.errors import ConfigError
 from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.reproduce.pose_graphs.robustness import DATASETS, dead_reckoning, read_graph
 from twc_env.reproduce.runner import Runner, add_some, data_folder
-from twc_env.running.command_line import count
+from twc_env.running.options import count
 from twc_env.slam.pose_graph import solver as pose_graph
 from twc_env.slam.pose_graph.solver import Graph
 

@@ -29,7 +29,7 @@ from twc_env.reproduce.radio.radio_remarks import notes
 from twc_env.reproduce.radio.radio_study import Figures, Spread, Study
 from twc_env.reproduce.radio.radio_surveys import FLATS, LIBRARIES
 from twc_env.reproduce.runner import Runner, data_folder
-from twc_env.running.command_line import count
+from twc_env.running.options import count
 
 CHOOSES = ("runs", "only")
 

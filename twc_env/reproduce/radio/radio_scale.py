@@ -22,7 +22,7 @@ from twc_env.records.messages import Fingerprint
 from twc_env.reproduce.radio import radio_walks
 from twc_env.reproduce.radio.radio_twins import PLACES, radio_config
 from twc_env.reproduce.runner import Runner, add_seeds
-from twc_env.running.command_line import count, number
+from twc_env.running.options import count, number
 from twc_env.slam.radio.radio_similarity import FingerprintStore, all_similarities, feature_rows
 from twc_env.slam.radio.radio_trail import RadioTrail
 

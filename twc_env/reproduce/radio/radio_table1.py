@@ -27,7 +27,7 @@ from twc_env.reproduce.radio import radio_figures, radio_sweep
 from twc_env.reproduce.radio.radio_methods import METHODS, location_errors_m, means, outcomes
 from twc_env.reproduce.radio.radio_twins import PLACES
 from twc_env.reproduce.runner import Runner, add_seeds, add_some
-from twc_env.running.command_line import count, number, picture_options
+from twc_env.running.options import count, number, picture_options
 
 CHOOSES = ("seeds", "places")
 SURVEY_PRINTED_S = 8619.2

@@ -35,7 +35,7 @@ from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.runner import Runner, add_some
 from twc_env.reproduce.twc.alike_wings import alike_wings
 from twc_env.reproduce.twc.bare_places import Corridor
-from twc_env.running.command_line import count, natural
+from twc_env.running.options import count, natural
 from twc_env.suite.player import drive
 from twc_env.tasks import task_config
 from twc_env.world.building.floorplan import Floorplan

@@ -23,7 +23,7 @@ import numpy as np
 
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.reproduce.runner import Runner, add_seeds, add_some
-from twc_env.running.command_line import count
+from twc_env.running.options import count
 from twc_env.world.building.floorplan import AccessPoint, Floorplan, Sign
 
 CHOOSES = ("seeds", "scenes")

@@ -16,7 +16,7 @@ import numpy as np
 from twc_env.config import LIDAR_PRESETS
 from twc_env.reproduce.runner import Runner, add_some
 from twc_env.reproduce.twc.merging import first_buildings, merge_in
-from twc_env.running.command_line import count, natural
+from twc_env.running.options import count, natural
 
 CHOOSES = ("buildings", "effects")
 EFFECTS: dict[str, dict[str, object]] = {

@@ -24,7 +24,7 @@ from twc_env.records.geometry import between, compose, wrap_angle
 from twc_env.records.messages import Fingerprint, Keyframe, LoopCandidate
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.runner import Runner
-from twc_env.running.command_line import count
+from twc_env.running.options import count
 from twc_env.slam.matching.global_matching import match_globally
 from twc_env.slam.matching.loop_verification import WIDE_WINDOW_M, LoopVerifier
 from twc_env.slam.matching.point_matching import match_points

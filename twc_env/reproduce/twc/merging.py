@@ -29,7 +29,7 @@ from twc_env.metrics import path_length_m, wall_thickness_m
 from twc_env.records.messages import GridMap
 from twc_env.reproduce.routes import RoutePlanner, room_tour, steer
 from twc_env.reproduce.runner import Runner
-from twc_env.running.command_line import add_set, assignments, count, natural
+from twc_env.running.options import add_set, assignments, count, natural
 from twc_env.slam.exchange import KINDS
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.splits import split_names

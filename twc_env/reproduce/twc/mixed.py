@@ -16,7 +16,7 @@ import numpy as np
 from twc_env.config import TEAM_PRESETS, EnvConfig, override
 from twc_env.reproduce.runner import Runner, add_seeds, add_some
 from twc_env.reproduce.twc.reality import episode
-from twc_env.running.command_line import count
+from twc_env.running.options import count
 
 CHOOSES = ("seeds", "buildings")
 BUILDINGS = "twin-01", "twin-02"

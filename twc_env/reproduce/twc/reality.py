@@ -23,7 +23,7 @@ import numpy as np
 from twc_env.config import WORLD_PRESETS
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.reproduce.runner import Runner, add_some
-from twc_env.running.command_line import count
+from twc_env.running.options import count
 
 CHOOSES = ("buildings", "effects")
 EFFECTS: dict[str, dict] = {

@@ -31,7 +31,7 @@ from twc_env.metrics.consistency import errors_since_closure
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.runner import Runner, add_some
 from twc_env.reproduce.twc.merging import STEPS_PER_M, begin_episode, first_buildings, overlapping_ways, step_walkers
-from twc_env.running.command_line import count, natural
+from twc_env.running.options import count, natural
 from twc_env.world.building.floorplan import Floorplan
 
 CHOOSES = ("buildings", "conditions")

@@ -34,7 +34,7 @@ from twc_env.reproduce.twc.published import PRINT, over_known
 from twc_env.reproduce.twc.sign_pass_scores import COMBINED, METHODS, RECALL_LEVELS, TEXT, WIFI, score_all, score_some
 from twc_env.reproduce.twc.twc_scenes import AS_DRAWN, DEPARTMENTS, SCENES, scene_config, walk_scene
 from twc_env.reproduce.twc.twin_signs import twin_signs
-from twc_env.running.command_line import picture_options
+from twc_env.running.options import picture_options
 from twc_env.slam.places.rssi_similarity import BY_DISTANCE, COSINES
 
 RSSI_MODES = (*BY_DISTANCE, *COSINES, "paper")

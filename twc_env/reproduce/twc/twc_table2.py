@@ -49,7 +49,7 @@ from twc_env.reproduce.twc.offline_mapping import (
 from twc_env.reproduce.twc.published import PRINT as PRINT_TABLE1
 from twc_env.reproduce.twc.published import over_known
 from twc_env.reproduce.twc.twc_scenes import SCENES, SIGNS, mixed_config, scene_config, walk_scene
-from twc_env.running.command_line import picture_options
+from twc_env.running.options import picture_options
 from twc_env.slam.team import TeamMapper
 
 CHOOSES = ("seeds", "scenes")

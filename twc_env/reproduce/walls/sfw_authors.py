@@ -31,7 +31,7 @@ from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.walls import sfw_scoring as scoring
 from twc_env.reproduce.walls.sfw_registration import Registration, register
 from twc_env.reproduce.walls.sfw_walks import WalkReadings
-from twc_env.running.command_line import add_folder, add_pictures, picture_options
+from twc_env.running.options import add_folder, add_pictures, picture_options
 from twc_env.world.building.floor_cells import Cells
 
 AS_COVERED = "ours, as covered"

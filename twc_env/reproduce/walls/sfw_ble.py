@@ -23,7 +23,7 @@ from twc_env.reproduce.drawing import Kind
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.walls import sfw_scoring as scoring
 from twc_env.reproduce.walls.sfw_walks import WalkReadings
-from twc_env.running.command_line import add_folder, add_pictures, picture_options
+from twc_env.running.options import add_folder, add_pictures, picture_options
 from twc_env.slam.walls.k_clusters import k_means, predict_walls, sliding_window
 from twc_env.slam.walls.k_visibility_signal import fit_identical_routers
 from twc_env.slam.walls.path_bins import bin_along_path

@@ -25,7 +25,7 @@ from twc_env.reproduce.radio_places import WALL_FACES
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.walls import sfw_scoring as scoring
 from twc_env.reproduce.walls.sfw_walks import read_walk, resampled, wall_following_route
-from twc_env.running.command_line import add_folder, add_pictures, count, picture_options
+from twc_env.running.options import add_folder, add_pictures, count, picture_options
 from twc_env.world.building.floorplan import Floorplan
 
 CHOOSES = ("plans",)

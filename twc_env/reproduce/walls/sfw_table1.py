@@ -30,7 +30,7 @@ from twc_env.reproduce.walls import sfw_scoring as scoring
 from twc_env.reproduce.walls.sfw_flats import flat
 from twc_env.reproduce.walls.sfw_slam import slam_walk
 from twc_env.reproduce.walls.sfw_walks import read_walk, resampled, wall_following_route
-from twc_env.running.command_line import add_folder, add_pictures, natural, picture_options
+from twc_env.running.options import add_folder, add_pictures, natural, picture_options
 from twc_env.slam.walls.radio_structure import update_reading
 from twc_env.world.building.floorplan import Floorplan
 

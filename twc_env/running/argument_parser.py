@@ -1,0 +1,111 @@
+"""The parser of all commands: help in paragraphs, hints after typing errors, arguments added when they are needed."""
+
+from __future__ import annotations
+
+import argparse
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+from twc_env._version import __version__
+from twc_env.errors import did_you_mean
+
+
+class Paragraphs(argparse.HelpFormatter):
+    """Help in which each paragraph and each point of a list is filled; lines that begin with two spaces, such as
+    examples, are kept.
+
+    The help of an option ends with its default value, unless its text states a default.
+    """
+
+    def _get_help_string(self, action: argparse.Action) -> str:
+        text = action.help or ""
+        is_number_or_text = isinstance(action.default, (int, float, str, Path)) and action.default is not False
+        if not action.option_strings or not is_number_or_text or action.default == "" or "default: " in text:
+            return text
+        return text if action.default == argparse.SUPPRESS else f"{text} (default: %(default)s)"
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return "\n\n".join(self._filled(part, width) for part in text.strip().split("\n\n"))
+
+    @staticmethod
+    def _filled(part: str, width: int) -> str:
+        if part.startswith("- "):
+            points = [" ".join(point.split()) for point in f"\n{part}".split("\n- ")[1:]]
+            return "\n".join(textwrap.fill(f"- {point}", width, subsequent_indent="  ") for point in points)
+        prose: list[str] = []
+        lines: list[str] = []
+        for line in [*part.splitlines(), None]:
+            if line is not None and not line.startswith("  "):
+                prose.append(line)
+                continue
+            lines += textwrap.wrap(" ".join(prose), width) + ([] if line is None else [line])
+            prose = []
+        return "\n".join(lines)
+
+
+Fill = Callable[[argparse.ArgumentParser], None]
+"""Adds description and arguments to a parser."""
+
+
+class Parser(argparse.ArgumentParser):
+    """Parser of a program and of all its commands, with help as in `Paragraphs`."""
+
+    def __init__(self, *, fill: Fill | None = None, **settings: Any):
+        """fill: called when the arguments are first needed, so that a program imports only what its command needs."""
+        self._fill: Fill | None = None
+        super().__init__(**{"formatter_class": Paragraphs, **settings})
+        self._fill = fill
+
+    @property
+    def _actions(self) -> list[argparse.Action]:
+        """The arguments: argparse and argcomplete read them before anything else that `fill` adds."""
+        fill, self._fill = self._fill, None
+        if fill is not None:
+            fill(self)
+            if self._subparsers is None:
+                add_verbosity(self)
+        return self._filled_actions
+
+    @_actions.setter
+    def _actions(self, actions: list[argparse.Action]) -> None:
+        self._filled_actions = actions
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """Unknown arguments are rejected by the command itself, which shows its own usage."""
+        namespace, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            options = [word.partition("=")[0] for word in unknown if word.startswith("-")]
+            hint = did_you_mean(options[0], self._option_string_actions) if options else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+        return namespace, unknown
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message += did_you_mean(value, map(str, action.choices or ()))
+            raise
+
+    def error(self, message: str) -> NoReturn:
+        """Reject arguments, and refer to the help."""
+        super().error(f"{message}; {self.prog} --help says more")
+
+
+def add_version(parser: argparse.ArgumentParser) -> None:
+    """The option `--version`."""
+    parser.add_argument(
+        "--version", action="version", version=f"twc_env {__version__}", help="print the version and exit"
+    )
+
+
+def add_verbosity(parser: argparse.ArgumentParser) -> None:
+    """The options `--quiet` and `--verbose`, which every command has."""
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument(
+        "-q", "--quiet", action="store_true", help="show results and errors only: no progress, no remarks"
+    )
+    either.add_argument(
+        "-v", "--verbose", action="store_true", help="show also what happens inside, and whole tracebacks"
+    )
