@@ -125,6 +125,7 @@ def test_a_nested_override_leaves_the_other_settings_of_its_section(section):
         ({"lidra": {}}, r"there is no setting lidra; did you mean 'lidar'\?"),
         ({"robots": {}}, r"robots must be a whole number; got {}"),
         ({"lidar": {"beam_cuont": 9}}, r"there is no setting lidar\.beam_cuont; did you mean 'beam_count'\?"),
+        ({"robots.a": 9}, r"there is no setting robots\.a: robots is one value, no table"),
         ({"lidar.beam_cuont": 9}, r"there is no setting lidar\.beam_cuont; did you mean 'beam_count'\?"),
         ({"lidar.beam_count.more": 9}, r"there is no setting lidar\.beam_count\.more"),
         ({"lidar.beam_count": "many"}, r"lidar\.beam_count must be a whole number; got 'many'"),

@@ -238,10 +238,11 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
         node, parts = values, dotted.split(".")
         for depth, part in enumerate(parts):
             if not isinstance(node, dict) or part not in node:
-                known = node if isinstance(node, dict) else ()
                 name = ".".join(parts[: depth + 1])
+                if not isinstance(node, dict):
+                    raise ConfigError(f"there is no setting {name}: {'.'.join(parts[:depth])} is one value, no table")
                 whole = [key for key in dotted_keys(values) if key.endswith(f".{dotted}")]  # without its section
-                hint = f"; did you mean {' or '.join(whole[:3])}?" if whole else _near(part, known)
+                hint = f"; did you mean {' or '.join(whole[:3])}?" if whole else _near(part, node)
                 raise ConfigError(f"there is no setting {name}{hint}")
             if depth < len(parts) - 1:
                 node = node[part]

@@ -12,12 +12,16 @@ from twc_env.errors import DataError
 
 _NAME_MAX = 100
 """Characters kept of the file's name."""
+PART_BYTES_MAX = 255
+"""Bytes of one part of a path, on all usual file systems."""
 
 
 def file_path(name: Any) -> Path:
     """The path that a caller names. Raises DataError if it is no name of a file."""
     if not isinstance(name, (str, os.PathLike)) or "\x00" in str(name):
         raise DataError(f"a file is named by text or a Path, without null characters; got {name!r:.100}")
+    if any(len(part.encode(errors="surrogatepass")) > PART_BYTES_MAX for part in Path(name).parts):
+        raise DataError(f"a name of a file or folder has at most {PART_BYTES_MAX} bytes; got {str(name)!r:.100}")
     return Path(name)
 
 
