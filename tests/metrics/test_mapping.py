@@ -168,6 +168,7 @@ def test_untouched_blocks_are_not_recounted():
         ({"resolution_m": 0.0}, "a size above 0"),
         ({"truth_resolution_m": -0.1}, "a size above 0"),
         ({"log_odds": np.zeros(9, np.int16)}, "log_odds must be a grid"),
+        ({"log_odds": [[1], [2, 3]]}, "log_odds must be a grid .rows, columns.: "),
         ({"truth_wall": np.zeros((3, 4), bool)}, "must have one shape"),
     ],
 )

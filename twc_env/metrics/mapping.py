@@ -113,8 +113,11 @@ def _share(part: float, whole: float) -> float:
 
 
 def validated_grid(values: ArrayLike, name: str) -> Array:
-    """The values as an array (h, w). Raises DataError for another number of axes."""
-    grid = np.asarray(values)
+    """The values as an array (h, w). Raises DataError for rows of unlike length, or another number of axes."""
+    try:
+        grid = np.asarray(values)
+    except ValueError as error:
+        raise DataError(f"{name} must be a grid (rows, columns): {error}") from None
     if grid.ndim != 2:
         raise DataError(f"{name} must be a grid (rows, columns); got shape {grid.shape}")
     return grid
