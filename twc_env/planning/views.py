@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.kernels.compiled import kernel
-from twc_env.planning.terrain import FREE, UNKNOWN, WALL, Terrain
+from twc_env.planning.terrain import UNKNOWN, WALL, Terrain
 
 
 @kernel
@@ -133,13 +133,3 @@ class RandomTree:
         self._nodes_m[self.count : count] = terrain.to_metres(nodes[self.count : count])
         self.count = count
         return terrain.to_metres(points)
-
-    def move(self, moved) -> None:
-        """After a jump of the map frame: `moved` maps points (k, 2) to the new frame."""
-        self._nodes_m[: self.count] = moved(self._nodes_m[: self.count])
-
-    def is_on_floor(self, terrain: Terrain) -> bool:
-        """Whether the root is on free floor of the terrain."""
-        row, column = np.floor(terrain.to_cells(self._nodes_m[0])).astype(int)
-        height, width = terrain.kind.shape
-        return 0 <= row < height and 0 <= column < width and terrain.kind[row, column] == FREE

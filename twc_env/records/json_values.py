@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from twc_env.errors import DataError
-from twc_env.records.whole_file import whole_file
+from twc_env.records.whole_file import write_text
 
 TERMINAL = Path("-")
 """Path that stands for standard output."""
@@ -53,12 +53,7 @@ def write_json(path: Path | None, values: Any) -> None:
     if path == TERMINAL:
         sys.stdout.write(text)
         return
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as beside:
-            beside.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"cannot write {path}: {error.strerror}; choose another place") from error
+    write_text(path, text)
 
 
 def check_writable(path: Path | None) -> None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.records.geometry import inverse, transform_points
 from twc_env.records.random_streams import random_stream
 from twc_env.world.building.floorplan import Floorplan, Room
 
@@ -158,8 +157,3 @@ def _gap_m(box: Array, others: Array) -> Array:
     """(k,) distance of a box (4,) from others (k, 4)."""
     apart = np.maximum(np.maximum(others[:, :2] - box[2:], box[:2] - others[:, 2:]), 0.0)
     return np.hypot(apart[:, 0], apart[:, 1])
-
-
-def home_points(plan: Floorplan, points_m: Array) -> Array:
-    """Points (k, 2) of the building in its home frame."""
-    return transform_points(inverse(plan.pose_building_home), points_m)

@@ -121,11 +121,6 @@ class Crowd(BindsAnew):
         return self._state[:, FACING]
 
     @property
-    def is_sitting(self) -> Array:
-        """(people,) bool."""
-        return self._kinds == SITTING
-
-    @property
     def upright(self) -> Array:
         """(k, 2) positions of the people who do not sit: they hide signs and reach into the line of sight."""
         return np.ascontiguousarray(self._state[self._kinds != SITTING, :2])
