@@ -142,7 +142,7 @@ def _are_lines_open(is_open, first, last):
 
 
 @kernel
-def _bit_count(word):
+def bit_count(word):
     """Number of bits set in a 64-bit word."""
     word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
     word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
@@ -164,7 +164,7 @@ def _evaluate_walk(turns, count, lengths, via, words, union):
             at = via[first, at]
     cells = 0
     for w in range(union.shape[0]):
-        cells += _bit_count(union[w])
+        cells += bit_count(union[w])
     return length, cells
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.kernels.compiled import kernel
+from twc_env.planning.covering_walk import bit_count
 from twc_env.planning.floor_views import FloorViews
 
 STOPS_MAX = 64
@@ -131,15 +132,6 @@ class LatencyTours:
 
 
 @kernel
-def _ones(word):
-    """Number of bits of a word that are set."""
-    word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
-    word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
-    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
-
-
-@kernel
 def _pass(robot, place, was_at, trails, common, trail):
     """Note that a robot is at a place."""
     if not was_at[robot, place]:
@@ -164,7 +156,7 @@ def _look(mask, place, seen_words, seen_bits):
             break
         bits = seen_bits[place, k] & ~mask[w]
         if bits != 0:
-            new += _ones(bits)
+            new += bit_count(bits)
             mask[w] |= bits
     return new
 
@@ -177,7 +169,7 @@ def _count_new(mask, place, seen_words, seen_bits):
         w = seen_words[place, k]
         if w < 0:
             break
-        new += _ones(seen_bits[place, k] & ~mask[w])
+        new += bit_count(seen_bits[place, k] & ~mask[w])
     return new
 
 
@@ -245,12 +237,12 @@ def _value(tours, state, fixed):
         for b in range(robots):  # one more common place will do where enough was not enough
             common[a, b] = min(common[a, b], common_min - 1)
         for w in range(words):
-            area[a] += _ones(seen[a, w])
+            area[a] += bit_count(seen[a, w])
     together, total = np.zeros(words, np.uint64), 0
     for w in range(words):
         for a in range(robots):
             together[w] |= seen[a, w]
-        total += _ones(together[w])
+        total += bit_count(together[w])
     stop, due, ahead = np.zeros(robots, np.int64), np.full(robots, np.inf), at.copy()
     for a in range(robots):
         while stop[a] < tours.shape[1] and tours[a, stop[a]] == at[a]:
@@ -304,7 +296,7 @@ def _value(tours, state, fixed):
             area[first] = 0
             for w in range(words):
                 seen[first, w] |= seen[second, w]
-                area[first] += _ones(seen[first, w])
+                area[first] += bit_count(seen[first, w])
             if is_peer:
                 seen[second], area[second] = seen[first], area[first]
         while stop[r] < tours.shape[1] and tours[r, stop[r]] == at[r]:
