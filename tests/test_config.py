@@ -319,3 +319,10 @@ def test_other_settings_and_another_radio_go_before_those_of_the_world():
 def test_an_unknown_world_is_refused_with_the_known_ones():
     with pytest.raises(ConfigError, match=r"world must be one of clean, office, .*did you mean 'ward'"):
         override(EnvConfig(), {"world": "wardd"})
+
+
+def test_a_setting_that_is_gone_is_read_at_its_last_value_only():
+    gone = "slam.place_recognition.meets_by_wifi"
+    assert from_dict({"slam": {"place_recognition": {"meets_by_wifi": False}}}) == EnvConfig()
+    with pytest.raises(ConfigError, match=f"there is no setting {gone}"):
+        override(EnvConfig(), {gone: True})

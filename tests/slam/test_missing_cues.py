@@ -42,13 +42,6 @@ def test_algorithm_1_as_printed_never_compares_them(recorded, lack):
     assert groups_of(recorded, lack, (0, 1, 2), **rule) == [(0,), (1,), (2,)]
 
 
-def test_robots_are_merged_by_wifi_before_they_read_a_common_sign(recorded):
-    by_several_signs = {"slam.merging.mutual_observations_check": False}
-    by_signs = groups_of(recorded, "signs", (), **by_several_signs)
-    groups = groups_of(recorded, "signs", (), **by_several_signs, **{"slam.place_recognition.meets_by_wifi": True})
-    assert max(map(len, groups)) > max(map(len, by_signs)) > 1
-
-
 def test_robots_that_saw_each_other_are_merged_before_they_read_a_second_common_sign(recorded):
     by_several_signs = groups_of(recorded, "signs", (), **{"slam.merging.mutual_observations_check": False})
     assert max(map(len, groups_of(recorded, "signs", ()))) > max(map(len, by_several_signs)) > 1

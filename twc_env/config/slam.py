@@ -116,10 +116,6 @@ class PlaceRecognitionConfig(Checked):
     spares_missing_cues: bool = True
     """With `twc`: a robot without a sign reading for a long time is compared by WiFi alone, one without WiFi for a long
     time by signs alone. Off: both cues are always required, as in TWC-SLAM."""
-    meets_by_wifi: bool = False
-    """With `twc`: robots that share no map are also compared by WiFi alone wherever both hear ten transmitters, not
-    only where both read a sign. They merge sooner; pairs whose scans keep failing to match are compared less and less
-    often."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

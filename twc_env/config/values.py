@@ -10,7 +10,7 @@ import re
 import tomllib
 import typing
 from collections.abc import Mapping
-from functools import cache, lru_cache
+from functools import cache, lru_cache, reduce
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,10 @@ def world_preset(name: str) -> EnvConfig:
 @lru_cache(maxsize=16)
 def digest(config: EnvConfig) -> str:
     """Twelve hex digits (SHA-256) of all values, without those of `checks.later` that have their default."""
-    text = json.dumps(_told(config), sort_keys=True)
+    told = _told(config)
+    for (*sections, key), value in RETIRED.items():
+        reduce(dict.__getitem__, sections, told)[key] = value
+    text = json.dumps(told, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
@@ -130,6 +133,9 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
     for key, value in values.items():
         name = f"{where}.{key}" if where else str(key)
         if key not in types:
+            retired = tuple(name.split("."))
+            if retired in RETIRED and value == RETIRED[retired]:
+                continue
             raise ConfigError(f"there is no setting {name}{_near(key, types)}")
         is_done = cls is EnvConfig and key == "robot"
         arguments[key] = value if is_done else _value(types[key], value, name)
@@ -296,6 +302,8 @@ def _from_text(value, old, where: str):
         raise ConfigError(f"{where} must be {KINDS[type(old)]}; got {value!r}") from None
 
 
+RETIRED: dict[tuple[str, ...], object] = {("slam", "place_recognition", "meets_by_wifi"): False}
+"""Settings that no longer exist, with the only value that files may still give them; digests count them as before."""
 RENAMED = {"mask_mates": "mask_teammates", "sightings_check": "mutual_observations_check"}
 """Settings of earlier versions and their present names."""
 

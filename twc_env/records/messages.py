@@ -158,8 +158,8 @@ class LoopCandidate:
     guess: Array
     """(3,) initial guess of the source's pose in the target's frame."""
     recogniser: str
-    """Its source: "twc", "text", "wifi", "lidar", "fused", "meeting" (WiFi, between robots that share no map) or
-    "proximity" (close in the current estimate)."""
+    """Its source: "twc", "text", "wifi", "lidar", "fused" or "proximity" (close in the current
+    estimate)."""
     sign_m: Array | None = None
     """(2,) the sign that both saw, in the target's frame; None without a sign."""
     text_similarity: float = float("nan")

@@ -74,9 +74,7 @@ class TeamMapper:
         self._search = ClosureSearch(config, self._graph, self._maps, robot_count)
         places = config.slam.place_recognition
         mutual_observations = MutualObservations(config, self._graph, self._maps)
-        self._tests = MergeTests(
-            config.slam.merging, self._graph, places.spares_missing_cues, places.meets_by_wifi, mutual_observations
-        )
+        self._tests = MergeTests(config.slam.merging, self._graph, places.spares_missing_cues, mutual_observations)
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._tests)
         radio = config.slam.radio_slam
         self._radio = RadioConstraints(radio, robot_count, config.slam.cues.lidar) if radio.online else None

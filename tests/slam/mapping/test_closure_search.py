@@ -43,9 +43,7 @@ def looked_at(scan_m, keyframe, recogniser, is_one_map=False) -> LoopClosure:
     return closure
 
 
-@pytest.mark.parametrize(
-    ("recogniser", "status"), [("wifi", "pending"), ("meeting", "pending"), ("proximity", "accepted")]
-)
+@pytest.mark.parametrize(("recogniser", "status"), [("wifi", "pending"), ("proximity", "accepted")])
 @pytest.mark.parametrize("is_end_seen", [False, True])
 def test_robots_do_not_constrain_the_position_along_a_corridor(keyframe, scan, walls, is_end_seen, status, recogniser):
     corridor = walls((-40.0, -0.6), (3.0 if is_end_seen else 40.0, -0.6), (3.0, 0.6), (-40.0, 0.6))

@@ -15,7 +15,6 @@ from twc_env.records.messages import Keyframe, LoopCandidate, LoopClosure
 from twc_env.slam.mapping.group_maps import GroupMaps
 from twc_env.slam.mapping.team_graph import TeamGraph
 from twc_env.slam.matching.loop_verification import LoopVerifier, SignVerifier
-from twc_env.slam.places.meeting_recogniser import MEETING, MeetingRecogniser
 from twc_env.slam.places.place_recognition import ProposalFilter, make_recogniser
 from twc_env.slam.places.signless_recognisers import SignlessRecogniser
 from twc_env.slam.places.text_wifi_recogniser import TextWifiRecogniser
@@ -41,16 +40,12 @@ class ClosureSearch:
         self._recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
         self._drops_repetitions = isinstance(self._recogniser, TextWifiRecogniser)
         """Whether the recogniser itself drops repetitions, before it computes a candidate."""
-        self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "wifi", MEETING, "proximity")}
+        self._filters = {name: ProposalFilter() for name in (self._recogniser.name, "wifi", "proximity")}
         if isinstance(self._recogniser, TextWifiRecogniser):
             self._recogniser.is_wanted = partial(_is_new, maps, self._filters[self._recogniser.name])
         self._signless: SignlessRecogniser | None = None
-        self._meetings: MeetingRecogniser | None = None
-        if self._recogniser.name == "twc" and config.slam.cues.lidar:
-            if self._rule.spares_missing_cues:
-                self._signless = SignlessRecogniser(self._rule, config.lidar.range_max_m, robot_count)
-            if self._rule.meets_by_wifi:
-                self._meetings = MeetingRecogniser(self._rule, robot_count)
+        if self._recogniser.name == "twc" and config.slam.cues.lidar and self._rule.spares_missing_cues:
+            self._signless = SignlessRecogniser(self._rule, config.lidar.range_max_m, robot_count)
         self._verifier: LoopVerifier | SignVerifier = SignVerifier()
         if config.slam.cues.lidar:
             self._verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar)
@@ -74,9 +69,8 @@ class ClosureSearch:
         self._searched_m.append(0.0)
         self._closure_m.append(-np.inf)
         self._any_closure_m.append(-np.inf)
-        for recogniser in (self._signless, self._meetings):
-            if recogniser is not None:
-                recogniser.add_robot()
+        if self._signless is not None:
+            self._signless.add_robot()
 
     def learn(self, keyframe: Keyframe) -> None:
         """Store the place of a keyframe without looking for closures, as of a map of an earlier session."""
@@ -84,8 +78,6 @@ class ClosureSearch:
         self._recogniser.propose(keyframe, own)
         if self._signless is not None:
             self._signless.propose(keyframe, own)
-        if self._meetings is not None:
-            self._meetings.propose(keyframe, own)
 
     def propose(self, keyframe: Keyframe) -> None:
         """Queue the candidates of a new keyframe."""
@@ -98,8 +90,6 @@ class ClosureSearch:
         new, candidates = (candidates, []) if self._drops_repetitions else ([], candidates)
         if self._signless is not None:
             candidates += self._signless.propose(keyframe, teammates if has_any_closure else ())
-        if self._meetings is not None:
-            candidates += self._meetings.propose(keyframe, teammates)
         near = None if has_any_closure else self._near_keyframe(keyframe)
         if near is not None:
             candidates.append(near)
@@ -152,7 +142,7 @@ class ClosureSearch:
     def sparsify(self, _: Array) -> None:
         """Drop removed keyframes from the recognisers, the filters and the queues."""
         held = {keyframe.key for path in self._graph.keyframes for keyframe in path}
-        for recogniser in (self._recogniser, self._signless, self._meetings):
+        for recogniser in (self._recogniser, self._signless):
             if recogniser is not None:
                 recogniser.sparsify(lambda keyframe: keyframe.key in held)
         latest_m = [path[-1].travel_m if path else 0.0 for path in self._graph.keyframes]
@@ -183,8 +173,6 @@ class ClosureSearch:
                 closure = self._verifier.verify(candidate, *paths)
                 if candidate.sign_m is None:
                     self._reject_if_fixed_by_robots(closure, *paths)
-                if self._meetings is not None and candidate.recogniser == MEETING:
-                    self._meetings.note(closure)
                 return closure
         return None
 

@@ -60,7 +60,6 @@ def match_globally(
     source_points: Array,
     window_m: float,
     score_min: float = 0.4,
-    points_max: int = POINTS_MAX,
     lays_walls_along: bool = False,
 ) -> GlobalMatch | None:
     """Pose of the source points (n, 2) in the frame of the target points (m, 2) with the highest score.
@@ -78,12 +77,12 @@ def match_globally(
             )
     if not 0.0 <= window_m <= WINDOW_MAX_M:
         raise DataError(f"window_m must lie in [0, {WINDOW_MAX_M:g}]; got {window_m!r}")
-    if not score_min >= 0.0 or not points_max >= 1:
-        raise DataError(f"score_min must be 0 or more, points_max 1 or more; got {score_min!r} and {points_max!r}")
+    if not score_min >= 0.0:
+        raise DataError(f"score_min must be 0 or more; got {score_min!r}")
     if len(target_points) == 0 or len(source_points) == 0:
         return None
     fields, origin_m = score_fields(target_points)
-    chosen = subsampled(source_points, points_max)
+    chosen = subsampled(source_points)
     headings = lattice_headings(chosen)
     if lays_walls_along:
         headings = headings_along_walls(headings, target_points, source_points)

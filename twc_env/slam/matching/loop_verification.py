@@ -15,7 +15,6 @@ from twc_env.slam.matching.closure_covariance import closure_covariance
 from twc_env.slam.matching.global_matching import match_globally
 from twc_env.slam.matching.point_matching import match_points
 from twc_env.slam.matching.target_walls import TargetWalls, WallMatch
-from twc_env.slam.places.meeting_recogniser import MEETING
 from twc_env.slam.pose_graph.keyframe_paths import path_position
 
 STEP_M, STEP_RAD = 0.15, 0.05
@@ -32,9 +31,6 @@ one sign in common: 0.11, 0.13, 0.085."""
 ANYWHERE = ("wifi", "lidar")
 """Recognisers whose guess contains at most a rotation: matches are searched at every heading within WIDE_WINDOW_M."""
 WIDE_WINDOW_M = 3.0
-MEETING_OVERLAP_MIN, MEETING_SCORE_MIN, MEETING_POINTS_MAX = 0.85, 0.5, 100
-"""For candidates from WiFi alone: least overlap (below it too many are false), least score of the global matching
-(below it the overlap is not reached) and number of points."""
 SIGN_INFORMATION, NEAR_INFORMATION = (
     np.stack([np.diag(1.0 / np.square(std)) for std in stds]) for stds in ((SIGN_STD, SIGN_STD), (NEAR_STD, OPEN_STD))
 )
@@ -70,10 +66,9 @@ class LoopVerifier:
         if rule.method == "fitness":
             return self._by_fitness(candidate, self._points(target, target_path), points)
         pose, covariance, overlap = self._match(candidate, target, target_path, points)
-        is_meeting, reason = candidate.recogniser == MEETING, ""
-        overlap_min = max(rule.overlap_min, MEETING_OVERLAP_MIN) if is_meeting else rule.overlap_min
-        if overlap < overlap_min:
-            reason = f"overlap {overlap:.2f} < {overlap_min:g}"
+        reason = ""
+        if overlap < rule.overlap_min:
+            reason = f"overlap {overlap:.2f} < {rule.overlap_min:g}"
         else:
             contradiction = self._walls.contradiction(target, source, pose)
             if contradiction > rule.contradiction_max:
@@ -116,18 +111,8 @@ class LoopVerifier:
                 paired.pose, closure_covariance(information, priors, float(paired.pose[2])), paired.inlier_ratio
             )
         guess = validated_pose(candidate.guess, "guess")
-        if candidate.recogniser == MEETING:
-            found = match_globally(
-                self._points(target, target_path, SPACING_M), points, WIDE_WINDOW_M, MEETING_SCORE_MIN,
-                MEETING_POINTS_MAX, lays_walls_along=True,
-            )  # fmt: skip
-            if found is None:
-                return WallMatch(np.zeros(3), closure_covariance(np.zeros((3, 3)), priors, 0.0), 0.0)
-            guess = found.pose
         self._draw_target(target, target_path)
         match = self._walls.refine(points, guess, priors)
-        if candidate.recogniser == MEETING:
-            return match
         if match.overlap < self._config.overlap_min or candidate.recogniser in ANYWHERE:  # may not converge
             better = self._search(candidate, target, target_path, points)
             searched = self._walls.refine(points, better, priors)

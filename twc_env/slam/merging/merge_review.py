@@ -148,7 +148,7 @@ class MergeReview:
         if merge is self._latest(a + b) and self._is_strained(a + b):
             return "odometry would have to err by more than it does"
         rejected = self._graph.closures_between(a, b, "rejected")
-        rival = self._tests.proposal(rejected, a, len(supporters)) if is_news else None
+        rival = self._tests.proposal(rejected, a) if is_news else None
         if rival is not None and self._is_better(rival, a, b, supporters):
             return f"{rival.support.sum()} closures agree on another place, {len(supporters)} on this one"
         return self._map_objection(a, b) if is_due else ""

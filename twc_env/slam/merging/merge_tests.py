@@ -21,12 +21,8 @@ from twc_env.slam.merging.map_merging import MergeProposal, Weight
 from twc_env.slam.merging.mutual_observations import CONTRADICTION_MIN, MutualObservations
 from twc_env.slam.merging.sign_consistency import SignsRead, count_shared, found_apart
 from twc_env.slam.places.heard_places import HeardPlaces
-from twc_env.slam.places.meeting_recogniser import MEETING
 from twc_env.slam.places.sign_table import MISSING_AFTER_S
 
-DISAGREEING_WEIGHT = 2
-"""With radio-only closures, more than `closures_min` must agree, plus this many for each that disagrees: along rows of
-shelves, scans also match one shelf further."""
 HYPOTHESES_MAX = 16
 """Of the hypotheses of single closures, the latest so many are tested by mutual observations."""
 RIVALS_MIN, RIVAL_SHARE = 2, 0.5
@@ -54,35 +50,21 @@ class MergeTests:
         config: MergingConfig,
         graph: TeamGraph,
         spares_deaf: bool = False,
-        is_strict: bool = False,
         mutual_observations: MutualObservations | None = None,
     ):
-        """is_strict: radio-only closures are in use (`meets_by_wifi`), and a merge needs more of them."""
         self._rule, self._graph = config, graph
-        self._spares_deaf, self._is_strict = spares_deaf, is_strict
+        self._spares_deaf = spares_deaf
         self._mutual_observations = mutual_observations
         self._heard = HeardPlaces()
         """Fingerprints of the nodes, added on demand."""
         self._read = SignsRead()
 
-    def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int], others: int = 0) -> MergeProposal | None:
+    def proposal(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> MergeProposal | None:
         """The merge hypothesis from closures between `a` and other robots: pose of the others' map in the map of `a`.
 
-        Loose closures are ignored: their two places may be metres apart. With `is_strict`, only closures by signs
-        are used unless enough of all closures agree; closures that disagree and the `others` accepted ones elsewhere
-        raise that number.
+        Loose closures are ignored: their two places may be metres apart.
         """
         closures = [c for c in closures if not c.is_loose]
-        by_signs = [c for c in closures if not _is_radio_only(c)] if self._is_strict else closures
-        count, count_min = len(closures), self._rule.closures_min
-        if len(by_signs) < count and count - DISAGREEING_WEIGHT * others > count_min:
-            found = self._agreement(closures, a)
-            agree = 0 if found is None else np.count_nonzero(found.support)
-            if agree - DISAGREEING_WEIGHT * (count - agree + others) > count_min:
-                return found
-        return self._agreement(by_signs, a)
-
-    def _agreement(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> MergeProposal | None:
         if len(closures) < self._rule.closures_min:
             return None
         found = map_merging.largest_agreement(*self._as_a_to_b(closures, a), self._rule)
@@ -180,8 +162,6 @@ class MergeTests:
         if not closures:
             return 0, 0, 0
         *_, signs, alike = self._as_a_to_b(closures, a)
-        if self._is_strict:
-            alike &= np.array([not _is_radio_only(c) for c in closures])
         return map_merging.weight_of(signs, alike, self._rule)
 
     def _as_a_to_b(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> tuple[Array, Array, Array, Array, Array]:
@@ -374,8 +354,3 @@ def _texts_disagree(texts: Array, places: Array, is_b: Array) -> bool:
     """Whether of the shared sign places more read differently than identically; arguments as in `count_shared`."""
     same, other = count_shared(texts, places, is_b)
     return other > same
-
-
-def _is_radio_only(closure: LoopClosure) -> bool:
-    """Whether the closure comes from fingerprints alone, without comparing text."""
-    return closure.candidate.recogniser in ("wifi", MEETING)
