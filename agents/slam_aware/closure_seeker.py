@@ -42,7 +42,6 @@ class ClosureSeeker(MinPos):
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Discard all state."""
         super().reset(seed, agents)
-        self._goal_m: dict[str, Array] = {}
         self._may_return_m: dict[str, float] = dict.fromkeys(agents, 0.0)
         self._travel_m: dict[str, float] = dict.fromkeys(agents, 0.0)
         self._last: dict[str, Array] = {}

@@ -131,7 +131,6 @@ def _calls(folder: Path) -> list[Call]:
         ("score_closures", metrics.score_closures, {"is_correct": [True], "is_accepted": [True]}),
         ("wrong_pairs", metrics.wrong_pairs, {"poses_building_map": poses[0], "centre_map_m": (0.0, 0.0)}),
         ("wall_thickness_m", metrics.wall_thickness_m, of_map),
-        ("score_closures", metrics.score_closures, {"is_correct": [True], "is_accepted": [False]}),
         ("read_lasting_map", read_lasting_map, {"path": folder / "none.npz"}),
         ("read_frame_log", read_frame_log, {"path": folder / "none.npz"}),
         ("read_truth_log", read_truth_log, {"path": folder / "none.npz"}),

@@ -23,6 +23,7 @@ from twc_env.exploration.assessment.map_scores import GroupScore
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.planning.drivers import map_id
 from twc_env.records.geometry import compose, inverse
+from twc_env.records.messages import GridMap
 from twc_env.world.sensors.signal_map import signal_map_dbm
 
 FORMAT = "twc_env/trace-1"
@@ -103,7 +104,7 @@ class EpisodeTrace:
         self._lay_maps(scores)
         closures, figures = evaluation.progress(env.engine, env.episode.record, env.episode.world.cells, scores)
         figures |= {"bytes_sent": env.episode.bytes_sent, "reward_sum": sum(self._rewards)}
-        layers, cells = zip(*map(_layer, scores), strict=True)
+        layers, cells = zip(*(layer_of(s.robots, s.grid, s.pose_building_map) for s in scores), strict=True)
         moment = {
             "step": step,
             "figures": {key: float(value) for key, value in figures.items()},
@@ -118,9 +119,8 @@ class EpisodeTrace:
             self._moments, self._period = self._moments[::2], 2 * self._period
 
 
-def _layer(score: GroupScore) -> tuple[dict[str, Any], bytes]:
+def layer_of(robots: tuple[int, ...], grid: GridMap, pose_building_map: Array) -> tuple[dict[str, Any], bytes]:
     """One group's map, and its compressed cells (rows, columns) uint8: 0 unknown, 1 free, 2 wall; row 0: lowest y."""
-    grid = score.grid
     kind = np.full(grid.log_odds.shape, UNKNOWN, np.uint8)
     kind[grid.log_odds < 0] = FREE
     kind[grid.log_odds > 0] = WALL
@@ -129,10 +129,10 @@ def _layer(score: GroupScore) -> tuple[dict[str, Any], bytes]:
         rows = columns = np.zeros(1, int)
     kind = kind[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     layer = {
-        "robots": score.robots,
+        "robots": list(map(int, robots)),
         "shape": kind.shape,
         "origin_m": (np.asarray(grid.origin_m) + np.array([columns[0], rows[0]]) * grid.resolution_m).tolist(),
-        "resolution_m": grid.resolution_m,
-        "pose_building_map": score.pose_building_map.tolist(),
+        "resolution_m": float(grid.resolution_m),
+        "pose_building_map": pose_building_map.tolist(),
     }
     return layer, zlib.compress(kind.tobytes(), 6)

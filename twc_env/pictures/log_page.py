@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.exploration.drawing import palette
-from twc_env.exploration.trace import FREE, MOMENTS_MAX, UNKNOWN, WALL
+from twc_env.exploration.trace import MOMENTS_MAX, layer_of
 from twc_env.pictures.replay_page import PALETTE, base64_of, fill_page, rounded
 from twc_env.records.geometry import compose
 from twc_env.records.messages import GridMap
@@ -122,11 +121,11 @@ class LogPage:
             )  # fmt: skip
         status = [closure.status for closure in team.closures]
         grids = {group: team.grid_of(group) for group in places}
-        layers = [
-            _layer(self._robots_of(engine, group), grid, places[group])
-            for group, grid in grids.items()
-            if grid.log_odds.size
-        ]
+        layers = []
+        for group, grid in grids.items():
+            if grid.log_odds.size:
+                layer, cells = layer_of(self._robots_of(engine, group), grid, places[group])
+                layers.append({**layer, "cells": base64_of(cells)})
         figures = {
             "known_m2": float(sum((g.log_odds < 0).sum() * g.resolution_m**2 for g in grids.values())),
             "maps": float(len(layers)),
@@ -145,25 +144,6 @@ def _shown(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.3f}"
     return ", ".join(map(_shown, value)) if isinstance(value, list | tuple) else str(value)
-
-
-def _layer(robots: tuple[int, ...], grid: GridMap, place: Array) -> dict[str, Any]:
-    """One map: its compressed cells, 0 unknown, 1 free, 2 wall; row 0: lowest y."""
-    kind = np.full(grid.log_odds.shape, UNKNOWN, np.uint8)
-    kind[grid.log_odds < 0] = FREE
-    kind[grid.log_odds > 0] = WALL
-    rows, columns = (np.flatnonzero(kind.any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
-        rows = columns = np.zeros(1, int)
-    kind = kind[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    return {
-        "robots": [int(robot) for robot in robots],
-        "shape": list(kind.shape),
-        "origin_m": (np.asarray(grid.origin_m) + np.array([columns[0], rows[0]]) * grid.resolution_m).tolist(),
-        "resolution_m": float(grid.resolution_m),
-        "pose_building_map": place.tolist(),
-        "cells": base64_of(zlib.compress(kind.tobytes(), 6)),
-    }
 
 
 def _sides(grid: GridMap) -> tuple[float, float]:
