@@ -20,19 +20,27 @@ from twc_env.slam.modes import make_engine
 from twc_env.world.world import World
 
 
-def driven(config: EnvConfig, prior=None, seed: int = 0, backwards: bool = False):
+def driven(
+    config: EnvConfig,
+    prior=None,
+    seed: int = 0,
+    backwards: bool = False,
+    kind=CooperativeSlam,
+    note=lambda engine: None,
+):
     """The engine after a tour of two rooms of twin-02, and estimated and true poses at its steps (steps, 3) each."""
     plan = load_map("twin-02")
     rooms = sorted(plan.rooms, key=lambda room: room.name)[:3]
     way = RoutePlanner(plan).route([stop for room in rooms for stop in room_tour(room)])
     way = way[::-1] if backwards else way
-    world, engine = World(config, plan), CooperativeSlam(config, 1, prior)
+    world, engine = World(config, plan), kind(config, 1, prior)
     heading = np.arctan2(*(way[5] - way[0])[::-1])
     world.reset(seed, np.array([[*way[0], heading]]))
     at, estimated, true = 0, [], []
     for step in range(3000):
         engine.track(world.sense())
         engine.absorb(step)
+        note(engine)
         estimated.append(engine.pose_map_robot(0).copy())
         true.append(world.poses[0].copy())
         command, at = steer(world.poses[0], way, at, config)
@@ -111,22 +119,11 @@ def test_the_setting_names_the_file(config, first):
 def localised(config, first):
     """An engine that localises a robot on a way back through the building; whether it was lost after each step, and its
     errors in the frame of the map."""
-    known = read_lasting_map(first[0])
-    engine, plan = MapLocalisation(config, 1, known), load_map("twin-02")
-    rooms = sorted(plan.rooms, key=lambda room: room.name)[:3]
-    way = RoutePlanner(plan).route([stop for room in rooms for stop in room_tour(room)])[::-1]
-    world, at, is_lost, estimated, true = World(config, plan), 0, [], [], []
-    world.reset(7, np.array([[*way[0], np.arctan2(*(way[5] - way[0])[::-1])]]))
-    while True:
-        engine.update(world.sense())
-        is_lost.append(engine.localisers[0].is_lost)
-        estimated.append(engine.pose_map_robot(0).copy())
-        true.append(world.poses[0].copy())
-        command, at = steer(world.poses[0], way, at, config)
-        if command is None:
-            break
-        world.step(np.array([command]))
-    return engine, known, np.array(is_lost), compose(first[1], np.array(estimated)) - np.array(true)
+    known, is_lost = read_lasting_map(first[0]), []
+    engine, estimated, true = driven(
+        config, known, 7, True, MapLocalisation, lambda engine: is_lost.append(engine.localisers[0].is_lost)
+    )
+    return engine, known, np.array(is_lost), compose(first[1], estimated) - true
 
 
 def test_a_robot_is_localised_in_a_finished_map_and_says_so(localised):

@@ -86,6 +86,15 @@ def run(recorded, shift=ROOM_M, steps=400, **settings):
     return engine, groups, beliefs
 
 
+def team_before(recorded, settings=None) -> tuple[TeamMapper, np.ndarray]:
+    """The team of an engine up to that step, without an injected merge; and the true poses."""
+    config, frames, true_poses = recorded
+    engine = CooperativeSlam(override(config, settings or {}), 3)
+    for now in frames[: PLANTED_STEP + 1]:
+        engine.update(now)
+    return engine.team, true_poses
+
+
 @pytest.fixture(scope="module")
 def undone(recorded):
     return run(recorded, **UNSEEN)
@@ -213,11 +222,7 @@ def test_a_rival_by_which_robots_saw_through_each_other_outvotes_nothing(recorde
 
 
 def test_one_closure_is_enough_where_robots_saw_each_other(recorded, monkeypatch):
-    config, frames, true_poses = recorded
-    engine = CooperativeSlam(override(config, BLIND), 3)
-    for now in frames[: PLANTED_STEP + 1]:
-        engine.update(now)
-    team = engine.team
+    team, true_poses = team_before(recorded, BLIND)
     sides = sorted(team.group_index(robot) for robot in (0, 1))
     team._graph.add_closure(closures(team, true_poses, count=1)[0])
     monkeypatch.setattr(MutualObservations, "count", lambda *_: ObservationCounts(9, 0, 9))
@@ -244,11 +249,7 @@ def test_many_closures_by_two_signs_do_not_replace_a_merge_by_more_signs(recorde
 
 
 def test_similar_texts_do_not_merge_maps_without_an_equal_one(recorded):
-    config, frames, true_poses = recorded
-    engine = CooperativeSlam(override(config, BLIND | UNSEEN), 3)
-    for now in frames[: PLANTED_STEP + 1]:
-        engine.update(now)
-    team = engine.team
+    team, true_poses = team_before(recorded, BLIND | UNSEEN)
     for closure in closures(team, true_poses, text=0.9):
         team._graph.add_closure(closure)
     sides = sorted(team.group_index(robot) for robot in (0, 1))
@@ -343,11 +344,7 @@ def test_after_a_split_other_merges_are_restricted_to_one_side(undone, sides, le
 
 @pytest.mark.parametrize(("count", "tries"), [(10, 10), (200, 70)])
 def test_retries_become_rarer_with_more_pending_closures(recorded, monkeypatch, count, tries):
-    config, frames, true_poses = recorded
-    engine = CooperativeSlam(config, 3)
-    for now in frames[: PLANTED_STEP + 1]:
-        engine.update(now)
-    team, asked = engine.team, []
+    (team, true_poses), asked = team_before(recorded), []
     coming = [replace(closure, status="accepted") for closure in closures(team, true_poses, count=count)]
     monkeypatch.setattr(team._search, "next_closure", iter([*coming, None]).__next__)
     monkeypatch.setattr(MergeTests, "proposal", lambda *_: asked.append(1))

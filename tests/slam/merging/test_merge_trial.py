@@ -76,16 +76,12 @@ def test_a_group_is_split_when_relative_poses_become_uncertain(strayed):
     assert sorted(groups[-1]) == [(0,), (1,), (2,)]
 
 
-def test_a_group_with_unknown_covariance_is_not_split(recorded, monkeypatch):
+def test_a_group_with_unknown_covariance_is_not_split(met_early, monkeypatch):
     """As if the information matrix of their closures were singular."""
-    config, frames, true_poses = recorded
-    engine = CooperativeSlam(override(config, NO_SIGNS | BLIND), 3)
-    for now in frames[: MET_STEP + 1]:
-        engine.update(now)
-    meet(engine.team, true_poses)
-    assert engine.team._trials.uncertain_split((0, 1)) is None
+    meet(*met_early)
+    assert met_early[0]._trials.uncertain_split((0, 1)) is None
     monkeypatch.setattr(merge_trial, "frame_stds", lambda *_: np.full((2, 2, 2), np.nan))
-    assert engine.team._trials.uncertain_split((0, 1)) is None
+    assert met_early[0]._trials.uncertain_split((0, 1)) is None
 
 
 def test_closures_of_a_split_group_are_pending_and_no_merge_counts_as_undone(strayed):

@@ -59,7 +59,7 @@ def test_ranges_agree_with_shapely_on_random_walls(seed, count):
     assert found == pytest.approx(np.array(expected), abs=1e-7)
 
 
-def nearest_hit(walls_m, pose, angle_rad: float, far_m: float) -> float:
+def nearest_hit(walls_m, pose, angle_rad: float, far_m: float = 12.0) -> float:
     """Range of one beam over all walls, by solving position + r direction = begin + t extent."""
     extents, away = walls_m[:, 1] - walls_m[:, 0], walls_m[:, 0] - pose[:2]
     dx, dy = np.cos(angle_rad), np.sin(angle_rad)

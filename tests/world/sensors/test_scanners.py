@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.world.sensors.test_lidar import nearest_hit
 from twc_env.config import LIDAR_PRESETS, EnvConfig, LidarConfig, lidar_preset, override
 from twc_env.errors import ConfigError
 from twc_env.maps import load_map
@@ -26,18 +27,6 @@ def scanners(walls_m=ROOM, robots=1, seed=0, materials=(), **settings) -> Scanne
     lidar = {"lidar.range_noise_std_m": 0.0, "lidar.range_max_m": 12.0, "lidar.range_min_m": 1e-9}
     config = override(EnvConfig(robots=robots), lidar | {f"lidar.{key}": value for key, value in settings.items()})
     return Scanners(config, plan_of(walls_m, materials), seed)
-
-
-def nearest_hit(walls_m, place, angle_rad: float, far_m: float = 12.0) -> float:
-    """Range of one beam over all walls, by solving place + r direction = begin + t extent."""
-    extents, away = walls_m[:, 1] - walls_m[:, 0], walls_m[:, 0] - place
-    dx, dy = np.cos(angle_rad), np.sin(angle_rad)
-    closing = dx * extents[:, 1] - dy * extents[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along = (away[:, 0] * dy - away[:, 1] * dx) / closing
-        distance = (away[:, 0] * extents[:, 1] - away[:, 1] * extents[:, 0]) / closing
-    hits = distance[(along >= -1e-9) & (along <= 1 + 1e-9) & (distance >= 0)]
-    return min(far_m, hits.min(initial=far_m))
 
 
 def expected(walls_m, pose, config: LidarConfig) -> list[float]:
