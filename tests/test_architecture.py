@@ -57,7 +57,7 @@ ALLOWED = {
 }
 USERS = {"twc_env.agents", "twc_env.training"}
 """In a clone, they stand beside the package, as `agents` and `training`."""
-PEOPLE = ("twc_env.commands", "twc_env.suite")
+PEOPLE = ("twc_env.commands", "twc_env.reproduce", "twc_env.suite")
 """Modules that may import them."""
 WITHOUT_RANDOM = ("twc_env.slam", "twc_env.metrics", "twc_env.planning")
 COMPUTED = "<a name computed at run time>"

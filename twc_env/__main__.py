@@ -21,7 +21,6 @@ COMMANDS = {
     "benchmark": "run one agent on many seeds and maps, and count the episodes that pass",
     "train": "train a policy (needs the extra `train`)",
     "evaluate": "compare a trained policy with random and scripted teams in held-out buildings",
-    "radio-survey": "wall maps from WiFi alone, by path length",
     "maps": "list, draw, generate, import, export and check floor plans",
     "settings": "print every setting with its meaning, range and value, as a TOML file to start from",
     "warm-up": "compile all kernels now instead of at the first episode",

@@ -46,7 +46,7 @@ def test_invalid_seeds_are_rejected(text):
         parse_seeds(text)
 
 
-@pytest.mark.parametrize("command", ["explore", "benchmark", "compare --buildings 1", "radio-survey"])
+@pytest.mark.parametrize("command", ["explore", "benchmark", "compare --buildings 1"])
 def test_an_unwritable_folder_is_rejected_before_the_first_episode(command, tmp_path, refusal, monkeypatch):
     monkeypatch.setattr("twc_env.parallel_env", None)
     (tmp_path / "file").write_text("")

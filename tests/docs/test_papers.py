@@ -44,7 +44,7 @@ def test_every_setting_in_the_document_is_valid(name):
 
 def test_tables_and_maps_named_in_the_document_exist():
     tables = {q.split()[0] for q in QUOTED if re.match(r"(twc|sfw|radio|real)-(?!env)[a-z]", q)}
-    known = {*TABLES, *map_names(), "radio-survey"}
+    known = {*TABLES, *map_names()}
     assert {name for name in tables if name not in known} == set()
 
 

@@ -101,7 +101,7 @@ def test_quiet_drops_progress_and_remarks_but_not_warnings(on_terminal, capsys):
 
 
 COMMANDS = (
-    "explore, watch, compare, benchmark, evaluate, record, replay, settings, bench, warm-up, radio-survey, maps show, "
+    "explore, watch, compare, benchmark, evaluate, record, replay, settings, bench, warm-up, maps show, "
     "ocr show, reproduce solver, train ppo"
 )
 

@@ -94,6 +94,7 @@ TABLES = {
         "inverse k-visibility Table I: number of walls crossed, and maps of six plans, from signal strength"
     ),
     "sfw-routers": Table("router positions estimated from signal strength alone, in the k-visibility twins"),
+    "sfw-active": Table("wall maps from WiFi alone over path length: active path planning and wall following"),
     "sfw-authors": Table("inverse k-visibility on the authors' own logs, with the registration fit", needs_data=True),
     "sfw-ble": Table("number of walls crossed in a real flat with six BLE transmitters", needs_data=True),
     "sfw-houseexpo": Table(

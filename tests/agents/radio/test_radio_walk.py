@@ -2,9 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from twc_env.agents.radio import radio_survey
 from twc_env.agents.radio.radio_bound import shortest_known_walk_m
-from twc_env.agents.radio.radio_survey import Comparison, Walked
 from twc_env.agents.radio.radio_walk import ARRIVAL_M, RadioWalk
 from twc_env.agents.radio.ray_gain import RayGain
 from twc_env.agents.teams.wall_follower import STANDOFF_M, WallFollower, nearest_wall
@@ -86,16 +84,6 @@ def test_floor_that_cannot_be_cleared_from_its_goal_is_not_tried_again():
     assert agent.finished({"robot_0": belief})
 
 
-def test_walks_are_compared_by_the_path_length_to_reach_an_iou():
-    along = Walked([0.0, 1.0, 2.0, 4.0], [0.0, 0.2, 0.4, 0.8], [1.0] * 4, [0.5] * 4, True, [0.0, 0.0])
-    active = Walked([0.0, 1.0, 2.0, 3.0], [0.0, 0.4, 0.6, 0.7], [1.0] * 4, [0.5] * 4, False, [0.0, 0.0])
-    pair = Comparison("m", 0, along, active)
-    assert pair.path_share(0.5) == 0.5
-    assert pair.path_share(1.0) == math.inf
-    assert pair.at_share(0.5) == (0.4, 0.6)
-    assert radio_survey.median_share([pair.path_share(0.5)]) == (0.5, 0.5, 0.5)
-
-
 def test_the_shortest_known_walk_grows_with_the_share_to_clear():
     import twc_env
 
@@ -103,19 +91,3 @@ def test_the_shortest_known_walk_grows_with_the_share_to_clear():
     lengths = [shortest_known_walk_m(plan, plan.interior_m[0], share) for share in (0.2, 0.6, 1.0)]
     assert 0.0 < lengths[0] < lengths[1] < 20.0
     assert lengths[2] == math.inf
-
-
-def test_unknown_floor_counts_as_missed_in_the_score():
-    import twc_env
-
-    plan = twc_env.load_map("sfw-e1")
-    cells = plan.cells(0.1)
-    told = grid(np.where(cells.free, -5, 0).astype(np.int16))
-    told = GridMap(told.log_odds, cells.origin_m, 0.1)
-    iou, published, coverage = radio_survey.score(told, np.zeros(3), plan)
-    assert iou == published == 1.0
-    assert coverage < 1.0
-    half = told.log_odds.copy()
-    half[: len(half) // 2] = 0
-    missed, published, _ = radio_survey.score(GridMap(half, cells.origin_m, 0.1), np.zeros(3), plan)
-    assert missed < 0.6 < published

@@ -1,30 +1,33 @@
-"""Radio map quality over path length: active path planning against wall following.
+"""Radio map quality over path length: active path planning against wall following (papers.md K24).
 
 Both robots start at the same place of the same building with the same noise, know the routers only, and are scored on
-`Belief.radio_map` only. The score is the IoU of free floor with unknown floor counted as missed, so that abstaining
-does not help; IoU as published and coverage are reported as well.
+`Belief.radio_map` only. `iou_free` is the IoU of free floor with unknown floor counted as missed, so that abstaining
+does not help; IoU as published (`iou_known`) and coverage are reported as well.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
 import twc_env
-from twc_env import load_map
+from twc_env.agents import make_policy
+from twc_env.agents.radio.radio_bound import shortest_known_walk_m
 from twc_env.config import EnvConfig, override
+from twc_env.maps import load_map
 from twc_env.records.geometry import inverse, transform_points
 from twc_env.records.messages import GridMap
-from twc_env.running.finished_parts import FinishedParts
+from twc_env.reproduce.runner import Runner, add_seeds
+from twc_env.running.finished_parts import code_digest
+from twc_env.running.options import count
 
-from ..policy import make_policy
-from .radio_bound import shortest_known_walk_m
-
+CHOOSES = ("seeds", "maps")
 AGENTS = ("wall-follower", "radio-walk")
 STEP_M = 1.0
 """Path length between two evaluations of the map."""
@@ -61,7 +64,6 @@ class Comparison:
     """Both walks of one building and seed."""
 
     name: str
-    seed: int
     along_walls: Walked
     active: Walked
 
@@ -85,22 +87,63 @@ class Comparison:
         )
 
 
-def compare(
-    names: list[str], seeds: Sequence[int], steps: int, folder: Path, tell=lambda text: None
-) -> list[Comparison]:
-    """Run every building with every seed; finished walks are read from the folder."""
-    finished = FinishedParts(folder, "radio-survey", {"steps": steps}, ("twc_env.agents",))
-    if finished.remark:
-        tell(finished.remark)
-    found = []
-    for name in names:
-        for seed in seeds:
-            walks = []
-            for agent in AGENTS:
-                tell(f"{name} seed {seed} {agent}")
-                walks.append(_once(name, agent, seed, steps, finished))
-            found.append(Comparison(name, seed, *walks))
-    return found
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `reproduce sfw-active`."""
+    parser.add_argument(
+        "--maps",
+        nargs="+",
+        metavar="MAP",
+        default=[f"sfw-e{n}" for n in range(1, 7)],
+        help="names or files (default: sfw-e1 to sfw-e6)",
+    )
+    add_seeds(parser, "0-2", "seeds of starts and noise")
+    parser.add_argument("--steps", type=count, default=2500, help="maximum number of steps")
+    parser.add_argument("--jobs", type=count, default=2, help="number of worker processes")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row per building, seed and agent."""
+    plans = {name: load_map(name) for name in options.maps}
+    parts = [(name, seed, agent) for name in plans for seed in options.seeds for agent in AGENTS]
+    teams = code_digest("twc_env.agents")  # a walk is finished only for the same teams and the same file
+    walks = runner.each(
+        parts,
+        partial(_walked, options.steps),
+        lambda part: f"{part[0]} seed {part[1]} {part[2]} {plans[part[0]].digest[:8]} {teams[:8]}",
+        options.jobs,
+    )
+    found = [Walked(**walk) for walk in walks]
+    pairs = [
+        Comparison(name, along, active)
+        for (name, *_), along, active in zip(parts[::2], found[::2], found[1::2], strict=True)
+    ]
+    runner.notes += _notes(pairs, [pair.bound(plans[pair.name]) for pair in pairs])
+    return [
+        {
+            "map": name, "seed": seed, "agent": agent, "path_m": walk.path_m[-1], "iou_free": walk.iou[-1],
+            "iou_known": walk.iou_published[-1], "coverage": walk.coverage[-1], "is_finished": walk.is_finished,
+        }
+        for (name, seed, agent), walk in zip(parts, found, strict=True)
+    ]  # fmt: skip
+
+
+def _notes(pairs: Sequence[Comparison], bounds: list[float]) -> list[str]:
+    told = []
+    for share in (0.25, 0.5, 0.6, 0.75, 1.0):
+        along, active = np.mean([pair.at_share(share) for pair in pairs], axis=0)
+        told.append(f"after {share:.0%} of the path along the walls: IoU {along:.3f}, active {active:.3f}")
+    for part in (0.5, 0.75, 0.9, 1.0):
+        told.append(
+            f"path for {part:.0%} of the final IoU of wall following, active by wall following: "
+            f"{_told([pair.path_share(part) for pair in pairs])}; inf: never reached"
+        )
+    what = "lower bound for 100 % (shortest path found with known building and noise-free readings)"
+    return [*told, f"{what}: {_told(bounds)}"]
+
+
+def _told(shares: list[float]) -> str:
+    middle, low, high = median_share(shares)
+    return f"{middle:.2f} (median, 95 % interval {low:.2f} to {high:.2f})"
 
 
 def median_share(shares: list[float]) -> tuple[float, float, float]:
@@ -151,7 +194,7 @@ def _reached_m(walked: Walked, goal: float) -> float:
     return next((m for m, iou in zip(walked.path_m, walked.iou, strict=True) if iou >= goal), math.inf)
 
 
-def _once(name: str, agent: str, seed: int, steps: int, finished: FinishedParts) -> Walked:
+def _walked(steps: int, part: tuple[str, int, str]) -> dict:
+    name, seed, agent = part
     config = override(EnvConfig(), {"map": name, "robots": 1, "max_cycles": steps, **RADIO})
-    key = f"{name} {load_map(name).digest} {agent} {seed}"
-    return Walked(**finished.once(key, lambda: asdict(survey(config, agent, seed))))
+    return asdict(survey(config, agent, seed))
