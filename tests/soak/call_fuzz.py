@@ -64,6 +64,7 @@ def _calls(folder: Path) -> list[Call]:
     teams = VectorTeams(2, SMALL)
     teams.reset(0)
     engine, result, plan = env.engine, env.result(), env.floorplan
+    result.save(folder / "first")  # at its first picture matplotlib asks the system for fonts
     engine_alone = twc_env.CooperativeSlam(env.config, 2)
     poses = np.zeros((5, 2, 3))
     team = {
