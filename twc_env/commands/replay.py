@@ -105,6 +105,11 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
     replay.add_argument(
         "--truth", type=Path, metavar="FILE", help="truth.npz, to also print the team's trajectory error"
     )
+    replay.add_argument(
+        "--filter",
+        choices=("compiled", "filterpy"),
+        help="odometry filter: compiled kernel, or filterpy's EKF as a reference (default: as in the log)",
+    )
     add_set(replay)
     add_lasting(replay)
     replay.add_argument(
@@ -228,7 +233,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     config = source.config
     if not options.allow_code:
         refuse_code(config, logs[0], asked)
-    chosen = {}
+    chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
     if options.localise:
         chosen["slam.mode"] = "localisation"
         if options.save is not None:
@@ -252,6 +257,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     figures = {
         "log": " ".join(map(str, logs)),
         "steps": len(source.steps),
+        "filter": config.slam.odometry_filter.backend,
         "groups": [list(group.robots) for group in team.groups],
         "keyframes": [len(team.keyframe_steps(robot)) for robot in range(done.robots)],
         "closures_accepted": sum(c.status == "accepted" for c in team.closures),

@@ -5,28 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.slam.odometry.filterpy_filter import FilterpyFilters
 from twc_env.config import OdometryFilterConfig
 from twc_env.records.geometry import compose, wrap_angle
-from twc_env.slam.odometry.odometry_filter import OdometryFilters, believe_match, predict_state
+from twc_env.slam.odometry.filterpy_filter import FilterpyFilters
+from twc_env.slam.odometry.filters import make_filters
+from twc_env.slam.odometry.odometry_filter import CompiledFilters
 
 DT_S = 0.1
 CONFIG = OdometryFilterConfig()
-
-
-class OwnFilters(OdometryFilters):
-    """The kernels, robot by robot."""
-
-    def predict(self, robots, odometry, turn_rates_rad_s, dts_s) -> None:
-        """Robots (k,) by odometry (k, 3), gyro (k,) and the time since the last frame (k,)."""
-        for k, *read in zip(robots, odometry, turn_rates_rad_s, dts_s, strict=True):
-            predict_state(self.states[k], self.covariances[k], *read, self.noise[k])
-
-    def update(self, robots, poses, information, is_matched, is_clear) -> None:
-        """Robots (k,) that are matched (n,), by poses (n, 3) with information (n, 3, 3); clears those not believed."""
-        for k in robots[is_matched[robots]]:
-            own = self.states[k], self.covariances[k], poses[k], information[k], self.noise[k, 5], is_clear[k]
-            is_matched[k] = believe_match(*own)
 
 
 class Single:
@@ -55,7 +41,7 @@ class Single:
         return bool(is_matched[1])
 
 
-BOTH = pytest.mark.parametrize("kind", [partial(Single, OwnFilters), partial(Single, FilterpyFilters)])
+BOTH = pytest.mark.parametrize("kind", [partial(Single, CompiledFilters), partial(Single, FilterpyFilters)])
 
 
 SHARP = np.diag([1e4, 1e4, 1e5])
@@ -71,7 +57,7 @@ def random_information(random) -> np.ndarray:
 @given(st.integers(0, 10_000))
 def test_the_compiled_filter_equals_filterpy_over_two_hundred_steps(seed):
     random = np.random.default_rng(seed)
-    compiled, oracle = Single(OwnFilters, CONFIG), Single(FilterpyFilters, CONFIG)
+    compiled, oracle = Single(CompiledFilters, CONFIG), Single(FilterpyFilters, CONFIG)
     for step in range(200):
         odometry = random.normal(0, 1, 3) * (0.1, 0.03, 0.15)
         turn_rate = odometry[2] / DT_S + random.normal(0, 0.2)
@@ -163,7 +149,7 @@ def test_walls_first_seen_at_the_end_of_a_corridor_do_not_confirm_the_scale(kind
 def test_odometry_noise_does_not_bias_the_scale(too_long, worse):
     """Not even if odometry is worse than the filter assumes."""
     count, random = 200, np.random.default_rng(7)
-    filters, robots, true = OwnFilters(CONFIG, count), np.arange(count), np.zeros((count, 3))
+    filters, robots, true = CompiledFilters(CONFIG, count), np.arange(count), np.zeros((count, 3))
     information, always = np.tile(SHARP, (count, 1, 1)), np.ones(count, bool)
     noise_m = worse * CONFIG.position_std_per_m * np.sqrt(0.05)
     for step in range(400):
@@ -181,7 +167,7 @@ def test_odometry_noise_does_not_bias_the_scale(too_long, worse):
 
 
 def test_odometry_without_scale_uncertainty_gets_no_scale_estimate():
-    ekf, true = Single(OwnFilters, OdometryFilterConfig(odometry_scale_std=0.0)), np.zeros(3)
+    ekf, true = Single(CompiledFilters, OdometryFilterConfig(odometry_scale_std=0.0)), np.zeros(3)
     for _ in range(100):
         true = compose(true, [0.05, 0.0, 0.02])
         ekf.predict(np.array([0.06, 0.0, 0.02]), 0.02 / DT_S, DT_S)
@@ -278,7 +264,7 @@ def test_a_corridor_match_corrects_only_across_the_axis(kind):
     assert ekf.covariance[1, 1] < 0.2 * spread[1, 1]
 
 
-@pytest.mark.parametrize("kind", [OwnFilters, FilterpyFilters])
+@pytest.mark.parametrize("kind", [CompiledFilters, FilterpyFilters])
 def test_an_update_does_not_modify_the_measurement(kind):
     filters, robots = kind(CONFIG, 1), np.zeros(1, np.int64)
     poses, information = np.array([[0.1, 0.0, 3.0]]), np.diag([100.0, 100.0, 100.0])[None]
@@ -286,3 +272,8 @@ def test_an_update_does_not_modify_the_measurement(kind):
     filters.update(robots, poses, information, np.ones(1, bool), np.zeros(1, bool))
     assert poses.tolist() == [[0.1, 0.0, 3.0]]
     assert np.array_equal(information[0], np.diag([100.0, 100.0, 100.0]))
+
+
+def test_the_config_selects_the_filter():
+    assert isinstance(make_filters(OdometryFilterConfig(backend="compiled"), 1), CompiledFilters)
+    assert isinstance(make_filters(OdometryFilterConfig(backend="filterpy"), 1), FilterpyFilters)
