@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from twc_env.kernels.angles import angle_of, turn_evenly
 from twc_env.kernels.compiled import borrowing_kernel
 from twc_env.records.messages import UNSEEN_M
 
@@ -61,39 +62,74 @@ def deskew(ranges, scanner, end_s, track, latest, range_max, noise, directions, 
     robot's centre, and its end point.
     """
     count, size = ranges.shape[0], track.shape[0]
-    now_x, now_y, now_heading = track[latest, _X], track[latest, _Y], track[latest, _HEADING]
-    c_now, s_now = math.cos(now_heading), math.sin(now_heading)
-    row, older = latest, (latest - 1) % size  # the poses that a beam's time is between, from the last beam backwards
-    passed = 0
-    for k in range(count):
-        b = count - 1 - k
-        time_s = end_s - (scanner[8] * k / (count - 1) if count > 1 else 0.0)
+    sweep_s, pace_s = scanner[8], scanner[8] / max(count - 1, 1)
+    row, older = latest, (latest - 1) % size  # the poses that beams' times are between, from the last beam backwards
+    passed, high = 0, count - 1
+    while high >= 0:
+        time_s = end_s - pace_s * (count - 1 - high)
         while time_s < track[older, _TIME] and passed < size - 2:
             row, older, passed = older, (older - 1) % size, passed + 1
-        elapsed = track[row, _TIME] - track[older, _TIME]
-        share = min(max((track[row, _TIME] - time_s) / elapsed, 0.0), 1.0) if elapsed > 0.0 else 0.0
-        x = track[row, _X] + share * (track[older, _X] - track[row, _X])
-        y = track[row, _Y] + share * (track[older, _Y] - track[row, _Y])
-        turned = track[row, _HEADING] + share * (track[older, _HEADING] - track[row, _HEADING]) - now_heading
-        away_x, away_y = c_now * (x - now_x) + s_now * (y - now_y), c_now * (y - now_y) - s_now * (x - now_x)
-        c, s = math.cos(turned), math.sin(turned)
-        away_x += c * scanner[2] - s * scanner[3]
-        away_y += s * scanner[2] + c * scanner[3]
-        bearing, range_m = turned + scanner[4] + scanner[0] + b * scanner[1], ranges[b]
-        if range_m < 0.0:
-            ends[0, b], ends[1, b], ends[2, b] = bearing, 0.0, _UNKNOWN
-        elif range_m > 0.0 and scanner[5] <= range_m < scanner[6]:  # false for NaN
-            px, py = away_x + range_m * math.cos(bearing), away_y + range_m * math.sin(bearing)
-            ends[0, b], ends[1, b], ends[2, b] = math.atan2(py, px), math.sqrt(px * px + py * py), _HIT
-            ends[3, b], ends[4, b] = px, py
-        else:
-            far = min(scanner[7], range_max) if scanner[7] > 0.0 else range_max
-            px, py = away_x + far * math.cos(bearing), away_y + far * math.sin(bearing)
-            ends[0, b], ends[1, b] = math.atan2(py, px), range_max
-            ends[2, b] = _OPEN if scanner[7] > 0.0 else _UNKNOWN
+        low = 0
+        if sweep_s > 0.0 and passed < size - 2:
+            low = count - 1 - int(min(max((end_s - track[older, _TIME]) / pace_s, 0.0), count - 1.0))
+        low = min(low, high)
+        _place_beams(scanner, track, row, older, latest, end_s - sweep_s, pace_s, low, high, ends)
+        high = low - 1
+    _end_beams(ranges, scanner, range_max, ends)
     if scanner[5] > 0.0:
         _mark_too_near(ends, _NEAR_TIMES * scanner[5], count * abs(scanner[1]) > 2.0 * math.pi - 0.5 * abs(scanner[1]))
     _fill_circle(ends, scanner[1], range_max, max(STRAIGHT_M, STRAIGHT_NOISES * noise), directions, out, is_soft)
+
+
+@borrowing_kernel
+def _share(track, row, older, time_s):
+    """How far back a time is between two poses of a track: 0 at the later one, 1 at the older one."""
+    elapsed_s = track[row, _TIME] - track[older, _TIME]
+    return min(max((track[row, _TIME] - time_s) / elapsed_s, 0.0), 1.0) if elapsed_s > 0.0 else 0.0
+
+
+@borrowing_kernel
+def _place_beams(scanner, track, row, older, latest, begin_s, pace_s, low, high, ends):
+    """Write place (rows 0, 1) and direction (rows 3, 4) of beams low to high, seen from the latest pose, to ends.
+
+    The beams are measured between two poses of the track: the robot's motion is even, and so is that of the beams, but
+    for those before the older or after the later pose, where it stands.
+    """
+    now_heading = track[latest, _HEADING]
+    c, s = math.cos(now_heading), math.sin(now_heading)
+    x, y = track[row, _X] - track[latest, _X], track[row, _Y] - track[latest, _Y]
+    back_x, back_y = track[older, _X] - track[row, _X], track[older, _Y] - track[row, _Y]
+    turned, back = track[row, _HEADING] - now_heading, track[older, _HEADING] - track[row, _HEADING]
+    x, y, back_x, back_y = c * x + s * y, c * y - s * x, c * back_x + s * back_y, c * back_y - s * back_x
+    first, last = _share(track, row, older, begin_s + low * pace_s), _share(track, row, older, begin_s + high * pace_s)
+    growth = (last - first) / max(high - low, 1)
+    bearing = turned + scanner[4] + scanner[0] + first * back + low * scanner[1]
+    if scanner[2] == 0.0 and scanner[3] == 0.0:
+        for b in range(low, high + 1):
+            ends[3, b] = ends[4, b] = 0.0
+    else:
+        turn_evenly(turned + first * back, growth * back, low, high, ends[3], ends[4])
+    for b in range(low, high + 1):
+        share, c, s = first + growth * (b - low), ends[3, b], ends[4, b]
+        ends[0, b] = x + share * back_x + c * scanner[2] - s * scanner[3]
+        ends[1, b] = y + share * back_y + s * scanner[2] + c * scanner[3]
+    turn_evenly(bearing, scanner[1] + growth * back, low, high, ends[3], ends[4])
+
+
+@borrowing_kernel
+def _end_beams(ranges, scanner, range_max, ends):
+    """Fill ends (5, beams) with bearing, range, kind and end point of each beam from its place and direction."""
+    is_free, far = scanner[7] > 0.0, min(scanner[7], range_max) if scanner[7] > 0.0 else range_max
+    for b in range(ranges.shape[0]):
+        range_m = ranges[b]
+        is_hit = (range_m > 0.0) & (scanner[5] <= range_m) & (range_m < scanner[6])  # false for NaN
+        is_known = not range_m < 0.0
+        reach = range_m if is_hit else far
+        px, py = ends[0, b] + reach * ends[3, b], ends[1, b] + reach * ends[4, b]
+        px, py = px if is_known else ends[3, b], py if is_known else ends[4, b]
+        range_m = math.sqrt(px * px + py * py) if is_hit else range_max
+        ends[0, b], ends[1, b], ends[3, b], ends[4, b] = angle_of(px, py), range_m if is_known else 0.0, px, py
+        ends[2, b] = _HIT if is_hit else (_OPEN if is_free & is_known else _UNKNOWN)
 
 
 @borrowing_kernel

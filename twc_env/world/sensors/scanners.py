@@ -225,7 +225,7 @@ def _scan(
     std, std_per_m, range_min, drop_probability = limits
     count = ranges.shape[1]
     for i in range(ranges.shape[0]):
-        begin, mean_step, spread = place_beams(paths[:, members[i]], taus, mount, first, step, work, beams)
+        begin, mean_step, spread = place_beams(paths[:, members[i]], taus, mount, first, step, beams)
         x, y = beams[0, count - 1], beams[1, count - 1]
         if not (x - anchors[i, 0]) ** 2 + (y - anchors[i, 1]) ** 2 < _LOOK_UP_MARGIN_M * _LOOK_UP_MARGIN_M:
             anchors[i, 0], anchors[i, 1] = x, y
@@ -236,7 +236,8 @@ def _scan(
         reach = 0.0
         for b in range(count):
             ranges[i, b], hit[b] = range_max, NOTHING
-            reach = max(reach, math.hypot(beams[0, b] - x, beams[1, b] - y))
+            reach = max(reach, (beams[0, b] - x) ** 2 + (beams[1, b] - y) ** 2)
+        reach = math.sqrt(reach)
         row, centre = ranges[i], beams[:2, count - 1]
         cast(near[i], near_counts[i], beams, centre, begin, mean_step, spread, reach, range_max, row, hit)
         if things.shape[1] > 0:
@@ -263,7 +264,7 @@ def _scan(
         if deviates.shape[1] > 0:
             add_noise(deviates[i], std, std_per_m, range_min, range_max, row)
         else:
-            add_noise(work, 0.0, 0.0, range_min, range_max, row)
+            add_noise(beams[2], 0.0, 0.0, range_min, range_max, row)  # any numbers that are finite
         if drop_chance.shape[1] > 0:
             for b in range(count):
                 if drop_chance[i, b] < drop_probability:
