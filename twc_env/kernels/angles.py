@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from twc_env.kernels.compiled import borrowing_kernel
 
 _TURN = 2.0 * math.pi
@@ -50,9 +52,14 @@ def wrapped(angle):
 def turn_evenly(angle, step, first, last, cosines, sines):
     """Fill cosines and sines (k,) from index first to last with those of an angle that grows by `step` per index.
 
-    Each direction is the one before, turned: 1,000 of them deviate by 1e-13.
+    Each direction is one before, turned: 1,000 of them deviate by 1e-13. After the first eight it is that of eight
+    before, so that eight are computed at once.
     """
     c, s, turn_c, turn_s = math.cos(angle), math.sin(angle), math.cos(step), math.sin(step)
-    for k in range(first, last + 1):
+    for k in range(first, min(first + 8, last + 1)):
         cosines[k], sines[k] = c, s
         c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
+    turn_c, turn_s = math.cos(8.0 * step), math.sin(8.0 * step)
+    for k in range(np.uint64(first + 8), np.uint64(max(last + 1, first + 8))):
+        c, s = cosines[k - np.uint64(8)], sines[k - np.uint64(8)]
+        cosines[k], sines[k] = c * turn_c - s * turn_s, s * turn_c + c * turn_s

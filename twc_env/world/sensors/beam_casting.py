@@ -15,6 +15,8 @@ from twc_env.kernels.compiled import borrowing_kernel
 
 _ARC = 1.1
 """Arc sines of up to 2/3 are at most this multiple of their argument."""
+_NEVER = 1e9
+"""A beam that no scan has."""
 NOTHING = -1
 """Number of the wall of a beam that hits none of those that `cast` knows: a robot, a pane, a mirror."""
 
@@ -72,37 +74,39 @@ def _heading_at(path, tau):
 
 
 @borrowing_kernel
-def cast(near, count, beams, centre, first, step, spread, reach, range_max, ranges, hit):
+def cast(near, count, beams, centre, first, step, spread, reach, range_max, spans, ranges, hit):
     """Lower ranges (beams,) to the nearest wall, and write its number to hit (beams,).
 
     near (4, walls): x, y of the begin and of the extent. beams (4, beams): place and direction of each. centre (2,): a
     place at most `reach` [m] from all of them; first, step: direction of beam 0 and angle between beams, from which
-    they differ by at most `spread` [rad].
+    they differ by at most `spread` [rad]. spans (2, walls) is a work array.
     """
-    beam_count = beams.shape[1]
-    per_step, turn = 1.0 / step, 2.0 * math.pi / abs(step)
+    beam_count, per_step, turn = beams.shape[1], 1.0 / step, 2.0 * math.pi / abs(step)
     far2, beside2 = (range_max + reach) ** 2, (1.5 * reach + 1e-6) ** 2
-    for w in range(count):
+    for w in range(count):  # branch-free, so that it is vectorised
         ax, ay, ex, ey = near[0, w] - centre[0], near[1, w] - centre[1], near[2, w], near[3, w]
         bx, by = ax + ex, ay + ey
         along = min(max(-(ax * ex + ay * ey) / max(ex * ex + ey * ey, 1e-300), 0.0), 1.0)
         nearest2 = (ax + along * ex) ** 2 + (ay + along * ey) ** 2
-        if nearest2 > far2:
-            continue
-        if nearest2 <= beside2:
-            _meet(near, w, beams, 0, beam_count - 1, ranges, hit)
-            continue
-        margin = (_ARC * reach / math.sqrt(nearest2) + spread) * abs(per_step) + 1.0
         begin = (angle_of(ax, ay) - first) * per_step
-        extent = angle_of(ax * bx + ay * by, ax * by - ay * bx) * per_step
-        low_beam, high_beam = min(begin, begin + extent) - margin, max(begin, begin + extent) + margin
-        shift = math.floor(high_beam / turn)  # so that 0 <= high_beam < turn
-        low_beam, high_beam = low_beam - shift * turn, high_beam - shift * turn
+        end = begin + angle_of(ax * bx + ay * by, ax * by - ay * bx) * per_step
+        margin = (_ARC * reach / math.sqrt(max(nearest2, 1e-300)) + spread) * abs(per_step) + 1.0
+        low, high = _span(min(begin, end) - margin, max(begin, end) + margin, turn, nearest2 <= beside2, beam_count)
+        spans[0, w], spans[1, w] = (_NEVER if nearest2 > far2 else low), high
+    for w in range(count):
+        low_beam, high_beam = spans[0, w], spans[1, w]
         while low_beam < beam_count:  # at most thrice: a scan of a robot that turns may cover more than a circle
             if high_beam >= 0.0:
                 low, high = max(int(math.ceil(low_beam)), 0), min(int(math.floor(high_beam)), beam_count - 1)
                 _meet(near, w, beams, low, high, ranges, hit)
             low_beam, high_beam = low_beam + turn, high_beam + turn
+
+
+@borrowing_kernel
+def _span(low, high, turn, is_all, beam_count):
+    """The span of beams from low to high so that the highest is in the first turn; or all beams."""
+    shift = math.floor(high / turn) * turn
+    return (0.0 if is_all else low - shift), (beam_count - 1.0 if is_all else high - shift)
 
 
 @borrowing_kernel
@@ -124,32 +128,32 @@ def _meet(near, w, beams, low, high, ranges, hit):
 
 
 @borrowing_kernel
-def cast_discs(places, taus, radii, own, beams, centre, first, step, spread, reach, range_max, ranges, hit):
+def cast_discs(places, taus, radii, own, beams, centre, first, step, spread, reach, range_max, spans, ranges, hit):
     """Lower ranges (beams,) to discs that move: places (steps, discs, 3), the latest first, radii (discs,).
 
     own: number of the disc that carries the scanner, which does not see itself; -1: none. Else as `cast`.
     """
-    beam_count = ranges.shape[0]
-    per_step, turn = 1.0 / step, 2.0 * math.pi / abs(step)
+    beam_count, per_step, turn = ranges.shape[0], 1.0 / step, 2.0 * math.pi / abs(step)
     for j in range(places.shape[1]):
-        if j == own:
-            continue
-        dx, dy = places[0, j, 0] - centre[0], places[0, j, 1] - centre[1]
+        spans[0, j] = 0.0
+    for k in range(1, places.shape[0]):
+        for j in range(places.shape[1]):
+            x, y = places[k, j, 0] - places[0, j, 0], places[k, j, 1] - places[0, j, 1]
+            spans[0, j] = max(spans[0, j], x * x + y * y)
+    for j in range(places.shape[1]):  # branch-free, so that it is vectorised
+        dx, dy, wide = (
+            places[0, j, 0] - centre[0],
+            places[0, j, 1] - centre[1],
+            reach + math.sqrt(spans[0, j]) + radii[j],
+        )
         distance = math.sqrt(dx * dx + dy * dy)
-        if distance > range_max + 2.0 * reach + radii[j]:
-            continue
-        moved2 = 0.0
-        for k in range(1, places.shape[0]):
-            moved_x, moved_y = places[k, j, 0] - places[0, j, 0], places[k, j, 1] - places[0, j, 1]
-            moved2 = max(moved2, moved_x * moved_x + moved_y * moved_y)
-        wide = reach + math.sqrt(moved2) + radii[j]
-        if distance <= 1.5 * wide + 1e-6:
-            _meet_disc(places, taus, radii, j, beams, 0, beam_count - 1, ranges, hit)
-            continue
         middle = (angle_of(dx, dy) - first) * per_step
-        margin = (_ARC * wide / distance + spread) * abs(per_step) + 1.0
-        shift = math.floor((middle + margin) / turn)
-        low_beam, high_beam = middle - margin - shift * turn, middle + margin - shift * turn
+        margin = (_ARC * wide / max(distance, 1e-300) + spread) * abs(per_step) + 1.0
+        is_all = distance <= 1.5 * wide + 1e-6
+        low, high = _span(middle - margin, middle + margin, turn, is_all, beam_count)
+        spans[0, j], spans[1, j] = (_NEVER if distance > range_max + 2.0 * reach + radii[j] else low), high
+    for j in range(places.shape[1]):
+        low_beam, high_beam = (spans[0, j] if j != own else _NEVER), spans[1, j]
         while low_beam < beam_count:
             if high_beam >= 0.0:
                 low, high = max(int(math.ceil(low_beam)), 0), min(int(math.floor(high_beam)), beam_count - 1)
