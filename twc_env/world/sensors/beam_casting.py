@@ -79,7 +79,7 @@ def cast(near, count, beams, centre, first, step, spread, reach, range_max, span
 
     near (4, walls): x, y of the begin and of the extent. beams (4, beams): place and direction of each. centre (2,): a
     place at most `reach` [m] from all of them; first, step: direction of beam 0 and angle between beams, from which
-    they differ by at most `spread` [rad]. spans (2, walls) is a work array.
+    they differ by at most `spread` [rad]. spans (3, walls) is a work array.
     """
     beam_count, per_step, turn = beams.shape[1], 1.0 / step, 2.0 * math.pi / abs(step)
     far2, beside2 = (range_max + reach) ** 2, (1.5 * reach + 1e-6) ** 2
@@ -105,7 +105,7 @@ def cast(near, count, beams, centre, first, step, spread, reach, range_max, span
 @borrowing_kernel
 def _span(low, high, turn, is_all, beam_count):
     """The span of beams from low to high so that the highest is in the first turn; or all beams."""
-    shift = math.floor(high / turn) * turn
+    shift = np.floor(high / turn) * turn
     return (0.0 if is_all else low - shift), (beam_count - 1.0 if is_all else high - shift)
 
 
@@ -151,21 +151,24 @@ def cast_discs(places, taus, radii, own, beams, centre, first, step, spread, rea
         margin = (_ARC * wide / max(distance, 1e-300) + spread) * abs(per_step) + 1.0
         is_all = distance <= 1.5 * wide + 1e-6
         low, high = _span(middle - margin, middle + margin, turn, is_all, beam_count)
+        spans[2, j] = distance - wide
         spans[0, j], spans[1, j] = (_NEVER if distance > range_max + 2.0 * reach + radii[j] else low), high
     for j in range(places.shape[1]):
         low_beam, high_beam = (spans[0, j] if j != own else _NEVER), spans[1, j]
         while low_beam < beam_count:
             if high_beam >= 0.0:
                 low, high = max(int(math.ceil(low_beam)), 0), min(int(math.floor(high_beam)), beam_count - 1)
-                _meet_disc(places, taus, radii, j, beams, low, high, ranges, hit)
+                _meet_disc(places, taus, radii, j, spans[2, j], beams, low, high, ranges, hit)
             low_beam, high_beam = low_beam + turn, high_beam + turn
 
 
 @borrowing_kernel
-def _meet_disc(places, taus, radii, j, beams, low, high, ranges, hit):
-    """Lower the ranges of beams from low to high to disc j where they meet it."""
+def _meet_disc(places, taus, radii, j, nearest, beams, low, high, ranges, hit):
+    """Lower the ranges of beams from low to high to disc j, from which all are further than `nearest`."""
     radius = radii[j]
     for b in range(low, high + 1):
+        if ranges[b] <= nearest:
+            continue
         k = min(int(taus[b]), places.shape[0] - 2)
         share = taus[b] - k
         ax = places[k, j, 0] + share * (places[k + 1, j, 0] - places[k, j, 0]) - beams[0, b]

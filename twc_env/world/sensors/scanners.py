@@ -84,7 +84,7 @@ class Scanners:
         margin_m = _NOT_OCCLUDED_M if len(self._mirrors) else _LOOK_UP_MARGIN_M + reach_m
         self._near = np.empty((count, 4, walls)), np.zeros(count, np.int64), np.full((count, 2), np.nan)
         self._room = (
-            np.empty((8, walls)), np.empty((2, max(walls, len(self._things), self._paths.shape[1]))),
+            np.empty((8, walls)), np.empty((3, max(walls, len(self._things), self._paths.shape[1]))),
             np.empty(walls, np.bool_), np.empty(lidar.beam_count),
             np.empty((4, lidar.beam_count)), np.empty(lidar.beam_count, np.int64),
         )  # fmt: skip
