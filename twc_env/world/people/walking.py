@@ -173,9 +173,10 @@ def _keep_apart(i, state, kinds, robots, radii, walls, rims):
         wx, wy, gap = wall_beside(
             bucket_walls, origin, bucket, rows, columns, first, members, state[i, X], state[i, Y], BODY_RADIUS_M
         )
-        if 1e-9 < gap < BODY_RADIUS_M:
-            state[i, X] += (BODY_RADIUS_M - gap) * wx / gap
-            state[i, Y] += (BODY_RADIUS_M - gap) * wy / gap
+        if not 1e-9 < gap < BODY_RADIUS_M:
+            break
+        state[i, X] += (BODY_RADIUS_M - gap) * wx / gap
+        state[i, Y] += (BODY_RADIUS_M - gap) * wy / gap
 
 
 @borrowing_kernel
