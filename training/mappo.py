@@ -16,6 +16,7 @@ update. So the result depends neither on the number of processes nor on whether 
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -164,6 +165,7 @@ class Rollouts:
         seen = self._teams.reset(self._seeds.tolist())
         everyone = np.arange(self._count)
         self._see(self._notes.beside(self._flat(seen), everyone), everyone, first=True)
+        gc.freeze()  # a collection over all objects of the libraries takes as long as thirty decisions
 
     def collect(
         self, policy: Callable[[dict[str, Array]], Array], update: int
@@ -315,6 +317,7 @@ class Rollouts:
     def close(self) -> None:
         """End the worker processes."""
         self._teams.close()
+        gc.unfreeze()
 
 
 class Learner:

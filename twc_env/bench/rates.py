@@ -179,6 +179,8 @@ def bench(config: EnvConfig, episodes: int, report: Callable[[str], None] = lamb
         "world_with_people_and_rolling_scanner_env_steps_per_s": statistics.median(run.rate for run in rolling),
         "slam_env_steps_per_s": statistics.median(run.rate for run in slam),
         "world_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in world),
+        "world_with_people_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in people),
+        "world_with_people_and_rolling_scanner_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in rolling),
         "slam_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in slam),
         "slam_agent_steps_per_s": config.robots * statistics.median(run.rate for run in slam),
         "slam_env_steps_per_s_min": min(run.rate for run in slam),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from types import NoneType
 from typing import TYPE_CHECKING, Any
@@ -384,7 +385,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     def _move_into(self, building: str | None) -> EnvConfig:
         """Load the building of the next episode (None: the environment's own); returns the config with its name."""
-        config = self.config if building is None else override(self.config, {"map": building})
+        config = self.config if building is None else replace(self.config, map=building)
         plan = self._own_floorplan if building is None else load_map(building)
         if plan is not self._plan:
             self._world, self._plan = World(config, subsampled(plan, config.building)), plan

@@ -217,7 +217,7 @@ class Episode:
         self._touching = world.contacts
         self.record.append(world.poses, engine.poses_odom, frames.odometry, self._touching)
         if world.crowd is not None:
-            self.record.people_collisions = int(world.crowd.collisions.sum())
+            self.record.people_collisions = sum(world.crowd.collisions.tolist())  # a third of the time of its sum()
         if self.is_over:
             engine.finish()
         self._notice()

@@ -28,11 +28,12 @@ class Kidnapping:
         self.is_nothing = not self._step and not self._chance
         """Whether no robot is ever carried."""
         self._random = random_stream(seed, "kidnap")
-        self._places = start_places(home)
+        self._places = np.zeros((0, 2)) if self.is_nothing else start_places(home)
 
     def avoid(self, is_clear: Callable[[Array], Array]) -> None:
         """Put robots down only where something is clear: points (k, 2) -> (k,) bool."""
-        self._places = self._places[is_clear(self._places)]
+        if len(self._places):
+            self._places = self._places[is_clear(self._places)]
 
     def carried(self, step: int, poses: Array) -> list[tuple[int, Array]]:
         """Robots carried before this step, and their new poses (3,); poses (n, 3) of all robots. Once per step."""

@@ -120,7 +120,7 @@ class World:
         if config.people.count:
             crowd = Crowd(config.people, self._home, starts_home, radius, config.dynamics.time_step_s, seed, rims)
             self.crowd, legs = crowd, crowd.discs
-        self._bodies = np.concatenate([np.zeros((0, 5)), *self._obstructions()])
+        self._bodies = self._obstructions()
         is_usual = kind is Scanners and not needs_scanners(lidar)
         self._scanners = None if is_usual else kind(config, self._home, seed, legs, things=seen)
         """Simulates scanners with limits and errors, or of several kinds; None: `_lidar` does all."""
@@ -288,23 +288,27 @@ class World:
             dynamics.put(robot, pose)
             self._sensed_poses[robot] = dynamics.poses[robot]
 
-    def _obstructions(self) -> list[Array]:
-        return [own.obstructions for own in (self.crowd, self.clutter) if own is not None]
+    def _obstructions(self) -> Array:
+        """(k, 5) those of people, doors and furniture; of one kind alone the array that it updates itself."""
+        own = [others.obstructions for others in (self.crowd, self.clutter) if others is not None]
+        return own[0] if len(own) == 1 else np.concatenate([np.zeros((0, 5)), *own])
 
     def _move_others(self, commands: Array) -> Array:
         """Advance people, doors and furniture by one step; returns the commands (n, 2) that bumpers leave."""
-        poses, dynamics, walkers = self.poses_home, self._dynamics or _raise_not_reset(), None
+        poses, dynamics = self.poses_home, self._dynamics or _raise_not_reset()
         if self.crowd is not None:
-            commands, walkers = self.crowd.step(poses, commands), self.crowd.walkers
+            commands = self.crowd.step(poses, commands)
         if self.clutter is not None:
+            walkers = None if self.crowd is None else self.crowd.walkers
             commands = self.clutter.step(poses, commands, walkers, *dynamics.arguments[:2])
-        self._bodies[:] = np.concatenate([self._bodies[:0], *self._obstructions()])
+            if self.crowd is not None:
+                self._bodies[:] = self._obstructions()
         return commands
 
     def _show_others(self, step: int, poses: Array, ranges: Array, has_signs: bool) -> None:
         """Let scanners and cameras at poses (n, 3) see people, doors and furniture, and note who is touched."""
         lidar = self._lidar.config
-        seen = self._lidar.arguments[0], lidar.range_max_m, lidar.range_noise_std_m, ranges
+        seen = self._lidar.directions, lidar.range_max_m, lidar.range_noise_std_m, ranges
         for others in (self.clutter, self.crowd):
             if others is None:
                 continue

@@ -86,7 +86,7 @@ def test_a_standing_person_hides_a_sign_and_a_sitting_one_does_not(kind, is_read
     world = world_with(kind)
     world.reset(0, pose[None])
     between = 0.5 * (sign.position_m + pose[:2])
-    world.crowd._state[0, :2] = between
+    world.crowd._state[0, :2] = world.crowd.hiding[:, :2] = between
     world.crowd.step = lambda poses, commands: commands  # nobody steps aside
     texts = [reading for _ in range(40) for reading in world.tick(np.zeros((1, 2))).signs[0]]
     assert bool(texts) is is_read

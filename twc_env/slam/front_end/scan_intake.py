@@ -15,7 +15,7 @@ from twc_env.records.geometry import beam_directions
 from twc_env.records.messages import UNSEEN_M, SensorFrame
 from twc_env.records.scanner import Scanner
 from twc_env.records.team_messages import TeamFrames
-from twc_env.slam.scans.deskewing import deskew, note_motion
+from twc_env.slam.scans.deskewing import ENDS, deskew, note_motion
 
 _POSES_KEPT = 256
 """Poses of each robot that are remembered for rolling scans: 2 s at 100 Hz."""
@@ -122,7 +122,7 @@ class ScanIntake(BindsAnew):
             else:
                 self._ends_s[robot] = np.nan
         self._scans, self._scanners, self.free_m[:] = list(scans), [scanner] * len(scans), self._free_m(scanner)
-        work = np.empty((5, ranges_m.shape[1]))
+        work = np.empty((ENDS, ranges_m.shape[1] + 2))
         return Lent((
             scans, self._ends_s, self._tracks, self._latest, self._numbers(scanner), self._undoes_motion,
             self._limits, self._rays, work, self.is_soft,
@@ -145,7 +145,7 @@ class ScanIntake(BindsAnew):
         out = np.full(self._beam_count, UNSEEN_M)
         if held is not None and scanner is not None and math.isfinite(self._ends_s[robot]):
             end_s = float(self._ends_s[robot]) if self._undoes_motion else now_s
-            numbers, work = self._numbers(scanner), np.empty((5, len(held)))
+            numbers, work = self._numbers(scanner), np.empty((ENDS, len(held) + 2))
             latest, is_soft = self._latest[robot], self.is_soft[robot]
             deskew(held, numbers, end_s, track, latest, *self._limits, self._rays, work, out, is_soft)
         return out

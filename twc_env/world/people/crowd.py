@@ -87,11 +87,13 @@ class Crowd(BindsAnew):
         """(2 people, 3) x, y [m] and radius [m] of the legs."""
         self.bodies = self._state[:, :2]
         """(people, 2) positions."""
-        upright = self.upright
+        upright = self._state[self._kinds != SITTING, :2]
+        self.hiding = np.column_stack([upright, np.full(len(upright), HIDING_RADIUS_M)])
+        """(k, 3) x, y and radius [m] of the people who do not sit: they hide signs; updated in place."""
         self.obstructions = np.column_stack([
-            upright, np.tile([HIDING_RADIUS_M, config.body_loss_db, 0.0], (len(upright), 1))
+            self.hiding, np.tile([config.body_loss_db, 0.0], (len(upright), 1))
         ])[: len(upright) if config.body_loss_db else 0]  # fmt: skip
-        """The people who reach into the line of sight, as of `sight.lose_in_bodies`; updated in place."""
+        """The same as of `sight.lose_in_bodies`, if they weaken signals."""
         self.is_touched = np.zeros(len(robots), np.bool_)
         """(robots,) whether each robot touches a person."""
         self.collisions = np.zeros(len(robots), np.int64)
@@ -100,13 +102,14 @@ class Crowd(BindsAnew):
             self._state, self._kinds, trips, np.zeros(count, np.int64), pauses, ways.distances_m, ways.origin_m,
             ways.cell_m, home.wall_index.buckets(), np.column_stack([robots[:, :2], np.zeros((len(robots), 2))]),
             radii_m, time_step_s, self.discs, np.zeros(shape, np.bool_), self.collisions,
-            np.zeros((0, 4)) if rims is None else rims,
+            np.zeros((0, 4)) if rims is None else rims, self.hiding, self.obstructions,
         )  # fmt: skip
         self._noise = NormalPools([random_stream(seed, "people-lidar", robot) for robot in range(len(robots))], 4096)
         place_legs(self._state, self._kinds, self.discs)
         self._walk: Callable[..., None] | None = None
         self._touch: Callable[..., None] | None = None
-        """`walk` and `touch` bound to the arrays."""
+        self._shorten: Callable[..., bool] | None = None
+        """`walk`, `touch` and `shorten` bound to the arrays."""
 
     def __getstate__(self) -> dict:
         return super().__getstate__() | {"bodies": None}
@@ -121,17 +124,6 @@ class Crowd(BindsAnew):
         return self._state[:, FACING]
 
     @property
-    def upright(self) -> Array:
-        """(k, 2) positions of the people who do not sit: they hide signs and reach into the line of sight."""
-        return np.ascontiguousarray(self._state[self._kinds != SITTING, :2])
-
-    @property
-    def hiding(self) -> Array:
-        """(k, 3) x, y and radius [m] of what hides signs."""
-        upright = self.upright
-        return np.column_stack([upright, np.full(len(upright), HIDING_RADIUS_M)])
-
-    @property
     def walkers(self) -> Array:
         """(k, 2) positions of the people who walk."""
         return np.ascontiguousarray(self._state[self._kinds == WALKING, :2])
@@ -143,8 +135,6 @@ class Crowd(BindsAnew):
             lent = Lent(self._arrays)
             self._walk = bound(walk, lent, poses, left)
         self._walk(poses, left)
-        if len(self.obstructions):
-            self.obstructions[:, :2] = self.upright
         return left
 
     def meet(self, poses: Array) -> None:
@@ -155,8 +145,10 @@ class Crowd(BindsAnew):
 
     def show(self, poses: Array, directions: Array, range_max_m: float, range_std_m: float, ranges: Array) -> None:
         """Shorten the ranges (r, beams) of beams that end at legs; directions (2, beams) of the beams."""
-        now = self.discs, poses, directions, range_max_m, range_std_m, *self._noise.arguments, ranges
-        while not shorten(*now):
+        now = poses, directions, range_max_m, range_std_m, *self._noise.arguments, ranges
+        if self._shorten is None:
+            self._shorten = bound(shorten, self.discs, *now)
+        while not self._shorten(*now):
             self._noise.refill(directions.shape[1])
 
 

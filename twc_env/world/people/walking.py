@@ -173,9 +173,10 @@ def _keep_apart(i, state, kinds, robots, radii, walls, rims):
         wx, wy, gap = wall_beside(
             bucket_walls, origin, bucket, rows, columns, first, members, state[i, X], state[i, Y], BODY_RADIUS_M
         )
-        if 1e-9 < gap < BODY_RADIUS_M:
-            state[i, X] += (BODY_RADIUS_M - gap) * wx / gap
-            state[i, Y] += (BODY_RADIUS_M - gap) * wy / gap
+        if not 1e-9 < gap < BODY_RADIUS_M:
+            break
+        state[i, X] += (BODY_RADIUS_M - gap) * wx / gap
+        state[i, Y] += (BODY_RADIUS_M - gap) * wy / gap
 
 
 @borrowing_kernel
@@ -201,7 +202,7 @@ def walk(crowd, poses, commands):
     of robots that push a person: a bumper stops them."""
     (
         state, kinds, trips, trip, pauses, fields, origin, cell, walls, robots, radii, dt, discs, _touching,
-        _counts, rims,
+        _counts, rims, hiding, obstructions,
     ) = parts_of(crowd)  # fmt: skip
     for k in range(poses.shape[0]):
         robots[k, 2], robots[k, 3] = (poses[k, 0] - robots[k, 0]) / dt, (poses[k, 1] - robots[k, 1]) / dt
@@ -225,6 +226,13 @@ def walk(crowd, poses, commands):
             state[i, FACING] = math.atan2(vy, vx)
         state[i, GAIT] = (state[i, GAIT] + math.pi * speed * dt / _STEP_LENGTH_M) % (2.0 * math.pi)
     place_legs(state, kinds, discs)
+    upright = 0
+    for i in range(state.shape[0]):
+        if kinds[i] != SITTING:
+            hiding[upright, 0], hiding[upright, 1] = state[i, X], state[i, Y]
+            upright += 1
+    for k in range(obstructions.shape[0]):
+        obstructions[k, 0], obstructions[k, 1] = hiding[k, 0], hiding[k, 1]
     for k in range(commands.shape[0]):
         for i in range(state.shape[0]):
             dx, dy = state[i, X] - poses[k, 0], state[i, Y] - poses[k, 1]
@@ -240,7 +248,7 @@ def touch(crowd, poses, is_touched):
     """Note which robots, now at poses (r, 3), touch a person (r,); counts contacts that robots begin by driving."""
     (
         state, _kinds, _trips, _trip, _pauses, _fields, _origin, _cell, _walls, robots, radii, dt, _discs,
-        touching, counts, _rims,
+        touching, counts, _rims, _hiding, _obstructions,
     ) = parts_of(crowd)  # fmt: skip
     for k in range(poses.shape[0]):
         reach = radii[k] + BODY_RADIUS_M

@@ -49,13 +49,14 @@ class Lidar:
             solid, self._glass_m = _split_glass(index, glass)
             self._solid = solid.buckets()
         angles = 2 * math.pi * np.arange(config.beam_count) / config.beam_count
-        self._directions = np.stack([np.cos(angles), np.sin(angles)])  # (2, beams)
+        self.directions = np.stack([np.cos(angles), np.sin(angles)])
+        """(2, beams)."""
         self._quantiles = normal_quantiles(1 << _QUANTILE_BITS)
         words = -(-config.beam_count // _QUANTILES_PER_WORD)
         self._deviates = np.empty(words * _QUANTILES_PER_WORD)
         self.noise = StepNoise([random_stream(seed, "lidar", robot) for robot in range(robots)], words, "bits")
         self._fixed = (
-            self._directions, np.full(robots, robot_radius_m, float), config.range_max_m,
+            self.directions, np.full(robots, robot_radius_m, float), config.range_max_m,
             *_near_wall_buffers(robots, len(index.walls_m)),
             self._deviates, self._quantiles, 0.0 if self._sees_through else config.range_noise_std_m,
         )  # fmt: skip
@@ -75,7 +76,7 @@ class Lidar:
         sweep(*self._solid, poses, *self._fixed, words, ranges)
         if self._sees_through:
             _reflect_glass(
-                self._glass_m, poses, self._directions, self._chance["lidar-glass"].next(),
+                self._glass_m, poses, self.directions, self._chance["lidar-glass"].next(),
                 config.glass_return_probability, math.cos(config.glass_incidence_max_rad),
                 config.glass_incidence_max_rad, ranges,
             )  # fmt: skip

@@ -73,9 +73,8 @@ class Scanners:
         self._things = np.zeros((0, 4)) if things is None else things
         self._cast_things = np.zeros((4, len(self._things)))
         """x, y of the begin and of the extent of each."""
-        self._paths = np.zeros((math.ceil(taus.max()) + 2, robots + len(self._discs), 3))
+        self._paths = np.full((math.ceil(taus.max()) + 2, robots + len(self._discs), 3), np.nan)
         """True poses of all robots, and places of the discs, in the last steps, the latest first."""
-        self._is_begun = False
         solid, self._panes, self._mirrors = _split(plan, lidar)
         self._walls, walls = solid.buckets(), len(solid.walls_m)
         mount = np.array(self.scanner.mount)
@@ -85,7 +84,8 @@ class Scanners:
         margin_m = _NOT_OCCLUDED_M if len(self._mirrors) else _LOOK_UP_MARGIN_M + reach_m
         self._near = np.empty((count, 4, walls)), np.zeros(count, np.int64), np.full((count, 2), np.nan)
         self._room = (
-            np.empty((8, walls)), np.empty(walls, np.bool_), np.empty(lidar.beam_count),
+            np.empty((8, walls)), np.empty((3, max(walls, len(self._things), self._paths.shape[1]))),
+            np.empty(walls, np.bool_), np.empty(lidar.beam_count),
             np.empty((4, lidar.beam_count)), np.empty(lidar.beam_count, np.int64),
         )  # fmt: skip
         self._geometry = taus, mount, self.scanner.first_rad, self.scanner.step_rad, lidar.range_max_m, margin_m
@@ -93,7 +93,8 @@ class Scanners:
         self._draws = {name: StepNoise(*draw) for name, draw in _draws(lidar, members, seed)}
         dark = np.random.default_rng([int(plan.digest, 16), zlib.crc32(b"dark")])
         self._dark = lidar.dark_share, dark.random(2), int(dark.integers(2**62))
-        self._none = np.zeros((count, 0))
+        self._scans = 0
+        """Number of scans so far."""
         self._run: Callable[..., None] | None = None
         """`_scan` with what does not change."""
         self._ranges = np.full((count, lidar.beam_count), lidar.range_max_m)
@@ -103,35 +104,29 @@ class Scanners:
 
         poses: true ones (robots, 3) of all robots, in each step once. No return is the maximum range.
         """
-        paths = self._paths
-        now = self._paths[0].copy()
-        now[: len(poses)], now[len(poses) :, :2] = poses, self._discs[:, :2]
-        self._radii[len(poses) :] = self._discs[:, 2]
-        paths[1:] = paths[:-1] if self._is_begun else now
-        paths[0], self._is_begun = now, True
-        if step % self.period_steps:
-            return self._ranges, np.zeros(len(self.members), np.bool_)
-        self._cast_things[:2] = self._things[:, :2].T
-        self._cast_things[2:] = self._things[:, 2:].T - self._things[:, :2].T
-        draws = {name: draw.next() for name, draw in self._draws.items()}
-        ranges, none = np.empty_like(self._ranges), self._none
-        arguments = paths, *[draws.get(name, none) for name in _NAMES], ranges
+        is_new = not step % self.period_steps
+        ranges = np.empty_like(self._ranges) if is_new else self._ranges
+        if is_new:
+            for draw in self._draws.values():
+                draw.hold(self._scans)
         if self._run is None:
-            self._run = bound(_scan, self._packed(), *arguments)
-        self._run(*arguments)
+            self._run = bound(_scan, self._packed(), poses, is_new, self._scans, ranges)
+        self._run(poses, is_new, self._scans, ranges)
+        self._scans += is_new
         self._ranges = ranges
-        return ranges, None if self.period_steps == 1 else np.ones(len(self.members), np.bool_)
+        return ranges, None if self.period_steps == 1 else np.full(len(self.members), is_new)
 
     def _packed(self) -> Lent:
         """The constant arguments of `_scan`."""
-        lidar = self._config
+        lidar, none = self._config, np.zeros((1, len(self.members), 0))
         return Lent((
-            self.members, self._walls, self._near, self._geometry, self._room, self._radii, self._panes, self._mirrors,
+            self._paths, self._discs, self._things, self.members, self._walls, self._near, self._geometry, self._room,
+            self._radii, self._panes, self._mirrors,
             (lidar.glass_return_probability, lidar.glass_incidence_max_rad, lidar.mirror_probability),
             (lidar.detection_range_m, *self._dark),
             (lidar.beam_divergence_rad, lidar.is_full_circle),
             (lidar.range_noise_std_m, lidar.range_noise_per_m, lidar.range_min_m, lidar.dropout_probability),
-            self._cast_things,
+            self._cast_things, tuple(self._draws[name].numbers if name in self._draws else none for name in _NAMES),
         ))  # fmt: skip
 
     def __getstate__(self) -> dict:
@@ -167,7 +162,7 @@ class MixedScanners:
 
 
 _NAMES = "lidar-glass", "lidar-mirror", "lidar-loss", "lidar-edge", "lidar", "lidar-dropout"
-"""Names of the random numbers, in the order in which `_scan` takes them."""
+"""Names of the random numbers, in the order in which `_scan` takes them; without columns where an error is off."""
 
 
 def needs_scanners(lidar: LidarConfig) -> bool:
@@ -208,24 +203,56 @@ def _split(plan: Floorplan, lidar: LidarConfig) -> tuple[WallIndex, Array, Array
 
 
 @borrowing_kernel
-def _scan(
-    apparatus, paths, glass_chance, mirror_chance, loss_chance, edge_chance, deviates, drop_chance, ranges
-):  # fmt: skip
-    """Fill ranges (members, beams); random numbers with a row per member, without columns where an error is off."""
-    members, index, looked_up, geometry, room, radii, panes, mirrors, shiny, loss, edges, limits, things = parts_of(
-        apparatus
-    )
+def _note_motion(paths, poses, discs, radii):
+    """Make poses (robots, 3) and places of discs (k, 3) the latest of paths (steps, robots + discs, 3), and note the
+    radii of discs; at first, everything has always been there."""
+    robots, is_first = poses.shape[0], math.isnan(paths[0, 0, 0])
+    for k in range(paths.shape[0] - 1, 0, -1):
+        for j in range(paths.shape[1]):
+            for m in range(3):
+                paths[k, j, m] = paths[k - 1, j, m]
+    for i in range(robots):
+        for m in range(3):
+            paths[0, i, m] = poses[i, m]
+    for j in range(discs.shape[0]):
+        paths[0, robots + j, 0], paths[0, robots + j, 1], paths[0, robots + j, 2] = discs[j, 0], discs[j, 1], 0.0
+        radii[robots + j] = discs[j, 2]
+    if is_first:
+        for k in range(1, paths.shape[0]):
+            for j in range(paths.shape[1]):
+                for m in range(3):
+                    paths[k, j, m] = paths[0, j, m]
+
+
+@borrowing_kernel
+def _scan(apparatus, poses, is_new, number, ranges):
+    """Note the latest poses and, if a scan is complete, its number is `number`: fill ranges (members, beams)."""
+    (
+        paths, discs, segments, members, index, looked_up, geometry, room, radii, panes, mirrors, shiny, loss, edges,
+        limits, things, draws,
+    ) = parts_of(apparatus)  # fmt: skip
+    _note_motion(paths, poses, discs, radii)
+    if not is_new:
+        return
+    for w in range(segments.shape[0]):
+        things[0, w], things[1, w] = segments[w, 0], segments[w, 1]
+        things[2, w], things[3, w] = segments[w, 2] - segments[w, 0], segments[w, 3] - segments[w, 1]
+    glass_chance, mirror_chance, loss_chance, edge_chance, deviates, drop_chance = (
+        draws[0][number % draws[0].shape[0]], draws[1][number % draws[1].shape[0]],
+        draws[2][number % draws[2].shape[0]], draws[3][number % draws[3].shape[0]],
+        draws[4][number % draws[4].shape[0]], draws[5][number % draws[5].shape[0]],
+    )  # fmt: skip
     walls, origin, bucket, rows, columns, first_member, wall_members = index
     near, near_counts, anchors = looked_up
     taus, mount, first, step, range_max, margin = geometry
-    scratch, stamps, work, beams, hit = room
+    scratch, spans, stamps, work, beams, hit = room
     glass_probability, incidence_max, mirror_probability = shiny
     detection, dark_share, lattice, dark_seed = loss
     cone, is_closed = edges
     std, std_per_m, range_min, drop_probability = limits
     count = ranges.shape[1]
     for i in range(ranges.shape[0]):
-        begin, mean_step, spread = place_beams(paths[:, members[i]], taus, mount, first, step, work, beams)
+        begin, mean_step, spread = place_beams(paths[:, members[i]], taus, mount, first, step, beams)
         x, y = beams[0, count - 1], beams[1, count - 1]
         if not (x - anchors[i, 0]) ** 2 + (y - anchors[i, 1]) ** 2 < _LOOK_UP_MARGIN_M * _LOOK_UP_MARGIN_M:
             anchors[i, 0], anchors[i, 1] = x, y
@@ -236,18 +263,19 @@ def _scan(
         reach = 0.0
         for b in range(count):
             ranges[i, b], hit[b] = range_max, NOTHING
-            reach = max(reach, math.hypot(beams[0, b] - x, beams[1, b] - y))
+            reach = max(reach, (beams[0, b] - x) ** 2 + (beams[1, b] - y) ** 2)
+        reach = math.sqrt(reach)
         row, centre = ranges[i], beams[:2, count - 1]
-        cast(near[i], near_counts[i], beams, centre, begin, mean_step, spread, reach, range_max, row, hit)
+        cast(near[i], near_counts[i], beams, centre, begin, mean_step, spread, reach, range_max, spans, row, hit)
         if things.shape[1] > 0:
             for b in range(count):
                 work[b] = row[b]
-            cast(things, things.shape[1], beams, centre, begin, mean_step, spread, reach, range_max, row, hit)
+            cast(things, things.shape[1], beams, centre, begin, mean_step, spread, reach, range_max, spans, row, hit)
             for b in range(count):
                 if row[b] < work[b]:
                     hit[b] = NOTHING
         cast_discs(
-            paths, taus, radii, members[i], beams, centre, begin, mean_step, spread, reach, range_max, row, hit
+            paths, taus, radii, members[i], beams, centre, begin, mean_step, spread, reach, range_max, spans, row, hit
         )  # fmt: skip
         if panes.shape[0] > 0:
             reflect_glass(panes, beams, glass_chance[i], glass_probability, incidence_max, row, hit)
@@ -263,7 +291,7 @@ def _scan(
         if deviates.shape[1] > 0:
             add_noise(deviates[i], std, std_per_m, range_min, range_max, row)
         else:
-            add_noise(work, 0.0, 0.0, range_min, range_max, row)
+            add_noise(beams[2], 0.0, 0.0, range_min, range_max, row)  # any numbers that are finite
         if drop_chance.shape[1] > 0:
             for b in range(count):
                 if drop_chance[i, b] < drop_probability:

@@ -23,7 +23,7 @@ Readings = tuple[Sequence[tuple[SignReading, ...]], tuple[tuple[int, ...], ...]]
 """Readings of each robot, and the true signs (plan numbers) behind them."""
 
 
-class SignCameras:
+class SignCameras(BindsAnew):
     """The cameras of all robots; each takes an image every `signs.period_s`, staggered. Equal to one `SignCamera` each.
 
     With the reader "fast", all readings of a step are computed by one compiled call.
@@ -48,13 +48,18 @@ class SignCameras:
         (robots,) of signs in view, and the steps (robots,) from one image to the next."""
         self.nothing: Readings = ((),) * robots, ((),) * robots
         """The readings if no sign is in view."""
+        self._hide: Callable[..., None] | None = None
+        """`_hide_behind` bound to the arguments."""
         self._table: _TableReadings | None = None
         if is_fast:
             self._table = _TableReadings(config, tuple(sign.text for sign in plan.signs), seed, self.arguments[-4:])
 
     def hide(self, step: int, poses: Array, bodies: Array) -> None:
         """Hide the characters of signs in view at poses (n, 3) that are behind bodies (k, 3): x, y and radius."""
-        _hide_behind(step, poses, bodies, np.ascontiguousarray(bodies[:, 2]), *self.arguments)
+        bodies = np.ascontiguousarray(bodies)
+        if self._hide is None:
+            self._hide = bound(_hide_behind, Lent(self.arguments), step, poses, bodies)
+        self._hide(step, poses, bodies)
 
     def read(self, step: int) -> Readings:
         """The readings of the signs that `look` has found in view in a step."""
@@ -71,18 +76,17 @@ class SignCameras:
 
 
 @borrowing_kernel
-def _hide_behind(
-    step, poses, bodies, radii, signs, lengths, optics, _does_hide, sights, hidden, counts, periods
-):  # fmt: skip
-    """Set hidden (robots, signs, characters) for the characters behind bodies (k, 3) of radii (k,), for robots
-    with a new image."""
+def _hide_behind(cameras, step, poses, bodies):
+    """Set hidden (robots, signs, characters) for the characters behind bodies (k, 3: x, y, radius), for robots with a
+    new image."""
+    signs, lengths, optics, _does_hide, sights, hidden, counts, periods = parts_of(cameras)
     for i in range(poses.shape[0]):
         if (step + i) % periods[i] != 0:
             continue
         for k in range(counts[i]):
             sign = int(sights[i, k, 0])
             mark_hidden(
-                signs[sign], poses[i, 0], poses[i, 1], bodies, radii, optics[i, 5], hidden[i, k, : lengths[sign]]
+                signs[sign], poses[i, 0], poses[i, 1], bodies, bodies[:, 2], optics[i, 5], hidden[i, k, : lengths[sign]]
             )
 
 
