@@ -70,7 +70,7 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     if name in TEAMS:
         team = TEAMS[name]
         module = import_module(f"{__package__}.{team.module}")
-        scripted: Policy = getattr(module, team.class_name)(config, **team.options)
+        scripted: Policy = getattr(module, team.class_name)(config)
         if config.people.count:
             careful: Policy = import_module(f"{__package__}.careful").CarefulTeam(scripted, config)
             return careful

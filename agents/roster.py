@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,37 +16,11 @@ class Team:
     """What it does, in one line."""
     source: str
     """Where it was published."""
-    options: dict[str, Any] = field(default_factory=dict)
-    """Arguments of its constructor."""
+    twin: str = ""
+    """Of a team that is aware of SLAM: the team that is the same code without that part."""
     is_oracle: bool = False
     """Whether it is given ground truth; every other team is given beliefs only."""
 
-
-def _without(aware: Team, what: str) -> Team:
-    """The blind twin of a team that is aware of SLAM: the same code without that part."""
-    return Team(aware.module, aware.class_name, f"the same code {what}", "ablation", {"is_aware": False})
-
-
-_RENDEZVOUS = Team(
-    "slam_aware.rendezvous", "Rendezvous",
-    "explores, and meets at appointed times: at landmarks, or where it agreed with teammates",
-    "Roy and Dudek 2001; de Hoog, Cameron and Visser 2009",
-)  # fmt: skip
-_SIGN_SEEKER = Team(
-    "slam_aware.sign_seeker", "SignSeeker",
-    "drives where a sign can confirm how its map and that of another robot fit together",
-    "Fox, Ko, Konolige, Limketkai, Schulz and Stewart 2006",
-)  # fmt: skip
-_CLOSURE_SEEKER = Team(
-    "slam_aware.closure_seeker", "ClosureSeeker",
-    "drives back to known floor when its own uncertainty says so",
-    "Stachniss, Hähnel and Burgard 2004; Placed and Castellanos 2021",
-)  # fmt: skip
-_RELAY = Team(
-    "slam_aware.relay", "Relay",
-    "explores only where the robots of its group stay in radio range",
-    "Rooker and Birk 2007",
-)  # fmt: skip
 
 TEAMS: dict[str, Team] = {
     "nearest-frontier": Team(
@@ -115,14 +88,30 @@ TEAMS: dict[str, Team] = {
         "wanders: smooth random velocities",
         "lower reference",
     ),
-    "rendezvous": _RENDEZVOUS,
-    "rendezvous-blind": _without(_RENDEZVOUS, "without meetings"),
-    "sign-seeker": _SIGN_SEEKER,
-    "sign-seeker-blind": _without(_SIGN_SEEKER, "without hypotheses"),
-    "closure-seeker": _CLOSURE_SEEKER,
-    "closure-seeker-blind": _without(_CLOSURE_SEEKER, "without returns"),
-    "relay": _RELAY,
-    "relay-blind": _without(_RELAY, "without the radio range"),
+    "rendezvous": Team(
+        "slam_aware.rendezvous", "Rendezvous",
+        "explores, and meets at appointed times: at landmarks, or where it agreed with teammates",
+        "Roy and Dudek 2001; de Hoog, Cameron and Visser 2009",
+        twin="minpos",
+    ),
+    "sign-seeker": Team(
+        "slam_aware.sign_seeker", "SignSeeker",
+        "a view is worth what it shows, and what the maps that it is expected to merge show",
+        "Fox, Ko, Konolige, Limketkai, Schulz and Stewart 2006",
+        twin="information-gain",
+    ),
+    "closure-seeker": Team(
+        "slam_aware.closure_seeker", "ClosureSeeker",
+        "drives back to known floor when its own uncertainty says so",
+        "Stachniss, Hähnel and Burgard 2004; Placed and Castellanos 2021",
+        twin="minpos",
+    ),
+    "relay": Team(
+        "slam_aware.relay", "Relay",
+        "explores only where the robots of its group stay in radio range",
+        "Rooker and Birk 2007",
+        twin="minpos",
+    ),
     "radio-frontier": Team(
         "radio.radio_frontier", "RadioFrontier",
         "nearest-frontier, preferring floor predicted from WiFi (slam.k_visibility.enabled=true)",

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
 from twc_env.planning import Disc, Plan, Terrain
 from twc_env.records.messages import Belief
 
@@ -33,11 +32,7 @@ REST_M = 20.0
 
 
 class ClosureSeeker(MinPos):
-    """With `is_aware=False`, the same without returns: MinPos."""
-
-    def __init__(self, config: EnvConfig, is_aware: bool = True):
-        self._is_aware = is_aware
-        super().__init__(config)
+    """Without returns it is MinPos, its blind twin."""
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Discard all state."""
@@ -58,10 +53,9 @@ class ClosureSeeker(MinPos):
         self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
     ) -> tuple[Plan | None, str]:
         """The plan back to a known place while the robot is uncertain, else to a frontier."""
-        if self._is_aware:
-            plan = self._return(agent, beliefs[agent], terrain, discs)
-            if plan is not None:
-                return plan, "place"
+        plan = self._return(agent, beliefs[agent], terrain, discs)
+        if plan is not None:
+            return plan, "place"
         return super().best_plan(agent, beliefs, terrain, discs)
 
     def _return(self, agent: str, belief: Belief, terrain: Terrain, discs: list[Disc]) -> Plan | None:

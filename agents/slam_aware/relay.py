@@ -31,11 +31,11 @@ THERE_M = 2.0
 
 
 class Relay(MinPos):
-    """With `is_aware=False`, the same without the range: MinPos."""
+    """Without the range it is MinPos, its blind twin."""
 
-    def __init__(self, config: EnvConfig, is_aware: bool = True):
+    def __init__(self, config: EnvConfig):
         self._link = config.link
-        self._is_aware = is_aware and config.link.topology == "peer"
+        self._is_peer = config.link.topology == "peer"
         super().__init__(config)
 
     def best_plan(
@@ -77,7 +77,7 @@ class Relay(MinPos):
             for teammate in belief.teammates
             if teammate < belief.robot
         ]
-        if not self._is_aware or not heard:
+        if not self._is_peer or not heard:
             return None
         step, number = max(heard)
         return None if (belief.step - step) * self.dynamics.time_step_s > GIVE_UP_S else -number

@@ -48,10 +48,10 @@ class Appointment:
 
 
 class Rendezvous(MinPos):
-    """With `is_aware=False`, the same without meetings: MinPos."""
+    """Without meetings it is MinPos, its blind twin."""
 
-    def __init__(self, config: EnvConfig, is_aware: bool = True):
-        self._is_aware, self._is_peer = is_aware, config.link.topology == "peer"
+    def __init__(self, config: EnvConfig):
+        self._is_peer = config.link.topology == "peer"
         super().__init__(config)
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
@@ -62,7 +62,7 @@ class Rendezvous(MinPos):
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
         """One command per robot; replans where necessary."""
-        if self._is_aware and self._is_peer:
+        if self._is_peer:
             for agent in beliefs:
                 self._pass_on(agent, beliefs)
         return super().act(beliefs)
@@ -73,7 +73,7 @@ class Rendezvous(MinPos):
         """The plan to the next meeting when it is time to go there, else to a frontier."""
         belief, now_s = beliefs[agent], beliefs[agent].step * self.dynamics.time_step_s
         due_s = PERIOD_S * (self._met[agent] + 1)
-        if self._is_aware and self._has_to_meet(belief):
+        if self._has_to_meet(belief):
             if now_s > due_s + WAIT_S or (now_s > due_s - EARLY_S and self._is_complete(belief)):
                 self._met[agent] = max(self._met[agent] + 1, int(now_s // PERIOD_S))
             elif (place := self._place_m(agent, beliefs)) is not None:
@@ -86,8 +86,7 @@ class Rendezvous(MinPos):
 
     def choose(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> int | None:
         """The frontier of MinPos; robots in contact agree on where to meet next."""
-        if self._is_aware:
-            self._appoint(agent, beliefs, frontiers)
+        self._appoint(agent, beliefs, frontiers)
         return super().choose(agent, beliefs, frontiers)
 
     def _has_to_meet(self, belief: Belief) -> bool:

@@ -80,6 +80,26 @@ def test_figures_are_sums_means_and_medians_over_buildings():
     assert row(standings, ALL, "mine").wrong_merges == 6 and row(standings, ALL, "mine").buildings == 6
 
 
+def test_a_team_aware_of_slam_is_compared_with_its_blind_twin_building_by_building(monkeypatch):
+    levels = {**LEVELS, "relay": 0.35, "minpos": 0.30, "rendezvous": 0.2}
+    monkeypatch.setitem(globals(), "LEVELS", levels)
+
+    def change(entry, values):  # buildings differ by more than the teams do
+        harder = [level - 0.1 * entry.number for level in values["coverage"]]
+        return {**values, "coverage": harder, "merged_s": None if entry.team == "minpos" else 10.0}
+
+    *_, standings = played(("random", "relay", "minpos", "informed"), TASKS[:1], change=change)
+    (twins,) = standings.twins
+    assert (twins.team, twins.twin, twins.buildings) == ("relay", "minpos", 3)
+    assert (twins.lead, twins.low, twins.high) == pytest.approx((0.05, 0.05, 0.05))
+    assert (twins.merged_s, twins.twin_merged_s) == (10.0, math.inf)
+    for text in (tables.text_of(standings), tables.markdown_of(standings, "")):
+        assert tables.TWINS_TITLE in text and "relay - minpos" in text and "+0.050 to +0.050" in text
+    assert standings.as_json()["twins"][0]["lead"] == pytest.approx(0.05)
+    *_, standings = played(("random", "relay", "informed"), TASKS[:1])
+    assert not standings.twins and tables.TWINS_TITLE not in tables.text_of(standings)
+
+
 def test_without_an_informed_team_scores_are_the_area_itself_and_this_is_said():
     entries, _, standings = played(teams=("random", "mine"))
     assert not standings.is_normalised

@@ -13,11 +13,8 @@ from twc_env.world.building.splits import FAMILY_SPLITS, family_of, split_names
 RANDOM, INFORMED = "random", "informed"
 """The teams that have the scores 0 and 1."""
 REFERENCES = (RANDOM, INFORMED)
-SPECIAL = (
-    "radio-frontier", "radio-walk", "rendezvous-blind", "sign-seeker-blind", "closure-seeker-blind", "relay-blind",
-)  # fmt: skip
-"""Scripted teams that are only played if they are named: no task has the radio map that the first two follow, and the
-others drive like `minpos`."""
+SPECIAL = ("radio-frontier", "radio-walk")
+"""Scripted teams that are only played if they are named: no task has the radio map that they follow."""
 
 
 @dataclass(frozen=True, slots=True)

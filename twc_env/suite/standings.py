@@ -12,6 +12,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.metrics import team_scores
 from twc_env.suite.entries import INFORMED, RANDOM, REFERENCES, Entry
+from twc_env.suite.twins import TwinRow, twin_rows
 
 ALL = "all"
 """In the place of a task: all of them together."""
@@ -77,6 +78,8 @@ class Standings:
     """Task -> team -> `time_s`, `mean`, `low`, `high` of the correctly mapped floor over time."""
     profiles: dict[str, dict[str, list[float]]]
     """Team -> `share`, `low`, `high` of the episodes that score above each of `THRESHOLDS`, averaged over tasks."""
+    twins: tuple[TwinRow, ...]
+    """Teams whose blind twins have played, too."""
 
     def rows_of(self, task: str) -> list[Row]:
         """The rows of one task, or of `ALL`."""
@@ -89,6 +92,7 @@ class Standings:
             "rows": [asdict(row) for row in self.rows],
             "curves": self.curves,
             "profiles": {"thresholds": THRESHOLDS.tolist(), **self.profiles},
+            "twins": [asdict(row) for row in self.twins],
         }
 
 
@@ -163,7 +167,8 @@ def standings_of(entries: Sequence[Entry], values: Sequence[dict[str, Any]]) -> 
         rows += sorted(own, key=lambda row: -row.score)
     curves = {task: {team: played[task, team].curve() for team in teams} for task in tasks}
     profiles = {team: _profile([scores[task, team] for task in tasks]) for team in teams}
-    return Standings(is_normalised, tasks, teams, tuple(rows), curves, profiles)
+    twins = twin_rows({key: episodes.areas for key, episodes in played.items()}, grouped)
+    return Standings(is_normalised, tasks, teams, tuple(rows), curves, profiles, twins)
 
 
 def _scores(

@@ -75,12 +75,39 @@ def groups_of(standings: Standings) -> list[str]:
     return list(dict.fromkeys(row.task for row in standings.rows))
 
 
+TWINS_TITLE = "Teams aware of SLAM and their blind twins"
+_TWIN_HEAD = (
+    "task",
+    "team - twin",
+    "buildings",
+    "lead in mean coverage",
+    "95 % interval",
+    "one map after [s]",
+    "twin [s]",
+)
+
+
+def twin_cells(standings: Standings) -> list[list[str]]:
+    """A head, and a row per task and team whose twin has played; empty if none has."""
+    rows = [
+        [
+            title_of(row.task), f"{row.team} - {row.twin}", str(row.buildings), f"{row.lead:+.3f}",
+            f"{row.low:+.3f} to {row.high:+.3f}" if math.isfinite(row.low) else ABSENT,
+            _plain(".0f")(row.merged_s), _plain(".0f")(row.twin_merged_s),
+        ]
+        for row in standings.twins
+    ]  # fmt: skip
+    return [list(_TWIN_HEAD), *rows] if rows else []
+
+
 def text_of(standings: Standings, width: int | None = None) -> str:
     """Aligned tables for a terminal of this width; None: not folded."""
     parts = []
     for group in groups_of(standings):
         lines = [[short for _, short, _ in COLUMNS], *cells_of(standings.rows_of(group))]
         parts.append("\n".join([title_of(group), aligned_text(lines, width)]))
+    if twins := twin_cells(standings):
+        parts.append("\n".join([TWINS_TITLE, aligned_text(twins, width, left=2)]))
     return "\n\n".join(parts)
 
 
@@ -91,6 +118,9 @@ def markdown_of(standings: Standings, lead: str) -> str:
         rows = [[long for long, _, _ in COLUMNS], ["---", *["---:"] * (len(COLUMNS) - 1)]]
         rows += cells_of(standings.rows_of(group))
         parts.append(f"## {title_of(group)}\n\n" + "\n".join(f"| {' | '.join(row)} |" for row in rows))
+    if twins := twin_cells(standings):
+        rows = [twins[0], ["---", "---", *["---:"] * (len(twins[0]) - 2)], *twins[1:]]
+        parts.append(f"## {TWINS_TITLE}\n\n" + "\n".join(f"| {' | '.join(row)} |" for row in rows))
     return "\n\n".join(parts) + "\n"
 
 
