@@ -74,7 +74,7 @@ def on_files(files: Any, config: Any) -> Any:
     """Add the pages that are made, and leave out what the navigation names in vain."""
     made = {inside: (ROOT / outside).read_text(encoding="utf-8") for outside, inside in BESIDE.items()}
     made |= {f"api/{name.partition('.')[2]}.md": _package_page(name, text) for name, text in PACKAGES.items()}
-    made |= {"reference/settings.md": _settings(), "reference/commands.md": _commands()}
+    made |= {"reference/settings.md": _settings()}
     for path, content in {**made, **_notebooks(), **_sources(config)}.items():
         _add(files, config, path, content)
     known = {file.src_uri for file in files}
@@ -263,7 +263,7 @@ def _settings() -> str:
     return f"# Settings\n\n{text}\n\n```toml\n{as_toml(EnvConfig(), [])}```\n"
 
 
-def _commands() -> str:
+def made_commands() -> str:
     """The help of every command."""
     from twc_env.__main__ import COMMANDS, _parser
 
@@ -278,7 +278,7 @@ def _commands() -> str:
         if before is not None:
             os.environ["COLUMNS"] = before
     parts = [f"## {name}\n\n```text\n{text}```\n" for name, text in helps.items()]
-    return "# Commands\n\nWhat `twc-env COMMAND --help` prints.\n\n" + "\n".join(parts)
+    return "\n".join(parts)
 
 
 def _notebooks() -> dict[str, str | bytes]:

@@ -5,7 +5,12 @@ import pytest
 
 from tests.soak.graph_fuzz import ring_graph
 from twc_env.__main__ import main
+from twc_env.datasets.logs.pose_graph_file import read_pose_graph
 from twc_env.datasets.logs.tum import read_tum
+from twc_env.exploration.drawing import palette
+from twc_env.pictures.graph_picture import graph_figure
+from twc_env.pictures.style import style
+from twc_env.slam.graph_optimisation.whole_graph import optimise_graph
 
 
 @pytest.fixture
@@ -30,6 +35,19 @@ def test_a_graph_is_optimised_and_everything_written(ring, tmp_path, capsys):
     assert (tmp_path / "o" / "graph.png").stat().st_size > 10_000
     found = json.loads((tmp_path / "a.json").read_text())
     assert not found["is_lost"] and len(found["rejected"]) == 1
+
+
+def test_the_picture_of_a_graph_has_the_palette_and_a_title_apart_from_its_axes(ring):
+    pytest.importorskip("matplotlib", reason="matplotlib is an optional dependency")
+    graph = read_pose_graph(ring)
+    with style():
+        figure = graph_figure(graph, optimise_graph(graph, "ours"))
+        title, renderer = figure._suptitle, figure.canvas.get_renderer()
+        assert title.get_text() == "24 poses, 8 of 9 closures accepted"
+        assert not any(title.get_window_extent().overlaps(axes.get_tightbbox(renderer)) for axes in figure.axes)
+    names = {text.get_text(): line.get_color() for text, line in zip(
+        figure.legends[0].get_texts(), figure.legends[0].get_lines(), strict=True)}  # fmt: skip
+    assert names["accepted closures (8)"] == palette.CLOSURE != names["rejected closures (1)"]
 
 
 def test_a_lost_graph_ends_with_one_and_says_why(ring, capsys):

@@ -3,7 +3,9 @@
 import pytest
 
 from twc_env.__main__ import main
+from twc_env.commands import warm_up
 from twc_env.exploration import warm_up as episode
+from twc_env.exploration.environment import ExplorationEnv
 from twc_env.kernels import cache_folder
 
 
@@ -11,6 +13,7 @@ from twc_env.kernels import cache_folder
 @pytest.mark.parametrize("kept", [True, False])
 def test_it_says_what_was_compiled_and_where_it_is_kept(monkeypatch, capsys, count, expected, kept):
     monkeypatch.setattr(episode, "compile_all", lambda: count)
+    monkeypatch.setattr(warm_up, "compile_for_commands", lambda: 0)
     monkeypatch.setattr(cache_folder, "is_kept", lambda: kept)
     assert main(["warm-up"]) == 0
     said = capsys.readouterr().out
@@ -21,3 +24,12 @@ def test_it_says_what_was_compiled_and_where_it_is_kept(monkeypatch, capsys, cou
 def test_it_runs_a_whole_episode(monkeypatch):
     monkeypatch.setattr(episode, "STEPS", 20)
     assert episode.compile_all() >= 0
+
+
+def test_it_also_plays_a_scripted_team_and_choices_of_frontiers_and_draws_them(monkeypatch):
+    played = []
+    monkeypatch.setattr("twc_env.agents.explore.explore", lambda config, team, seed: played.append(team))
+    render = ExplorationEnv.render
+    monkeypatch.setattr(ExplorationEnv, "render", lambda env: played.append(env.config.action.kind) or render(env))
+    assert warm_up.compile_for_commands(steps=20) >= 0
+    assert played == ["nearest-frontier", "frontier"]

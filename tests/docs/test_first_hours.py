@@ -12,12 +12,12 @@ from tests.forks import Forks
 
 PAGES = ("student", "researcher", "lecturer")
 SMALLER = (
-    (r"--steps 60000", "--steps 16 --max-cycles 20 --area 150 --workers 0"),
+    (r"--steps 20000", "--steps 16 --max-cycles 20 --area 150 --workers 0"),
     (r"--steps \d{3,}", "--steps 12"),
     (r"--seeds 0-9", "--seeds 0"),
     (r"--buildings 5", "--buildings 2"),
     (r"generate office 400", "generate office 200"),
-    (r"max_cycles=1000", "max_cycles=30"),
+    (r"max_cycles=300", "max_cycles=30"),
 )
 """What the test replaces in commands and programs."""
 LOADED = "import numba, numpy, gymnasium, pettingzoo, twc_env.__main__, twc_env.exploration.environment"

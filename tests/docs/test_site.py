@@ -28,12 +28,13 @@ class Page(HTMLParser):
 
     def __init__(self, path: Path):
         super().__init__()
-        self.links, self.anchors, self.loads = [], set(), []
+        self.links, self.anchors, self.loads, self.titles = [], set(), [], 0
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag, attrs):
         given = dict(attrs)
         self.anchors |= {given[key] for key in ("id", "name") if given.get(key)}
+        self.titles += tag == "h1"
         if tag == "a" and given.get("href"):
             self.links.append(given["href"])
         if tag in ("img", "script", "source") and given.get("src"):
@@ -106,6 +107,11 @@ def test_the_reference_shows_the_arguments_of_parallel_env(site):
     page = (site / "api" / "index.html").read_text(encoding="utf-8")
     signature = page[page.index('id="twc_env.parallel_env"') :][:6000]
     assert all(f">{name}<" in signature for name in ("map", "robots", "max_cycles", "config", "render_mode", "task"))
+
+
+def test_every_page_has_one_title_so_that_its_contents_list_all_of_it(site, pages):
+    wrong = {str(path.relative_to(site)): page.titles for path, page in pages.items() if page.titles != 1}
+    assert {name: count for name, count in wrong.items() if name.split("/")[0] not in ("404.html", "source")} == {}
 
 
 def test_links_are_called_by_the_title_of_their_page_not_by_its_file(pages):

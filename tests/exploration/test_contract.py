@@ -140,7 +140,7 @@ def test_a_step_after_the_end_raises_an_error_that_names_reset():
     env = twc_env.parallel_env(robots=1, max_cycles=1)
     env.reset(seed=0)
     env.step(still(env))
-    with pytest.raises(twc_env.TwcError, match="a running episode: call reset") as caught:
+    with pytest.raises(twc_env.TwcError, match="a running episode, and this one is over: call reset") as caught:
         env.step({})
     assert "\n" not in str(caught.value)
 

@@ -9,7 +9,7 @@ import pytest
 from twc_env.datasets.logs.scan_log import ScanLog
 from twc_env.errors import DataError
 from twc_env.pictures.log_page import LogPage
-from twc_env.pictures.log_picture import draw_log
+from twc_env.pictures.log_picture import draw_log, one_name_per_sign
 from twc_env.replaying.inputs import Asked, input_of
 from twc_env.replaying.run import run
 
@@ -53,11 +53,14 @@ def test_a_map_is_drawn_in_all_formats_and_equal_logs_give_equal_files(replayed,
 def test_the_page_of_a_log_has_no_truth_and_maps_side_by_side(replayed, tmp_path):
     done, page = replayed
     times_s = np.arange(len(done.source.steps), dtype=float)
-    path = page.write(tmp_path / "a.html", done.engine, "title", "subtitle", {"steps": 12}, times_s)
+    path = page.write(
+        tmp_path / "a.html", done.engine, "title", "subtitle", {"steps": 12}, times_s, [("team ATE", "0.010 m")]
+    )
     text = path.read_text()
     begin = text.index('type="application/json">') + len('type="application/json">')
     data = json.loads(text[begin : text.index("</script>", begin)])
     assert data["true_poses"] is None
+    assert data["figures"] == [["team ATE", "team ATE", "0.010 m"]], "names and units a person reads"
     assert "truth" not in data["layers"]
     assert len(data["estimated_poses"]) == len(times_s)
     assert data["moments"][-1]["step"] == len(times_s) - 1
@@ -76,3 +79,16 @@ def test_the_table_of_a_replay_has_a_row_with_units_for_each_robot(replayed):
     assert rows[0]["odometry path [m]"] == pytest.approx(2.2, abs=0.01)
     assert rows[0]["path [m]"] == pytest.approx(2.2, abs=0.1)
     assert math.isclose(rows[1]["time [s]"], 11.0)
+
+
+def test_misread_texts_of_one_sign_are_one_name_and_other_signs_beside_it_keep_theirs():
+    readings = [
+        ("F1RE HYDRANT", 0.0),
+        ("FIRE HYDRANT", 0.1),
+        ("FNRE HYDRANT", 0.1),
+        ("EXIT", 0.2),
+        ("FIRE HYDRANT", 5.0),
+    ]
+    names = one_name_per_sign([(text, np.array([x, 0.0])) for text, x in readings])
+    assert [name for name, _ in names] == ["F1RE HYDRANT (and 2 like it)", "EXIT", "FIRE HYDRANT"]
+    assert [place[0] for _, place in names] == [0.0, 0.2, 5.0]

@@ -358,7 +358,8 @@ def _write_page(page, path: Path, done: Replay, figures: dict) -> None:
         f"{__version__}. White and black: estimated map (free, wall); maps that are not merged stand side by side. "
         "Disc: estimated pose. A log holds no true poses."
     )
-    page.write(path, done.engine, f"replay of {figures['log']}", subtitle, {**figures, "table": _keyed(done)}, times_s)
+    title, report = f"replay of {figures['log']}", {**figures, "table": _keyed(done)}
+    page.write(path, done.engine, title, subtitle, report, times_s, _told(figures))
 
 
 def _keyed(done: Replay) -> dict:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import argparse
 import time
 
+STEPS = 600
+"""Of each episode of `compile_for_commands`."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.description = (
         "Compile everything that an episode needs and keep it on disk. The first episode on a machine does so anyway; "
-        "this is for images and clusters, whose processes then start at once."
+        "this is for images and clusters, whose processes then start at once. What few episodes need, such as the "
+        "errors of a scanner preset, is compiled when it is first used."
     )
     parser.epilog = (
         "examples:\n  twc-env warm-up\n  NUMBA_CACHE_DIR=/opt/kernels twc-env warm-up\n\n"
@@ -25,7 +29,29 @@ def _run(_arguments: argparse.Namespace) -> None:
     from twc_env.kernels.cache_folder import cache_folder, is_kept
 
     begin_s = time.perf_counter()
-    count = compile_all()
+    count = compile_all() + compile_for_commands()
     done = f"{count} functions compiled" if count else "nothing to compile: all kernels were there"
     kept = f"kept in {cache_folder()}" if is_kept() else "NOT kept: no folder can be written, set NUMBA_CACHE_DIR"
     print(f"{done} ({time.perf_counter() - begin_s:.0f} s); {kept}")
+
+
+def compile_for_commands(steps: int = STEPS) -> int:
+    """Compile what velocity commands with all cues do not need: planning, scan descriptors and drawing; the number of
+    functions compiled."""
+    from twc_env.agents.explore import explore
+    from twc_env.config import EnvConfig, override
+    from twc_env.exploration.environment import ExplorationEnv
+    from twc_env.exploration.warm_up import MAP, SEED
+    from twc_env.kernels import compilation
+
+    before = compilation.announcer().count
+    settings = {"map": MAP, "robots": 2, "max_cycles": steps}
+    explore(
+        override(EnvConfig(), {**settings, "slam.cues.text": False, "slam.cues.wifi": False}), "nearest-frontier", SEED
+    )
+    env = ExplorationEnv(config=override(EnvConfig(), {**settings, "action.kind": "frontier"}), render_mode="rgb_array")
+    seen, _ = env.reset(seed=SEED)
+    while env.agents:
+        seen, *_ = env.step({agent: int(blocks["action_mask"].argmax()) for agent, blocks in seen.items()})
+    env.render()
+    return compilation.announcer().count - before

@@ -245,7 +245,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     def _step(self, actions: Mapping[str, Any]):
         episode, agents = self._begun, self.agents
         if episode is None or not agents:
-            raise TwcError("step() needs a running episode: call reset() first")
+            state = "none has started" if episode is None else "this one is over"
+            raise TwcError(f"step() needs a running episode, and {state}: call reset() first")
         began = episode.steps
         values = episode.step(actions, agents, self._watch)
         seen, observations, infos = episode.observe(), {}, {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +44,20 @@ class LogPage:
         live = np.array([engine.pose_map_robot(robot) for robot in range(self._robots)])
         self._poses.append(compose(self._places, live))
 
-    def write(self, path: Path, engine: Engine, title: str, subtitle: str, report: dict, times_s: Array) -> Path:
-        """Write the page, with the final maps as its last moment; times_s (steps,) since the start."""
+    def write(
+        self,
+        path: Path,
+        engine: Engine,
+        title: str,
+        subtitle: str,
+        report: dict,
+        times_s: Array,
+        told: Sequence[tuple[str, str]] = (),
+    ) -> Path:
+        """Write the page, with the final maps as its last moment; times_s (steps,) since the start.
+
+        told: names and values with units, of the summary below the picture.
+        """
         last = len(self._poses) - 1
         self._moments = [moment for moment in self._moments if moment["step"] < last]
         self._add_moment(last, engine)
@@ -65,7 +78,7 @@ class LogPage:
             "subtitle": subtitle,
             "colours": list(palette.ROBOTS),
             "palette": PALETTE,
-            "figures": [[key, key.replace("_", " "), _shown(value)] for key, value in report.items() if key != "table"],
+            "figures": [[name, name, text] for name, text in told],
             "remarks": [],
             "bounds_m": _bounds(corners),
             "layers": LAYERS,
@@ -137,13 +150,6 @@ class LogPage:
         self._moments.append(
             {"step": step, "figures": figures, "closures": closures, "layers": layers, "bounds_m": bounds_m}
         )
-
-
-def _shown(value: Any) -> str:
-    """A figure of the report as text."""
-    if isinstance(value, float):
-        return f"{value:.3f}"
-    return ", ".join(map(_shown, value)) if isinstance(value, list | tuple) else str(value)
 
 
 def _sides(grid: GridMap) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from twc_env.pictures.style import legend_below, new_figure, save_figure, set_ti
 from twc_env.records.geometry import travelled_m
 from twc_env.records.messages import GridMap
 from twc_env.replaying.run import groups_by_size
+from twc_env.slam.places.text_similarity import text_similarity
 
 if TYPE_CHECKING:
     from twc_env.replaying.run import Replay
@@ -25,6 +27,8 @@ FORMATS = ("png", "pdf", "svg")
 PANELS_MAX = 6
 """Maps that are drawn, the largest first."""
 SIGNS_MAX = 80
+SIGN_M, ALIKE = 1.0, 0.5
+"""Readings of one sign are so close to each other, and so similar (Levenshtein, 0 to 1)."""
 _WIDTH_INCHES, _HEIGHT_MAX_INCHES, _MARGIN_M = 11.0, 14.0, 1.0
 
 
@@ -80,7 +84,7 @@ def _figure(replay: Replay) -> Any:
     legend_below(figure, list(handles.values()), list(handles))
     settle(figure)
     for axes, group in zip(panels, drawn, strict=True):
-        _name_signs(axes, [(sign.text, sign.position_m) for sign in team.signs_of(group)][:SIGNS_MAX])
+        _name_signs(axes, [(sign.text, sign.position_m) for sign in team.signs_of(group)])
     return figure
 
 
@@ -123,7 +127,30 @@ def _free_m2(grid: GridMap) -> float:
     return float((grid.log_odds < 0).sum() * grid.resolution_m**2)
 
 
+def one_name_per_sign(signs: Sequence[tuple[str, Array]]) -> list[tuple[str, Array]]:
+    """Readings of one sign as one: that which is most similar to the others (the median of texts), with their number.
+
+    They are within SIGN_M of the first, and each is at least half like another.
+    """
+    heaps: list[list[tuple[str, Array]]] = []
+    for text, place_m in signs:
+        near = (heap for heap in heaps if math.dist(place_m[:2], heap[0][1][:2]) < SIGN_M)
+        heap = next((heap for heap in near if max(text_similarity(text, other) for other, _ in heap) >= ALIKE), None)
+        if heap is None:
+            heaps.append([(text, place_m)])
+        else:
+            heap.append((text, place_m))
+    names = []
+    for heap in heaps:
+        texts = [text for text, _ in heap]
+        best = max(range(len(texts)), key=lambda k: (sum(text_similarity(texts[k], other) for other in texts), -k))
+        more = f" (and {len(texts) - 1} like it)" if len(texts) > 1 else ""
+        names.append((texts[best] + more, heap[best][1]))
+    return names
+
+
 def _name_signs(axes: Any, signs: list[tuple[str, Array]]) -> None:
+    signs = one_name_per_sign(signs)[:SIGNS_MAX]
     if signs:
         places_m = np.array([position_m for _, position_m in signs], float)
         axes.plot(*places_m.T, "s", color=TRUE_TEXT, mec=FLOOR, mew=0.5, ms=4, zorder=5)

@@ -1,7 +1,8 @@
 """Errors of odometry in single places: bumps that turn a robot, and wheels that slip at thresholds.
 
 Borenstein and Feng, "UMBmark: a method for measuring, comparing, and correcting dead-reckoning errors in mobile
-robots", University of Michigan, 1995: a cable of 9 to 10 mm under one wheel turns a robot by 0.44 degrees.
+robots", University of Michigan, 1995: a cable of 9 to 10 mm under one wheel turns a robot by 0.44 degrees (quoted from
+memory, not looked up: an assumption of that size).
 """
 
 from __future__ import annotations

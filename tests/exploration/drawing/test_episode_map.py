@@ -70,6 +70,12 @@ def test_a_title_that_is_wider_than_the_picture_is_broken_not_cut_off(small):
     assert not box.overlaps(figure.axes[0].get_tightbbox())
 
 
+def test_the_legend_explains_tinted_floor_where_there_are_several_maps_and_nowhere_else(unmerged):
+    for result, is_explained in ((played(map="twin-01", robots=1, max_cycles=3), False), (unmerged, True)):
+        (legend,) = result.plot().legends
+        assert any("tint per map" in text.get_text() for text in legend.get_texts()) == is_explained
+
+
 def test_each_robot_is_one_entry_of_the_legend_with_both_of_its_paths(unmerged):
     (legend,) = unmerged.plot().legends
     names = [text.get_text() for text in legend.get_texts()]

@@ -15,6 +15,7 @@ from twc_env import metrics
 from twc_env._version import __version__
 from twc_env.config import EnvConfig, shared_config
 from twc_env.config import digest as config_digest
+from twc_env.errors import did_you_mean
 from twc_env.exploration.assessment import result_table
 from twc_env.exploration.assessment.episode_record import EpisodeRecord
 from twc_env.exploration.assessment.map_scores import GroupScore, floor_m2
@@ -72,6 +73,8 @@ class EpisodeResult:
         return result_table.html_of(self.figures)
 
     def __getitem__(self, key: str) -> Any:
+        if key not in self.figures:
+            raise KeyError(f"no figure {key!r}{did_you_mean(key, self.figures)}; keys() has all")
         return self.figures[key]
 
     def __contains__(self, key: object) -> bool:

@@ -43,8 +43,8 @@ def map_figure(result: Any, dpi: float | None = None) -> Any:
             xlim=(x_min - MARGIN_M, x_max + MARGIN_M), ylim=(y_min - MARGIN_M, y_max + MARGIN_M), xlabel="x [m]",
             ylabel="y [m]", facecolor=palette.UNKNOWN,
         )  # fmt: skip
-        _draw_grids(axes, result)
-        entries = [*_draw_building(axes, result), *_draw_paths(axes, result), *_draw_closures(axes, result)]
+        floors = _draw_grids(axes, result)
+        entries = [*floors, *_draw_building(axes, result), *_draw_paths(axes, result), *_draw_closures(axes, result)]
         set_title(figure, _title(result))
         legend_below(figure, [handle for handle, _ in entries], [name for _, name in entries])
         fit_height(figure, axes, height_m / width_m, HEIGHT_MAX_IN)
@@ -70,12 +70,17 @@ def _title(result: Any) -> list[str]:
     ]
 
 
-def _draw_grids(axes: Any, result: Any) -> None:
+def _draw_grids(axes: Any, result: Any) -> list[tuple[Any, str]]:
     """Draw the map of each group in the building frame, the largest on top; floor is tinted if there are several."""
+    from matplotlib.patches import Patch
+
     for k in range(len(result.grids) - 1, -1, -1):
         grid, pose = result.grids[k], result.pose_building_map[k]
         floor = palette.rgb(palette.FLOOR) if len(result.grids) == 1 else palette.tinted_floor(result.groups[k][0])
         draw_smoothly(axes, grid, pose, floor, 1 + 0.01 * (99 - min(k, 98)))
+    if len(result.grids) == 1:
+        return []
+    return [(Patch(color=tuple(palette.tinted_floor(result.groups[0][0]) / 255)), "mapped floor, a tint per map")]
 
 
 def draw_smoothly(axes: Any, grid: GridMap, pose: Array, floor: Array, order: float = 1.0) -> None:

@@ -75,7 +75,7 @@ def legend_of(scene: Scene) -> tuple[Entry, ...]:
     if scene.walls.any():
         entries.append(("bar", palette.TRUE_WALL, "true wall"))
     if scene.grids:
-        entries += [("bar", palette.WALL, "mapped wall"), ("area", palette.FLOOR, "mapped floor")]
+        entries += [("bar", palette.WALL, "mapped wall"), ("area", palette.FLOOR, "mapped floor, tinted until merged")]
     if len(scene.true_poses):
         entries.append(("disc", palette.INK, "true pose"))
     if len(scene.estimated_poses):

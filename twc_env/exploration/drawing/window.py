@@ -111,7 +111,8 @@ class Window:
             self._screen = pygame.display.set_mode((width, height))
         except pygame.error as error:
             raise ConfigError(
-                f"no window can be opened here ({error}); set DISPLAY, or choose render_mode='rgb_array'"
+                f"no window can be opened here ({error}); set DISPLAY, or choose render_mode='rgb_array' "
+                "(on the command line: twc-env explore draws a film)"
             ) from error
         pygame.display.set_caption(self._title)
         self._clock = pygame.time.Clock()
