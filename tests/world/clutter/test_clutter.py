@@ -7,7 +7,7 @@ import pytest
 
 from twc_env.config import EnvConfig, override
 from twc_env.maps import load_map
-from twc_env.world.clutter.contact import ANGLE, OPEN_RAD
+from twc_env.world.clutter.contact import ANGLE, OPEN_RAD, place_leaf
 from twc_env.world.clutter.doorways import WIDTH_MAX_M, WIDTH_MIN_M, doorways_of
 from twc_env.world.clutter.furniture import PASSAGE_M, legs_of, sides_of
 from twc_env.world.world import World
@@ -54,6 +54,17 @@ def test_doors_open_and_close_within_a_second_and_a_half(world_with):
     angles = np.array(seen)
     assert len(doors) >= 5 and (angles.min(axis=0) < 0.01).all() and (angles.max(axis=0) > OPEN_RAD - 0.01).all()
     assert np.abs(np.diff(angles, axis=0)).max() <= OPEN_RAD / 15 + 1e-9
+
+
+def test_open_doors_do_not_stand_in_a_narrow_corridor():
+    plan = load_map("gen:office:400:7")  # its corridor, 1.8 m wide, lies between y = 6.5 and 8.3 m
+    world = World(override(EnvConfig(map=plan.name, robots=1), {"clutter.door_share": 1.0}), plan)
+    world.reset(0)
+    doors = world.clutter._doors.copy()
+    leaves = np.zeros((len(doors), 4))
+    for k in range(len(doors)):
+        place_leaf(doors, k, OPEN_RAD, leaves)
+    assert len(doors) >= 15 and not ((leaves[:, 3] > 6.6) & (leaves[:, 3] < 8.2)).any()
 
 
 def test_furniture_leaves_passages_and_keeps_away_from_robots(world_with):
