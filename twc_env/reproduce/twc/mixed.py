@@ -3,9 +3,9 @@
 Each robot has its own platform, size, speed, drift and scanner (`twc_env.config.TEAM_PRESETS`); `twc-slam` is the
 paper's own team. Each robot drives to the nearest frontier, or to the next one after a decision that did not move it,
 until the whole team shares one map without frontiers or the steps are over; the seed is that of starts and noise.
-`merged_share` is the share of seeds in which all robots share one map at the end, `wrong` the number of pairs of robots that shared a map at any
-time although their own paths place it more than 1 m or 10 degrees apart, summed over the seeds; `ate_m` and
-`coverage_correct` are means over the seeds, `ate_max_m` is the worst.
+`merged_share` is the share of seeds in which all robots share one map at the end, `wrong` the number of pairs of robots
+that shared a map at any time although their own paths place it more than 1 m or 10 degrees apart, summed over the
+seeds; `ate_m` and `coverage_correct` are means over the seeds, `ate_max_m` is the worst.
 """
 
 from __future__ import annotations
