@@ -100,6 +100,14 @@ class Clutter:
         """(k, 3) x, y and radius [m] of what hides signs."""
         return self.obstructions[:, :3]
 
+    @property
+    def open_leaves(self) -> Array:
+        """(doors, 4) ends [m] of the leaves when they are open."""
+        leaves = np.zeros((len(self._doors), 4))
+        for k in range(len(leaves)):
+            place_leaf(self._doors, k, OPEN_RAD, leaves)
+        return leaves
+
     def step(self, poses: Array, commands: Array, walkers: Array | None, state: Array, limits: Array) -> Array:
         """Advance one time step; poses (r, 3) of the robots before it. The commands (r, 2) that bumpers leave.
 

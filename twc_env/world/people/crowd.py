@@ -68,15 +68,16 @@ class Crowd(BindsAnew):
         time_step_s: float,
         seed: int,
         rims: Array | None = None,
+        leaves: Array | None = None,
     ):
         """robots (r, 3): start poses; robot_radius_m: of all robots, or of each (r,); rims (k, 4): ends of the sides of
-        furniture and doors, updated in place.
+        furniture and doors, updated in place; leaves (d, 4): ends of the doors when they are open.
 
         Raises MapError if the people do not fit into the building.
         """
         random, count = random_stream(seed, "people"), config.count
         radii_m = np.full(len(robots), robot_radius_m, float)
-        ways = destinations_of(home)
+        ways = destinations_of(home, () if leaves is None else tuple(map(tuple, leaves.tolist())))
         self._state, self._kinds = _placed(config, home, robots, radii_m, random)
         trips = random.integers(0, max(len(ways.places_m), 1), (count, _TRIPS))
         pauses = random.exponential(config.pause_mean_s, (count, _TRIPS))
