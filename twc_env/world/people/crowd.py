@@ -13,6 +13,7 @@ from twc_env.errors import MapError
 from twc_env.kernels.compiled import BindsAnew, Lent, bound
 from twc_env.records.random_streams import random_stream
 from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.clutter.doorways import doorways_of
 from twc_env.world.people.destinations import destinations_of
 from twc_env.world.people.sight import shorten
 from twc_env.world.people.walking import (
@@ -53,6 +54,8 @@ _GROUP_RADIUS_M = 0.6
 """... on a circle of this radius."""
 _SEAT_CLEARANCE_M = 0.9
 """People sit no further from a wall than this."""
+_FROM_DOORWAYS_M = 0.8
+"""Nobody sits or stands nearer to the middle of a doorway for the whole episode."""
 _SPEED_MIN_M_S = 0.3
 
 
@@ -177,6 +180,9 @@ def _placed(
     places = start_places(home)
     places = places[random.permutation(len(places))]
     near_wall = home.wall_index.distance_m(places, _SEAT_CLEARANCE_M) < _SEAT_CLEARANCE_M
+    doorways = doorways_of(home)
+    apart_m = np.hypot(*(places[:, None] - 0.5 * (doorways[:, :2] + doorways[:, 2:])).transpose(2, 0, 1))
+    is_beside = apart_m.min(axis=1, initial=np.inf) >= _FROM_DOORWAYS_M
     away = np.full(len(places), np.inf)
     """Distance of each place to what is already there."""
     for robot, radius_m in zip(robots, radii_m.tolist(), strict=True):
@@ -189,7 +195,7 @@ def _placed(
     state[:, LEFT] = np.inf
     middle, standing = np.zeros(2), 0
     for i in range(count):
-        is_free = away >= _APART_M
+        is_free = (away >= _APART_M) & (is_beside | (kinds[i] == WALKING))
         if kinds[i] == SITTING:
             is_free = is_free & near_wall
         if kinds[i] == STANDING and standing % _GROUP:
