@@ -28,7 +28,7 @@ from twc_env.reproduce.runner import Runner, add_some
 from twc_env.running.options import count, natural
 from twc_env.suite.player import drive
 
-CHOOSES = ("buildings", "effects")
+CHOOSES = ("buildings", "first", "effects")
 EFFECTS: dict[str, dict] = {
     "clean": {},
     "people 12": {"people.count": 12},
