@@ -40,6 +40,8 @@ class Explorer(ABC):
         """Of the team; that of each robot is with its follower."""
         self._own = [own.dynamics for own in robot_configs(config)]
         self.explorer = explorer or ExplorerConfig()
+        has_doors = config.clutter.door_share > 0.0
+        self._finished_s = self.explorer.finished_doors_s if has_doors else self.explorer.finished_s
         self.finder = PathFinder()
         self.reset(0, ())
 
@@ -65,7 +67,7 @@ class Explorer(ABC):
         if self._idle_since is None or not beliefs:
             return False
         step = next(iter(beliefs.values())).step
-        return (step - self._idle_since) * self.dynamics.time_step_s >= self.explorer.finished_s
+        return (step - self._idle_since) * self.dynamics.time_step_s >= self._finished_s
 
     # Observation
 

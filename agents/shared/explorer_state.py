@@ -51,7 +51,9 @@ class ExplorerConfig:
     squeeze: float = 0.6
     """A robot enclosed by its map plans with its radius multiplied by this."""
     finished_s: float = 5.0
-    """The team is finished after this time without any goal."""
+    """The team is finished after this time without any goal ..."""
+    finished_doors_s: float = 60.0
+    """... and where doors open and close after this one: robots look once more into what was shut."""
 
 
 UNSEEN = (-1, 0)

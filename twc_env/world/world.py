@@ -113,12 +113,13 @@ class World:
             self._odometry.jolts = Jolts([each.odometry for each in own], doorways_of(self._home), seed)
         lidar, kind = own[0].lidar, Scanners if has_one_scanner(config) else MixedScanners
         self._lidar = Lidar(lidar, self._home.wall_index, radius, robots, seed, glass_walls(self._home))
-        self.crowd = self.clutter = legs = rims = seen = None
+        self.crowd = self.clutter = legs = rims = seen = leaves = None
         if config.clutter.door_share or config.clutter.furniture:
             clutter = Clutter(config.clutter, self.plan, starts_home, radius, config.dynamics.time_step_s, seed)
-            self.clutter, rims, seen = clutter, clutter.rims, clutter.seen
+            self.clutter, rims, seen, leaves = clutter, clutter.rims, clutter.seen, clutter.open_leaves
         if config.people.count:
-            crowd = Crowd(config.people, self._home, starts_home, radius, config.dynamics.time_step_s, seed, rims)
+            time_step_s = config.dynamics.time_step_s
+            crowd = Crowd(config.people, self._home, starts_home, radius, time_step_s, seed, rims, leaves)
             self.crowd, legs = crowd, crowd.discs
         self._bodies = self._obstructions()
         is_usual = kind is Scanners and not needs_scanners(lidar)

@@ -56,6 +56,14 @@ def test_doors_open_and_close_within_a_second_and_a_half(world_with):
     assert np.abs(np.diff(angles, axis=0)).max() <= OPEN_RAD / 15 + 1e-9
 
 
+def test_open_doors_do_not_stand_in_a_narrow_corridor():
+    plan = load_map("gen:office:400:7")  # its corridor, 1.8 m wide, lies between y = 6.5 and 8.3 m
+    world = World(override(EnvConfig(map=plan.name, robots=1), {"clutter.door_share": 1.0}), plan)
+    world.reset(0)
+    leaves = world.clutter.open_leaves
+    assert len(leaves) >= 15 and not ((leaves[:, 3] > 6.6) & (leaves[:, 3] < 8.2)).any()
+
+
 def test_furniture_leaves_passages_and_keeps_away_from_robots(world_with):
     world = world_with(FURNITURE, "random")
     clutter = world.clutter
@@ -142,3 +150,17 @@ def test_what_one_dial_does_changes_no_draw_of_another(world_with):
     assert np.array_equal(alone.clutter.rims, both.clutter.rims)
     without, among = world_with({"people.count": 5}), world_with(FURNITURE | {"people.count": 5})
     assert np.array_equal(without.crowd.bodies, among.crowd.bodies)
+
+
+def test_people_do_not_gather_behind_open_doors():
+    plan, settings = load_map("gen:office:400:6"), {"clutter.door_share": 0.8, "people.count": 10}
+    world = World(override(EnvConfig(map=plan.name, robots=1), {**settings, "people.walking_share": 1.0}), plan)
+    world.reset(7)
+    world.sense()
+    places = []
+    for step in range(2000):
+        world.tick(np.zeros((1, 2)))
+        if step % 100 == 0:
+            places.append(world.crowd.bodies.copy())
+    moved_m = np.hypot(*np.diff(places, axis=0).transpose(2, 0, 1))
+    assert (moved_m < 0.3).mean() < 0.25  # within 10 s; 0.4 where ways lead through open leaves

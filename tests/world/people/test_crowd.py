@@ -4,6 +4,7 @@ import pytest
 from twc_env.config.people import PeopleConfig
 from twc_env.errors import MapError
 from twc_env.maps import load_map
+from twc_env.world.clutter.doorways import doorways_of
 from twc_env.world.people.crowd import Crowd
 from twc_env.world.people.walking import BODY_RADIUS_M, SITTING, WALKING
 
@@ -87,3 +88,11 @@ def test_a_robot_that_stands_is_never_at_fault():
 def test_too_many_people_are_refused_with_the_setting_to_reduce():
     with pytest.raises(MapError, match=r"no room for 200 people; reduce people\.count"):
         Crowd(PeopleConfig(count=200), load_map("gen:office:100:1").home, FAR, RADIUS_M, DT_S, 0)
+
+
+def test_nobody_sits_or_stands_in_a_doorway_for_good():
+    home = load_map("gen:office:400:24").home
+    crowd = Crowd(PeopleConfig(count=30, walking_share=0.0, sitting_share=0.5), home, FAR, RADIUS_M, DT_S, 0)
+    doorways = doorways_of(home)
+    middles = 0.5 * (doorways[:, :2] + doorways[:, 2:])
+    assert np.hypot(*(crowd.bodies[:, None] - middles).transpose(2, 0, 1)).min() >= 0.8

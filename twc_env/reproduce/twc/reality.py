@@ -1,15 +1,16 @@
 """What each effect of reality costs: teams in generated offices, without effects and with one at a time.
 
-Three robots (`--robots`) start at random poses of generated offices and drive to the nearest frontier, or to the next
-one after a decision that did not move them, until the whole team shares one map without frontiers or the steps are
-over. `clean` has none of the effects; every other row has one, `all` has them together, and the worlds are the presets
-of that name (`world = "office"`), in the same offices. In the rows with people, robots wait for whoever moves close to
-them.
+Three robots (`--robots`) start at random poses of generated offices and explore them with a scripted team (`--agent`)
+until it is finished or the steps are over. `clean` has none of the effects; every other row has one, `all` has them
+together, and the worlds are the presets of that name (`world = "office"`), in the same offices. In the rows with
+people, robots wait for whoever moves close to them.
 
-`merged_share` is the share of robots in the largest map at the end, `wrong_merges` the number of pairs of robots (or of
-parts of the path of a carried robot) that shared a map at any time although their own paths place it more than 1 m or
-10 degrees apart, summed over the buildings. `ate_m` and `coverage_correct` are means over buildings, `steps_per_s` is
-measured with everything in it. `stuck_share` is the share of time in which a robot stood for ten seconds or more.
+`fully_merged` is the share of the teams that share one map at the end, `merged_share` the mean share of robots in the
+largest map. `wrong_merges` is the number of pairs of robots (or of parts of the path of a carried robot) that shared a
+map at any time although their own paths place it more than 1 m or 10 degrees apart, summed over the buildings;
+`wrong_teams` the number of teams in which there were any. `ate_m`, `coverage_correct`, `steps` and `stuck_share` are
+means over buildings. `stuck_share` is the share of time in which a robot stood for ten seconds or more, `stuck_worst`
+that of the worst episode. `steps_per_s` is measured with everything in it, also what the team thinks.
 `people_collisions` counts contacts that robots began by driving.
 """
 
@@ -17,15 +18,17 @@ from __future__ import annotations
 
 import argparse
 import time
+from functools import partial
 
 import numpy as np
 
 from twc_env.config import WORLD_PRESETS
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.reproduce.runner import Runner, add_some
-from twc_env.running.options import count
+from twc_env.running.options import count, natural
+from twc_env.suite.player import drive
 
-CHOOSES = ("buildings", "effects")
+CHOOSES = ("buildings", "first", "effects")
 EFFECTS: dict[str, dict] = {
     "clean": {},
     "people 12": {"people.count": 12},
@@ -55,11 +58,9 @@ EFFECTS: dict[str, dict] = {
     "lost robot": {"failure.robots": 1, "failure.robots_step": 400},
 }
 """Settings of each effect."""
-FIGURES = ("ate_m", "coverage_correct", "stuck_share", "steps_per_s")
+FIGURES = ("ate_m", "coverage_correct", "steps", "stuck_share", "steps_per_s")
 ALL = "all"
 WORLDS = tuple(f"world {name}" for name in WORLD_PRESETS if name != "clean")
-MOVED_M = 0.3
-"""A robot that a decision moved less than this chooses another goal next."""
 _NOT_TOGETHER = (
     "people 12", "furniture", "furniture below the scan", "good odometry", "bad odometry", "carried often",
     "lost robot", "measured radio, fused",
@@ -70,19 +71,21 @@ _NOT_TOGETHER = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
     parser.add_argument("--buildings", type=count, default=5, help="number of generated offices per effect")
+    parser.add_argument("--first", type=natural, default=0, help="number of the first office")
     parser.add_argument("--area", type=count, default=400, help="floor area of each [m2]")
     parser.add_argument("--robots", type=count, default=3, help="number of robots")
-    parser.add_argument("--steps", type=count, default=1500, help="maximum steps per episode")
+    parser.add_argument("--steps", type=count, default=4000, help="maximum steps per episode")
+    parser.add_argument("--agent", default="nearest-frontier", help="the scripted team")
+    parser.add_argument("--jobs", type=count, default=1, help="number of worker processes")
     add_some(parser, "--effects", [*EFFECTS, ALL, *WORLDS], "effects")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per effect."""
-    episodes = runner.grid(
-        options.effects,
-        range(options.buildings),
-        lambda effect, k: episode(settings_of(effect), k, options.area, options.robots, options.steps),
-    )
+    common = {"robots": options.robots, "max_cycles": options.steps}
+    numbers = range(options.first, options.first + options.buildings)
+    play = partial(episode, options.agent, options.area, common)
+    episodes = runner.grid(options.effects, numbers, play, options.jobs)
     return [_row(effect, found, options.robots) for effect, found in episodes.items()]
 
 
@@ -95,46 +98,41 @@ def settings_of(effect: str) -> dict:
     return {key: value for name, own in EFFECTS.items() if name not in _NOT_TOGETHER for key, value in own.items()}
 
 
-def episode(effect: dict, building: int, area_m2: int, robots: int, steps: int) -> dict:
+def episode(agent: str, area_m2: int, common: dict, effect: str, building: int) -> dict:
     """The figures of one episode."""
-    own = {"map": f"gen:office:{area_m2}:{building}", "robots": robots, "max_cycles": steps, "action.kind": "frontier"}
-    env = ExplorationEnv(config={**own, **effect})
-    observations, _ = env.reset(seed=building)
-    begun, idle, tries, before = time.perf_counter(), 0, np.zeros(robots, int), np.full((robots, 2), np.inf)
-    while env.agents and idle < 2:
-        masks = [observations[agent]["action_mask"] for agent in env.agents]
-        here = np.array([env.belief(agent).pose_odom[:2] for agent in env.agents])
-        tries, before = np.where(np.hypot(*(here - before).T) < MOVED_M, tries + 1, 0), here
-        frontiers = env.config.action.frontier_slots
-        has_frontier = any(mask[:frontiers].any() for mask in masks)
-        is_merged = all(len(env.belief(agent).teammates) == robots - 1 for agent in env.agents)
-        idle = idle + 1 if is_merged and not has_frontier else 0
-        choices = [np.flatnonzero(mask) for mask in masks]  # frontiers first, the nearest one before the others
-        goals = [int(valid[k % len(valid)]) for valid, k in zip(choices, tries.tolist(), strict=True)]
-        observations, *_ = env.step(dict(zip(env.agents, goals, strict=True)))
+    env = ExplorationEnv(config={**common, "map": f"gen:office:{area_m2}:{building}", **settings_of(effect)})
+    begun = time.perf_counter()
+    drive(env, agent, building)
     took_s, figures = time.perf_counter() - begun, env.result().figures
+    undone = sum(mapper.merges_undone for mapper in env.engine.mappers)
+    env.close()
     return {
         "merged": figures["merged_robots"],
         "wrong_merges": figures["wrong_merges"],
-        "undone": sum(mapper.merges_undone for mapper in env.engine.mappers),
+        "undone": undone,
         "ate_m": figures["team_ate_m"],
         "coverage_correct": figures["coverage_correct"],
+        "steps": figures["steps"],
         "stuck_share": figures["stuck_share"],
         "steps_per_s": figures["steps"] / took_s,
         "people_collisions": figures.get("people_collisions", 0),
-        "robot_hours": robots * figures["sim_time_s"] / 3600.0,
+        "robot_hours": figures["robots"] * figures["sim_time_s"] / 3600.0,
     }
 
 
 def _row(effect: str, episodes: list[dict], robots: int) -> dict:
     means = {name: float(np.mean([found[name] for found in episodes])) for name in FIGURES}
+    merged = np.array([found["merged"] for found in episodes])
     return {
         "effect": effect,
         "buildings": len(episodes),
-        "merged_share": float(np.mean([found["merged"] for found in episodes])) / robots,
+        "fully_merged": float(np.mean(merged == robots)),
+        "merged_share": float(np.mean(merged)) / robots,
         "wrong_merges": sum(found["wrong_merges"] for found in episodes),
+        "wrong_teams": sum(found["wrong_merges"] > 0 for found in episodes),
         "undone": sum(found["undone"] for found in episodes),
         **{name: round(value, 4) for name, value in means.items()},
+        "stuck_worst": round(max(found["stuck_share"] for found in episodes), 4),
         "people_collisions": sum(found["people_collisions"] for found in episodes),
         "robot_hours": round(sum(found["robot_hours"] for found in episodes), 2),
     }

@@ -48,6 +48,9 @@ _GAP_M = 0.02
 _MARGIN_M = 0.1
 """Floor this close to a piece is not scored either: about a cell of the map."""
 _CLEAR_M = 0.5
+_EGRESS_M = 0.94
+"""An open leaf leaves this much of the way that it stands in: doors may take 0.18 m of the 1.12 m that a corridor has
+at least (International Building Code 2021, sections 1005.7.1 and 1020.3)."""
 _NO_WALKERS = np.zeros((0, 2))
 
 
@@ -96,6 +99,14 @@ class Clutter:
     def hiding(self) -> Array:
         """(k, 3) x, y and radius [m] of what hides signs."""
         return self.obstructions[:, :3]
+
+    @property
+    def open_leaves(self) -> Array:
+        """(doors, 4) ends [m] of the leaves when they are open."""
+        leaves = np.zeros((len(self._doors), 4))
+        for k in range(len(leaves)):
+            place_leaf(self._doors, k, OPEN_RAD, leaves)
+        return leaves
 
     def step(self, poses: Array, commands: Array, walkers: Array | None, state: Array, limits: Array) -> Array:
         """Advance one time step; poses (r, 3) of the robots before it. The commands (r, 2) that bumpers leave.
@@ -237,12 +248,17 @@ def _doors_of(
         door[CLOSED_RAD], door[LENGTH] = math.atan2(along[1], along[0]), width_m - 2.0 * _GAP_M
         door[ANGLE] = door[GOAL] = OPEN_RAD if is_open[k] else 0.0
         door[LEFT_S] = times[k, 1 if is_open[k] else 0]
+        leaf, ways = np.zeros((1, 4)), []
         for side in (1.0, -1.0) if sides[k] else (-1.0, 1.0):
             door[SIDE] = side
-            leaf = np.zeros((1, 4))
             place_leaf(door[None], 0, OPEN_RAD, leaf)
-            begin = leaf[0, :2] + 0.1 * (leaf[0, 2:] - leaf[0, :2]) / door[LENGTH]
-            if not home.cells().is_free(leaf[0, 2:]) or is_blocked(*buckets, *begin, *leaf[0, 2:]):
+            along = (leaf[0, 2:] - leaf[0, :2]) / door[LENGTH]
+            begin = leaf[0, :2] + 0.1 * along
+            is_free = home.cells().is_free(leaf[0, 2:]) and not is_blocked(*buckets, *begin, *leaf[0, 2:])
+            ways.append((_way_m(buckets, leaf[0, 2:], along) if is_free else 0.0, side))
+        for way_m, side in ways:  # not into the way along a corridor
+            door[SIDE] = side
+            if way_m < _EGRESS_M:
                 continue
             place_leaf(door[None], 0, door[ANGLE], leaf)
             if all(away_from(leaf, 0, x, y) > r for (x, y, _), r in zip(robots, radii_m, strict=True)):
@@ -250,6 +266,20 @@ def _doors_of(
                 break
     doors, kept = np.array([door for door, _ in found]), np.array([own for _, own in found])
     return doors.reshape(-1, COLUMNS), kept.reshape(-1, _TIMES)
+
+
+def _way_m(buckets: tuple, tip: Array, along: Array) -> float:
+    """Least free way [m] beyond the tip of an open leaf, up to a metre to both sides, to 0.1 m, at most a metre."""
+    across, way_m = 0.2 * np.array([-along[1], along[0]]), 1.0
+    for side in (across, -across):
+        begin = tip
+        for _ in range(6):
+            while way_m > 0.0 and is_blocked(*buckets, *begin, *(begin + way_m * along)):
+                way_m -= 0.1
+            if is_blocked(*buckets, *begin, *(begin + side)):
+                break
+            begin = begin + side
+    return way_m
 
 
 def _pieces_of(

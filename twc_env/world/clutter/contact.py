@@ -44,9 +44,11 @@ def place_leaf(doors, k, angle, segments):
 
 @borrowing_kernel
 def swing(doors, times, used, walkers, poses, radii, dt, seen, rims):
-    """Move the doors by one time step; a leaf stops before robots at poses (r, 3) and before walkers (k, 2), who open
-    it. times (doors, k): how long each stays closed and open, in turns; the leaves are the first rows of seen and
-    rims."""
+    """Move the doors by one time step.
+
+    A leaf stops before robots at poses (r, 3), and one that closes before walkers (k, 2), who open it. times (doors,
+    k): how long each stays closed and open, in turns; the leaves are the first rows of seen and rims.
+    """
     for k in range(doors.shape[0]):
         doors[k, LEFT_S] -= dt
         half = 0.5 * doors[k, LENGTH]
@@ -69,7 +71,7 @@ def swing(doors, times, used, walkers, poses, radii, dt, seen, rims):
         is_free = True
         for i in range(poses.shape[0]):
             is_free &= away_from(rims, k, poses[i, 0], poses[i, 1]) > radii[i] + 0.02
-        for p in range(walkers.shape[0]):
+        for p in range(walkers.shape[0] if turn < 0.0 else 0):  # who opens a door steps aside
             is_free &= away_from(rims, k, walkers[p, 0], walkers[p, 1]) > _PERSON_M
         if is_free:
             doors[k, ANGLE] += turn

@@ -13,6 +13,7 @@ from twc_env.errors import MapError
 from twc_env.kernels.compiled import BindsAnew, Lent, bound
 from twc_env.records.random_streams import random_stream
 from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.clutter.doorways import doorways_of
 from twc_env.world.people.destinations import destinations_of
 from twc_env.world.people.sight import shorten
 from twc_env.world.people.walking import (
@@ -53,6 +54,8 @@ _GROUP_RADIUS_M = 0.6
 """... on a circle of this radius."""
 _SEAT_CLEARANCE_M = 0.9
 """People sit no further from a wall than this."""
+_FROM_DOORWAYS_M = 0.8
+"""Nobody sits or stands nearer to the middle of a doorway for the whole episode."""
 _SPEED_MIN_M_S = 0.3
 
 
@@ -68,15 +71,16 @@ class Crowd(BindsAnew):
         time_step_s: float,
         seed: int,
         rims: Array | None = None,
+        leaves: Array | None = None,
     ):
         """robots (r, 3): start poses; robot_radius_m: of all robots, or of each (r,); rims (k, 4): ends of the sides of
-        furniture and doors, updated in place.
+        furniture and doors, updated in place; leaves (d, 4): ends of the doors when they are open.
 
         Raises MapError if the people do not fit into the building.
         """
         random, count = random_stream(seed, "people"), config.count
         radii_m = np.full(len(robots), robot_radius_m, float)
-        ways = destinations_of(home)
+        ways = destinations_of(home, () if leaves is None else tuple(map(tuple, leaves.tolist())))
         self._state, self._kinds = _placed(config, home, robots, radii_m, random)
         trips = random.integers(0, max(len(ways.places_m), 1), (count, _TRIPS))
         pauses = random.exponential(config.pause_mean_s, (count, _TRIPS))
@@ -163,6 +167,9 @@ def _placed(
     places = start_places(home)
     places = places[random.permutation(len(places))]
     near_wall = home.wall_index.distance_m(places, _SEAT_CLEARANCE_M) < _SEAT_CLEARANCE_M
+    doorways = doorways_of(home)
+    apart_m = np.hypot(*(places[:, None] - 0.5 * (doorways[:, :2] + doorways[:, 2:])).transpose(2, 0, 1))
+    is_beside = apart_m.min(axis=1, initial=np.inf) >= _FROM_DOORWAYS_M
     away = np.full(len(places), np.inf)
     """Distance of each place to what is already there."""
     for robot, radius_m in zip(robots, radii_m.tolist(), strict=True):
@@ -175,7 +182,7 @@ def _placed(
     state[:, LEFT] = np.inf
     middle, standing = np.zeros(2), 0
     for i in range(count):
-        is_free = away >= _APART_M
+        is_free = (away >= _APART_M) & (is_beside | (kinds[i] == WALKING))
         if kinds[i] == SITTING:
             is_free = is_free & near_wall
         if kinds[i] == STANDING and standing % _GROUP:

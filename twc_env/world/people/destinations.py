@@ -17,7 +17,9 @@ _COUNT = 16
 """Places per building."""
 _CELL_M = 0.2
 _CLEARANCE_M = 0.27
-"""Least distance of the ways to walls."""
+"""Least distance of the ways to walls ..."""
+_LEAF_M = 0.15
+"""... and to open door leaves, so that nobody walks into the pocket behind one."""
 _NEIGHBOURS = np.array([[0, 1], [1, 0], [0, -1], [-1, 0], [1, 1], [1, -1], [-1, 1], [-1, -1]])
 
 
@@ -36,8 +38,10 @@ class Destinations:
 
 
 @lru_cache(maxsize=8)
-def destinations_of(home: Floorplan) -> Destinations:
-    """Places spread over the building, each as far as possible from those before it, and the ways to them."""
+def destinations_of(home: Floorplan, leaves: tuple[tuple[float, ...], ...] = ()) -> Destinations:
+    """Places spread over the building, each as far as possible from those before it, and the ways to them.
+
+    leaves: ends x, y, x, y [m] of the open doors."""
     candidates = start_places(home)
     if len(candidates) == 0:
         return Destinations(np.zeros((0, 1, 1), np.float32), np.zeros(2), _CELL_M, np.zeros((0, 2)))
@@ -51,6 +55,8 @@ def destinations_of(home: Floorplan) -> Destinations:
     row, column = np.divmod(np.arange(rows * columns), columns)
     centres = low + (np.stack([column, row], axis=1) + 0.5) * _CELL_M
     is_open = home.cells().is_free(centres) & (home.wall_index.distance_m(centres, _CLEARANCE_M) >= _CLEARANCE_M)
+    for leaf in leaves:
+        is_open &= _away_m(np.array(leaf), centres) > _LEAF_M
     distances = np.full((len(chosen), rows, columns), np.inf, np.float32)
     is_open = is_open.reshape(rows, columns)
     for place, field in zip(chosen, distances, strict=True):
@@ -58,6 +64,13 @@ def destinations_of(home: Floorplan) -> Destinations:
         is_open[row, column] = True
         _spread(is_open, row, column, _CELL_M, _NEIGHBOURS, field)
     return Destinations(distances, low.copy(), _CELL_M, np.array(chosen))
+
+
+def _away_m(segment: Array, points: Array) -> Array:
+    """(k,) distances of points (k, 2) to a segment (4,)."""
+    extent = segment[2:] - segment[:2]
+    along = np.clip((points - segment[:2]) @ extent / (extent @ extent), 0.0, 1.0)
+    return np.hypot(*(points - segment[:2] - along[:, None] * extent).T)
 
 
 @kernel

@@ -48,13 +48,16 @@ def _way_from(field, origin, cell, x, y):
     left = -1.0
     for step in range(_LOOK_AHEAD_CELLS):
         best, best_r, best_c = np.inf, r, c
-        for nr in range(max(r - 1, 0), min(r + 2, rows)):
-            for nc in range(max(c - 1, 0), min(c + 2, columns)):
-                # Not around corners, except for who stands beside the ways.
-                if step > 0 and nr != r and nc != c and (np.isinf(field[r, nc]) or np.isinf(field[nr, c])):
-                    continue
-                if field[nr, nc] < best:
-                    best, best_r, best_c = field[nr, nc], nr, nc
+        for reach in range(1, 4 if step == 0 else 2):  # further only from beside the ways, as behind an open door
+            if not np.isinf(best):
+                break
+            for nr in range(max(r - reach, 0), min(r + reach + 1, rows)):
+                for nc in range(max(c - reach, 0), min(c + reach + 1, columns)):
+                    # Not around corners, except for who stands beside the ways.
+                    if step > 0 and nr != r and nc != c and (np.isinf(field[r, nc]) or np.isinf(field[nr, c])):
+                        continue
+                    if field[nr, nc] < best:
+                        best, best_r, best_c = field[nr, nc], nr, nc
         if np.isinf(best):
             break
         if step == 0:
