@@ -44,14 +44,6 @@ def test_robots_without_a_common_map_are_reported(mapper_of):
     assert lines == ["no common map of [0] and [1]; 0 closures wait for others that agree"]
 
 
-def test_maps_that_fit_together_in_more_than_one_way_are_reported(mapper_of):
-    mapper = mapper_of((0, "A301", -50.0), (1, "B101", -60.0))
-    mapper.ambiguous.add(((0,), (1,)))
-    assert "the maps of [0] and [1] fit together in more than one way" in diagnostics_of(mapper)
-    mapper.ambiguous.add(((0, 1), (2,)))  # robots that share other maps by now
-    assert len([line for line in diagnostics_of(mapper) if "more than one way" in line]) == 1
-
-
 @pytest.mark.parametrize(("agree", "contradict", "is_doubted"), [(3, 4, False), (5, 5, False), (5, 6, True)])
 def test_a_map_that_most_closures_contradict_is_doubted(mapper_of, agree, contradict, is_doubted):
     mapper = mapper_of(*[(0, None, None)] * 12)

@@ -156,15 +156,9 @@ def _apart(mapper: TeamMapper) -> list[str]:
     if len(groups) < 2:
         return lines
     pending = sum(closure.status == "pending" for closure in mapper.closures)
-    ambiguous = [
-        f"the maps of {list(a)} and {list(b)} fit together in more than one way"
-        for a, b in sorted(mapper.ambiguous)
-        if a in groups and b in groups
-    ]
     return [
         *lines,
         f"no common map of {' and '.join(str(list(g)) for g in groups)}; {pending} closures wait for others that agree",
-        *ambiguous,
     ]
 
 

@@ -90,8 +90,6 @@ class TeamMapper:
         """Two groups, by their robots -> number of closures between them at the last failed merge attempt."""
         self._uncertain: set[tuple[tuple[int, ...], tuple[int, ...]]] = set()
         """Two groups whose closures agree but do not determine the relative pose; retried every RETRY_STEPS."""
-        self.ambiguous: set[tuple[tuple[int, ...], tuple[int, ...]]] = set()
-        """Two groups that were not merged because their maps fit together in more than one way."""
         self._seeks_closures = config.slam.oracle != "poses"
         self._given_starts: Array | None = None
         self.segments = Segments(robot_count)
@@ -400,11 +398,6 @@ class TeamMapper:
         if not self._tests.cues_confirm(robots_a, robots_b, proposal):
             return False
         if self._tests.signs_disagree(robots_a, robots_b, pose_a_b):
-            return False
-        # Without scan matching maps drift, and the earliest merge is the best one.
-        is_exact = self._trials is None
-        if is_exact and not proposal.is_proven and self._tests.is_ambiguous(robots_a, robots_b, proposal):
-            self.ambiguous.add((robots_a, robots_b))
             return False
         if self._on_request and self._maps.ask_for(self._tests.overlap(robots_a, robots_b, pose_a_b, OVERLAP_REACH_M)):
             return False

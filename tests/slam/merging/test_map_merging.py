@@ -9,14 +9,13 @@ from twc_env.records.growing_arrays import READINGS_ROOM
 from twc_env.records.messages import Fingerprint
 from twc_env.slam.merging import map_merging
 from twc_env.slam.merging.map_merging import (
-    REFERENCE_SLACK,
     count_places,
     largest_agreement,
-    largest_rival,
     wall_contradiction,
     weight_of,
     wifi_difference,
 )
+from twc_env.slam.merging.merge_review import RADIO_SLACK
 from twc_env.slam.places.heard_places import HeardPlaces
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid
 
@@ -83,16 +82,6 @@ def test_three_signs_outweigh_two_with_more_readings():
         *joined((targets, sources, measured, signs, alike), closures(3, 3, noise_m=0.01)), MergingConfig()
     )
     assert other.support.tolist() == [True] * 6 + [False] * 3
-
-
-def test_the_largest_set_for_an_excluded_pose_is_the_rival():
-    lie, near = np.array([-3.0, 4.0, 0.5]), compose(TRUE_A_B, [0.8, 0.0, 0.0])
-    parts = joined(closures(2, 3, pose_a_b=lie, noise_m=0.01), closures(3, 5, noise_m=0.01))
-    in_a, sources = compose(parts[0], parts[2]), parts[1]
-    assert largest_rival(TRUE_A_B, in_a, sources, MergingConfig()).tolist() == [True] * 3 + [False] * 5
-    assert largest_rival(near, in_a, sources, MergingConfig()).tolist() == [True] * 3 + [False] * 5
-    assert largest_rival(lie, in_a, sources, MergingConfig()).tolist() == [False] * 3 + [True] * 5
-    assert largest_rival(TRUE_A_B, in_a[3:], sources[3:], MergingConfig()) is None
 
 
 def test_an_equal_text_outweighs_rows_of_similar_texts():
@@ -258,7 +247,7 @@ def test_radio_tolerates_device_offsets():
 
 
 def test_radio_contradicts_if_the_second_robot_was_elsewhere():
-    assert wifi_hypothesis_test((11.0, 9.0)) > REFERENCE_SLACK
+    assert wifi_hypothesis_test((11.0, 9.0)) > RADIO_SLACK
 
 
 def test_radio_decides_nothing_if_the_paths_are_apart():

@@ -15,7 +15,6 @@ from twc_env.slam.merging.map_merging import MergeProposal
 from twc_env.slam.merging.merge_review import Merge, MergeReview
 from twc_env.slam.merging.merge_tests import MergeTests
 from twc_env.slam.merging.mutual_observations import MutualObservations, ObservationCounts
-from twc_env.slam.pose_graph import robust_back_end as robust_backend
 from twc_env.slam.team import TeamMapper
 
 PLANTED_STEP = 60
@@ -256,27 +255,6 @@ def test_similar_texts_do_not_merge_maps_without_an_equal_one(recorded):
     assert not team._try_merge(*sides)
     team.closures[-1].candidate.text_similarity = 1.0
     assert team._try_merge(*sides)
-
-
-def test_the_back_end_may_not_replace_more_signs_by_fewer(recorded, monkeypatch):
-    engine, _, _ = run(recorded, shift=(0.0, 0.0, 0.0), steps=PLANTED_STEP + 1, **BLIND)
-    team, true_poses = engine.team, recorded[2]
-    spot, asked = true_poses[PLANTED_STEP, 0, :2], []
-    for closure in closures(team, true_poses, ROOM_M, 12, signs_m=[spot, spot + 3.0]):
-        team._graph.add_closure(closure)
-        team._test_inside_map(closure)
-    real = robust_backend.revise
-
-    def revise(poses, graph, is_used, config, fixed, is_thorough, may_replace):
-        held, rivals = (
-            robust_backend.BackendResult(poses, used, ()) for used in (is_used, ~graph.is_closure | ~is_used)
-        )
-        asked.append((may_replace(held, rivals), may_replace(rivals, held)))
-        return real(poses, graph, is_used, config, fixed, is_thorough, may_replace)
-
-    monkeypatch.setattr(robust_backend, "revise", revise)
-    team.optimiser.optimise(team.group_index(0))
-    assert asked == [(False, True)]
 
 
 def test_repeating_an_undone_merge_needs_twice_as_many_closures(undone):

@@ -33,12 +33,11 @@ CELLS_AT_ONCE = 32
 NEAR_CELLS = 3
 """A wall this many cells (Manhattan distance) from a wall of the other map is not in its free space."""
 SAME_PLACE_M = 1.2
-"""Two places of different groups closer than this after a merge must have similar fingerprints ..."""
+"""Two places of different groups closer than this after a merge must have fingerprints ..."""
 REFERENCE_M = (1.5, 3.5)
-"""... as similar as pairs of one robot at this distance range."""
+"""... more alike than pairs of one robot at this distance range."""
 PAIRS_MIN, PLACES_MAX = 4, 150
 """Minimum number of pairs for a decision; of more than twice PLACES_MAX places only every n-th is compared with all."""
-REFERENCE_SLACK = 1.1
 APART_M, APART_RAD = 1.5, 0.35
 """Two hypotheses that place a keyframe further apart than this, or turn it by more, exclude each other."""
 
@@ -107,21 +106,6 @@ def agree_with(pose_a_b: Array, in_a: Array, sources: Array, config: MergingConf
 def exclude(apart: Array) -> Array:
     """(k,) bool: whether two poses of one keyframe, this far apart (k, 3), exclude each other."""
     return (np.hypot(apart[:, 0], apart[:, 1]) > APART_M) | (np.abs(wrap_angle(apart[:, 2])) > APART_RAD)
-
-
-def largest_rival(pose_a_b: Array, in_a: Array, sources: Array, config: MergingConfig) -> Array | None:
-    """(k,) bool: the most closures that agree with each other on a pose which excludes `pose_a_b`; None if none do.
-
-    Arguments as for `agree_with`.
-    """
-    others = np.flatnonzero(exclude(compose(pose_a_b, sources) - in_a))
-    if not len(others):
-        return None
-    poses = compose(in_a[others], inverse(sources[others]))
-    agreeing = [agree_with(pose, in_a[others], sources[others], config) for pose in poses]
-    rival = np.zeros(len(in_a), bool)
-    rival[others[max(agreeing, key=np.count_nonzero)]] = True
-    return rival
 
 
 @kernel

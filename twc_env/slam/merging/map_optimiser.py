@@ -142,8 +142,10 @@ class MapOptimiser:
         is_thorough |= self._is_refused_often(robots, refused)
         result = robust_backend.revise(
             self._graph.poses[nodes], graph, is_used, self._config, fixed, is_thorough and refused > 0,
-            lambda *answers: self._tests.may_replace(
-                robots, nodes, *[(self._graph.closures_of(edges[a.accepted]), a.poses) for a in answers]
+            lambda before, after: not self._tests.moves_robots_apart(
+                (self._graph.closures_of(edges[before.accepted]), before.poses),
+                (self._graph.closures_of(edges[after.accepted]), after.poses),
+                nodes,
             ),
         )  # fmt: skip
         if is_thorough:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import MergingConfig
 from twc_env.records.geometry import compose, inverse
-from twc_env.records.messages import LOOSE_M, GridMap, LoopClosure
+from twc_env.records.messages import GridMap, LoopClosure
 from twc_env.slam.mapping.team_graph import TeamGraph
 from twc_env.slam.merging import map_merging
 from twc_env.slam.merging.map_merging import MergeProposal, Weight
@@ -25,9 +25,6 @@ from twc_env.slam.places.sign_table import MISSING_AFTER_S
 
 HYPOTHESES_MAX = 16
 """Of the hypotheses of single closures, the latest so many are tested by mutual observations."""
-RIVALS_MIN, RIVAL_SHARE = 2, 0.5
-"""Closures that agree on another pose make a hypothesis ambiguous from this number on, and from this share of those
-that support it: rows of shelves, identical rooms and wings produce such groups."""
 TOLD_APART = 0.9
 """Radio tells two hypotheses apart if the places that one brings together differ by less than this share of what those
 of the other differ by."""
@@ -36,7 +33,6 @@ SCANS_ALONE_MIN = 8
 `spread_min_m` apart, must agree: rooms and whole wings of a building look alike."""
 REPEATED_MAX = 0.2
 """Largest probability that a name is repeated elsewhere with which names alone merge maps."""
-
 
 Solution = tuple[Sequence[LoopClosure], Array]
 """Accepted closures of a solution and its node poses (n, 3)."""
@@ -111,30 +107,9 @@ class MergeTests:
         is_away = np.hypot(*(sources - sources[0])[:, :2].T) >= self._rule.spread_min_m
         return list(itertools.compress(others, (agree & is_away)[1:]))
 
-    def may_replace(self, robots: Sequence[int], nodes: Array, before: Solution, after: Solution) -> bool:
-        """Whether solution `after` may replace `before` in the map of these robots, whose nodes (n,) are given.
-
-        Only the review of merges moves robots against each other, after all tests of a merge. Newly accepted closures
-        must have the weight of lost ones at least, at twice as many places, else the two solutions are ambiguous. Their
-        number is not sufficient where few signs were seen often or consecutive names are confused. A single closure may
-        not move the map by more than LOOSE_M. No new pair of robots may disagree on most of its shared signs.
-        """
-        held, now = ({closure.number for closure in answer[0]} for answer in (before, after))
-        if self._moves_robots_apart(before, after, nodes):
-            return False
-        lost = self.weight([c for c in before[0] if c.number not in now], robots)
-        new = [c for c in after[0] if c.number not in held]
-        gained = self.weight(new, robots)
-        if gained < lost or lost[1] > RIVAL_SHARE * gained[1]:
-            return False
-        new = [c for c in new if not c.is_loose]
-        if len(new) == 1 and self._graph.disagreement(new[0])[0] > LOOSE_M:
-            return False
-        return self._disagreeing_pairs(robots, nodes, after[1]) <= self._disagreeing_pairs(robots, nodes, before[1])
-
-    def _moves_robots_apart(self, before: Solution, after: Solution, nodes: Array) -> bool:
+    def moves_robots_apart(self, before: Solution, after: Solution, nodes: Array) -> bool:
         """Whether solution `after`, of nodes (n,), puts two robots elsewhere to each other than most closures between
-        them say that `before` accepted."""
+        them say that `before` accepted: only the review of merges may do that, after all tests of a merge."""
         asked = [c for c in before[0] if c.candidate.target[0] != c.candidate.source[0] and not c.is_loose]
         if not asked:
             return False
@@ -147,14 +122,6 @@ class MergeTests:
         for closure, is_elsewhere in zip(asked, held & ~holds, strict=True):
             votes[frozenset((closure.candidate.target[0], closure.candidate.source[0]))] += 1 if is_elsewhere else -1
         return max(votes.values()) > 0
-
-    def _disagreeing_pairs(self, robots: Sequence[int], nodes: Array, poses: Array) -> set[tuple[int, int]]:
-        """Pairs of robots that disagree on most of their shared signs with these nodes (n,) at poses (n, 3)."""
-        everywhere = self._graph.poses.copy()
-        everywhere[nodes] = poses
-        whose, texts, places = self._read_by(robots, everywhere)
-        pairs = ((pair, np.isin(whose, pair)) for pair in itertools.combinations(robots, 2))
-        return {pair for pair, own in pairs if _texts_disagree(texts[own], places[own], whose[own] == pair[1])}
 
     def weight(self, closures: Sequence[LoopClosure], a: Sequence[int]) -> Weight:
         """Weight of closures for the transform between robots `a` and others; loose closures have none."""
@@ -215,30 +182,6 @@ class MergeTests:
         is_late = any(path[-1].time_s >= MISSING_AFTER_S for path in paths if path)
         return is_late and not any(len(keyframe.fingerprint.macs) for path in paths for keyframe in path)
 
-    def is_ambiguous(self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal) -> bool:
-        """Whether other closures between the groups agree on another pose about as well, and neither radio nor mutual
-        observations tell the two apart.
-
-        Where radio cannot compare the two, only a rival with as many closures counts: without it, few wrong closures of
-        repeated signs would hold up every merge.
-        """
-        supporting = {closure.number for closure in proposal.agreeing}
-        found = [*self._graph.waiting.between(a, b), *self._graph.closures_between(a, b, "rejected")]
-        others = [c for c in found if c.number not in supporting and not c.is_loose]
-        if len(others) < RIVALS_MIN:
-            return False
-        targets, sources, measured, *_ = self._as_a_to_b(others, a)
-        in_a = compose(targets, measured)
-        rival = map_merging.largest_rival(proposal.pose_a_b, in_a, sources, self._rule)
-        if rival is None or np.count_nonzero(rival) < max(RIVALS_MIN, RIVAL_SHARE * len(supporting)):
-            return False
-        first = int(np.argmax(rival))
-        there = compose(in_a[first], inverse(sources[first]))
-        if self.mutual_observations_confirm(a, b, proposal.pose_a_b):
-            return False
-        preferred = self.radio_prefers(a, b, proposal.pose_a_b, there)
-        return not preferred if preferred is not None else bool(np.count_nonzero(rival) >= len(supporting))
-
     def radio_prefers(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, other: Array) -> bool | None:
         """Whether the places that the first pose brings together are clearly more alike than those of the other; None
         if radio cannot compare them."""
@@ -247,10 +190,11 @@ class MergeTests:
         here, there = (self.radio_difference(a, b, pose) for pose in (pose_a_b, other))
         return None if here is None or there is None else here < TOLD_APART * there
 
-    def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool | None:
-        """Whether places that the merge brings together have similar fingerprints; None with too few pairs."""
+    def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, slack: float = 1.0) -> bool | None:
+        """Whether places that the merge brings together are more alike than those of one robot at REFERENCE_M, times
+        `slack`; None with too few pairs."""
         difference = self.radio_difference(a, b, pose_a_b)
-        return None if difference is None else difference <= map_merging.REFERENCE_SLACK
+        return None if difference is None else difference < slack
 
     def radio_difference(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> float | None:
         """`map_merging.wifi_difference` of this merge."""
