@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from tests.real_data import needs_data
-from tests.slam.saved_maps.cuts import irregular_building
+from tests.slam.saved_maps.cuts import cut_building, irregular_building
 from twc_env.errors import DataError
+from twc_env.records.geometry import compose, transform_points
 from twc_env.reproduce.maps import map_cuts, saved_maps
 from twc_env.reproduce.runner import data_folder
 from twc_env.slam.saved_maps.saved_map import SavedMap
@@ -19,6 +21,18 @@ def test_parts_share_what_is_asked(share):
 def test_parts_with_a_gap_share_nothing():
     building = irregular_building()
     assert map_cuts.overlap_of(map_cuts.overlapping_parts(building, -0.15, np.random.default_rng(0))) == 0.0
+
+
+def test_a_shift_of_all_walls_of_a_run_is_a_shift_of_its_pose(monkeypatch):
+    bends_m = iter([0.0, 0.4])
+    monkeypatch.setattr(map_cuts, "_bend", lambda shape, resolution_m, random: np.full((*shape, 2), next(bends_m)))
+    cut = cut_building()
+    walls = [
+        transform_points(compose(pose, run.origin), (np.argwhere(run.walls)[:, ::-1] + 0.5) * run.resolution_m)
+        for run, pose in ((cut.target, np.zeros(3)), (cut.source, cut.pose))
+    ]
+    apart_m, _ = cKDTree(walls[0]).query(walls[1])
+    assert np.quantile(apart_m, 0.4) < 0.1
 
 
 @needs_data

@@ -1,7 +1,9 @@
 """Pairs of maps cut from one real map, drawn as two mapping runs would have saved them.
 
 Each part has its own turn, origin and resolution; its walls are bent by a smooth error of the trajectory, rough by a
-few centimetres, and have holes; and things of 0.2 to 0.5 m stand in it that are not in the other part.
+few centimetres, and have holes; and things of 0.2 to 0.5 m stand in it that are not in the other part. A part's true
+pose is that at which its bent floor lies best on the building, as trajectories are aligned before errors are taken:
+the mean of the bend is no error of the map's shape.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from numpy.typing import NDArray as Array
 from scipy import ndimage
 
 from twc_env.datasets.buildings.raster import largest_part
-from twc_env.records.geometry import compose, inverse
+from twc_env.records.geometry import align_rigidly, compose, inverse
 from twc_env.slam.saved_maps.saved_map import SavedMap
 
 BEND_M, BEND_LENGTH_M = 0.04, 5.0
@@ -101,12 +103,12 @@ def _run(
     low = (known @ np.array([[c, s], [-s, c]])).min(axis=0) - 1.0
     size = (known @ np.array([[c, s], [-s, c]])).max(axis=0) + 1.0 - low
     columns, rows = np.ceil(size / resolution_m).astype(int)
-    in_grid = np.array([*(-low), turn])  # pose of the building's grid in the run's grid
     centres = (np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) + 0.5) * resolution_m + low
     there = centres @ np.array([[c, -s], [s, c]])  # turned back
     there = there + _bend((rows, columns), resolution_m, random)
     rough = there + random.normal(0.0, ROUGH_M, there.shape)
     its_floor, its_walls = _looked_up(floor, there, res), _looked_up(walls, rough, res)
+    in_grid = align_rigidly(there[its_floor], (centres - low)[its_floor])  # pose of the building's grid in the run's
     its_walls &= random.random(its_walls.shape) >= HOLES
     its_floor &= ~its_walls
     for _ in range(random.poisson(THINGS_PER_M2 * floor.sum() * res**2)):
