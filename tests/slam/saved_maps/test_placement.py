@@ -13,7 +13,7 @@ from twc_env.reproduce.maps.saved_maps import error_of
 from twc_env.running.map_merge import read_saved_maps
 from twc_env.slam.saved_maps.map_joining import Pair, join_maps, joined
 from twc_env.slam.saved_maps.merged_grid import merged_grid
-from twc_env.slam.saved_maps.placement import Agreement, Placement, agreement_at, judged, place
+from twc_env.slam.saved_maps.placement import Agreement, Placement, judged, place
 from twc_env.slam.saved_maps.placement_search import turns_along_walls
 from twc_env.slam.saved_maps.saved_map import SavedMap, compared
 
@@ -94,16 +94,6 @@ def agreement(agreeing_m, contradicting_m=0.0, x=0.0):
 )
 def test_a_placement_is_believed_if_it_stands_out(ranked, reason):
     assert re.search(reason, judged(ranked).reason)
-
-
-def test_a_wall_across_the_door_of_the_other_map_speaks_against():
-    free = np.zeros((60, 120), bool)
-    free[5:55, 5:58] = free[5:55, 62:115] = True
-    shut = SavedMap("shut", free.copy(), ~free, 0.1)
-    free[20:30, 58:62] = True
-    maps = [compared(saved, 0.1) for saved in (SavedMap("open", free, ~free, 0.1), shut)]
-    assert agreement_at(*maps, np.zeros(3)).shutting_m == pytest.approx(0.5, abs=0.2)
-    assert agreement_at(maps[0], maps[0], np.zeros(3)).shutting_m == 0.0
 
 
 def room(name):

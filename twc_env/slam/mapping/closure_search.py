@@ -48,8 +48,7 @@ class ClosureSearch:
             self._signless = SignlessRecogniser(self._rule, config.lidar.range_max_m, robot_count)
         self._verifier: LoopVerifier | SignVerifier = SignVerifier()
         if config.slam.cues.lidar:
-            assumed = config.slam.verification, config.slam.odometry_filter, config.lidar
-            self._verifier = LoopVerifier(*assumed, seeks_rivals=self._recogniser.name == "lidar")
+            self._verifier = LoopVerifier(config.slam.verification, config.slam.odometry_filter, config.lidar)
         self._robot_width_m = 2 * config.dynamics.robot_radius_m + ROBOT_MARGIN_M
         self._waiting: dict[str, deque[LoopCandidate]] = {name: deque() for name in self._filters}
         self.waiting_count = 0

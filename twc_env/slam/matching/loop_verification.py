@@ -35,11 +35,6 @@ SIGN_INFORMATION, NEAR_INFORMATION = (
     np.stack([np.diag(1.0 / np.square(std)) for std in stds]) for stds in ((SIGN_STD, SIGN_STD), (NEAR_STD, OPEN_STD))
 )
 """(2, 3, 3) information of these, the second for loose matches."""
-RIVAL_SHIFTS_M = tuple(0.6 * k for k in (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5))
-RIVAL_APART_M, RIVAL_LOSS_MAX = 0.4, 0.0
-"""Among scans alone: shifts of a match along its least constrained direction, each of which is matched anew. If one
-ends this far away with at most so much less overlap and no contradiction, the match says nothing about that direction
-(the score's other maxima belong to the covariance: Olson, ICRA 2009). Chosen on aces with Intel's odometry errors."""
 FITNESS_MAX_M2 = 0.1
 """Greatest mean squared distance of pairs of points in radio SLAM; the unit is not printed."""
 Path = Sequence[Keyframe]
@@ -49,15 +44,8 @@ Path = Sequence[Keyframe]
 class LoopVerifier:
     """Matches the scans of two keyframes and their neighbours along the path."""
 
-    def __init__(
-        self,
-        config: VerificationConfig,
-        noise: OdometryFilterConfig,
-        lidar: LidarConfig,
-        seeks_rivals: bool = False,
-    ):
-        """seeks_rivals: candidates come from scans alone, and no sign or transmitter tells alike places apart."""
-        self._config, self._seeks_rivals = config, seeks_rivals
+    def __init__(self, config: VerificationConfig, noise: OdometryFilterConfig, lidar: LidarConfig):
+        self._config = config
         self._noise = noise
         variance_m2 = noise.match_std_m**2 * noise.match_correlation
         size_m = 2 * (lidar.range_max_m + config.cloud_reach_m + 1.0)
@@ -86,29 +74,7 @@ class LoopVerifier:
             if contradiction > rule.contradiction_max:
                 reason = f"contradiction {contradiction:.2f} > {rule.contradiction_max:g}"
         status = "rejected" if reason else "accepted"
-        if self._seeks_rivals and not reason and rule.method == "point-to-line":
-            self._open_where_rivals_fit(target, source, points, _priors(candidate), pose, covariance, overlap)
         return LoopClosure(candidate, pose, covariance, overlap, status, reason)
-
-    def _open_where_rivals_fit(
-        self, target: Keyframe, source: Keyframe, points: Array, priors: Array, pose: Array, covariance: Array,
-        overlap: float,
-    ) -> None:  # fmt: skip
-        """Add to the covariance (3, 3) of a match that says nothing about its least constrained direction."""
-        if is_loose(covariance):
-            return
-        own = np.linalg.eigh(covariance[:2, :2])[1][:, 1]
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        along = np.array((c * own[0] - s * own[1], s * own[0] + c * own[1], 0.0))
-        for shift_m in RIVAL_SHIFTS_M:
-            rival = self._walls.refine(points, pose + shift_m * along, priors)
-            if (
-                rival.overlap >= overlap - RIVAL_LOSS_MAX
-                and math.hypot(*(rival.pose - pose)[:2]) > RIVAL_APART_M
-                and self._walls.contradiction(target, source, rival.pose) <= self._config.contradiction_max
-            ):
-                covariance[:2, :2] += OPEN_STD[0] ** 2 * np.outer(own, own)
-                return
 
     def _by_fitness(self, candidate: LoopCandidate, target: Array, source: Array) -> LoopClosure:
         """ICP, accepted as printed in radio SLAM: fitness below FITNESS_MAX_M2, and more pairs than half of the mean

@@ -1,10 +1,8 @@
 """The placement of one saved map in another, refined, judged, and compared with the second best.
 
 Refinement is iterative closest points to lines (Censi 2008) on walls of the same direction. Of a refined placement
-counts, both ways, how many metres of wall lie on a wall of the same direction, the less the further they are apart, and
-how many lie in the free floor of the other map; walls in what the other map does not know count neither way. Where
-rooms repeat, false placements differ from the true one in little but the doors, so that stretches as short as half a
-door count as well; but furniture that only one run has seen is as short, so that they weigh little and refuse nothing.
+counts, both ways, how many metres of wall lie on a wall of the same direction and how many lie in the free floor of the
+other map; walls in what the other map does not know count neither way.
 """
 
 from __future__ import annotations
@@ -26,25 +24,19 @@ ROUNDS_FINE = 6
 PAIRS_MIN = 15
 PARALLEL_MIN = np.cos(np.radians(25.0))
 """Walls whose directions differ by more are not the same."""
-AGREE_M, CONTRADICT_M, SHUT_M = 0.2, 0.35, 0.25
-"""A wall agrees up to the first distance from a wall; in free floor beyond the second it contradicts, and beyond the
-third it shuts a way."""
-APART_STD_M = 0.1
-"""Standard deviation of the distance between the walls of two maps, by which agreement is weighed."""
-SHUT_LENGTH_M = 0.3
-"""Least length of a wall that shuts a way. Those that contradict are longer than a thing: furniture against a wall is
-drawn together with it, and is not there for the other run."""
-CONTRADICTION, SHUT = 3.0, 2.0
-"""Weights of a metre of wall that contradicts, and that shuts a way, against a metre of wall on wall."""
+AGREE_M, CONTRADICT_M = 0.2, 0.35
+"""A wall agrees up to the first distance from a wall; in free floor beyond the second it contradicts."""
+CONTRADICTION = 3.0
+"""Weight of a metre of wall in free floor against a metre of wall on wall."""
 OTHER_M, OTHER_RAD = 1.0, np.radians(10.0)
 """Placements that differ by more are different ones."""
 FINE_COUNT = 12
-AGREEING_MIN_M, EVIDENCE_MIN_M, RATIO_MAX = 12.0, 9.0, 0.5
-"""A placement is believed from this agreement and evidence on, if the second best has at most this share of it, ..."""
+EVIDENCE_MIN_M, RATIO_MAX = 13.0, 0.55
+"""A placement is believed from this evidence on, if the second best has at most this share of it, ..."""
 CONTRADICTION_MAX, CONTRADICTION_PER_RATIO = 0.08, 0.1
 """... and if a smaller share of its walls contradicts than the first, less the second times that share: buildings whose
 rooms repeat have false placements with few contradictions, and a strong second best."""
-LOG_ODDS = (-0.2, 1.1, -5.5, -24.0)
+LOG_ODDS = (4.4, 0.2, -8.3, -43.0)
 """Logistic regression of right placements: constant, logarithm of the evidence [m], second evidence / first, share of
 contradicting walls."""
 
@@ -56,20 +48,18 @@ class Agreement:
     pose: Array
     """(3,) of the source's frame in the target's."""
     agreeing_m: float
-    """Length of wall that both show at the same place, weighed by how near; the mean of both ways."""
+    """Length of wall that both show at the same place, the mean of both ways."""
     contradicting_m: float
     """Length of wall in the other's free floor, the mean of both ways."""
     overlap_m2: float
     """Floor that both know to be free."""
     overlap: float
     """Share of it in the smaller map's free floor."""
-    shutting_m: float = 0.0
-    """Length of wall, in stretches as short as half a door, in the other's free floor, the mean of both ways."""
 
     @property
     def evidence_m(self) -> float:
         """Metres of wall that speak for the placement."""
-        return self.agreeing_m - CONTRADICTION * self.contradicting_m - SHUT * self.shutting_m
+        return self.agreeing_m - CONTRADICTION * self.contradicting_m
 
     @property
     def contradiction(self) -> float:
@@ -113,7 +103,7 @@ def judged(ranked: list[Agreement]) -> Placement:
     log_odds = float(np.dot(LOG_ODDS, [1.0, np.log(best.evidence_m), ratio, best.contradiction]))
     certainty = 1.0 / (1.0 + np.exp(-log_odds))
     reason = ""
-    if best.agreeing_m < AGREEING_MIN_M or best.evidence_m < EVIDENCE_MIN_M:
+    if best.evidence_m < EVIDENCE_MIN_M:
         reason = f"too little in common: {best.agreeing_m:.1f} m of wall agree, {best.contradicting_m:.1f} m contradict"
     elif second is not None and ratio > RATIO_MAX:
         away = between(second.pose, best.pose)
@@ -135,7 +125,7 @@ def ranked_placements(target: SavedMap, source: SavedMap) -> list[Agreement]:
     return [
         Agreement(
             compose(compose(target.origin, one.pose), inverse(source.origin)),
-            one.agreeing_m, one.contradicting_m, one.overlap_m2, one.overlap, one.shutting_m,
+            one.agreeing_m, one.contradicting_m, one.overlap_m2, one.overlap,
         )
         for one in _different(fine, b)
     ]  # fmt: skip
@@ -195,30 +185,25 @@ def agreement_at(target: ComparedMap, source: ComparedMap, pose: Array) -> Agree
         contradicting_m=0.5 * (forth[1] + against[1]),
         overlap_m2=both * target.cell_m**2,
         overlap=both / smaller,
-        shutting_m=0.5 * (forth[2] + against[2]),
     )
 
 
-def _agreeing(target: ComparedMap, source: ComparedMap, pose: Array) -> tuple[float, float, float]:
-    """Metres of the source's walls on walls of the target, in its free floor, and of those that shut a way in it."""
+def _agreeing(target: ComparedMap, source: ComparedMap, pose: Array) -> tuple[float, float]:
+    """Metres of the source's walls on walls of the target, and in its free floor."""
     moved, direction = _placed(source, pose)
     row, column, is_inside = target.cells_of(moved)
-    distance_m, near = target.wall_distance_m[row, column], target.nearest[row, column]
-    agrees = is_inside & _are_same(source, direction, target, near)
+    distance_m = target.wall_distance_m[row, column]
+    agrees = is_inside & _are_same(source, direction, target, target.nearest[row, column])
     agrees &= distance_m <= max(AGREE_M, 1.5 * target.cell_m)
-    away, along = target.points[near[agrees]] - moved[agrees], target.directions_rad[near[agrees]]
-    across_m = away[:, 1] * np.cos(along) - away[:, 0] * np.sin(along)
-    agreeing = np.exp(-0.5 * (across_m / max(APART_STD_M, target.cell_m)) ** 2).sum()
-    is_crossing = is_inside & target.free[row, column]
-    contradicts = is_crossing & (distance_m > max(CONTRADICT_M, 2.5 * target.cell_m))
-    shuts = is_crossing & (distance_m > max(SHUT_M, 2.0 * target.cell_m))
-    contradicting = _long_count(source, contradicts, round(THING_M / source.cell_m) + 1)
-    shutting = _long_count(source, shuts, round(SHUT_LENGTH_M / source.cell_m))
-    return float(agreeing) * source.cell_m, contradicting * source.cell_m, shutting * source.cell_m
+    contradicts = is_inside & target.free[row, column] & (distance_m > max(CONTRADICT_M, 2.5 * target.cell_m))
+    return float(agrees.sum()) * source.cell_m, _long_count(source, contradicts) * source.cell_m
 
 
-def _long_count(source: ComparedMap, is_chosen: Array, cells_min: int) -> int:
-    """How many of the chosen wall points (n,) belong to connected stretches of so many cells and more."""
+def _long_count(source: ComparedMap, is_chosen: Array) -> int:
+    """How many of the chosen wall points (n,) belong to connected stretches that are longer than a thing.
+
+    Furniture against a wall is drawn together with it, and is not there for the other run.
+    """
     if not is_chosen.any():
         return 0
     row, column, _ = source.cells_of(source.points[is_chosen])
@@ -227,7 +212,7 @@ def _long_count(source: ComparedMap, is_chosen: Array, cells_min: int) -> int:
     picture[row - low_row, column - low_column] = True
     labels, _ = ndimage.label(ndimage.binary_dilation(picture, np.ones((3, 3))), np.ones((3, 3)))
     longest = [max(side.stop - side.start for side in box) - 2 for box in ndimage.find_objects(labels)]
-    is_long = np.array([False, *(cells >= cells_min for cells in longest)])
+    is_long = np.array([False, *(cells * source.cell_m > THING_M for cells in longest)])
     return int(is_long[labels[row - low_row, column - low_column]].sum())
 
 
