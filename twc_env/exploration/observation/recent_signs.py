@@ -35,6 +35,8 @@ class RecentSigns(BindsAnew):
         self._texts: list[list[str]] = [[] for _ in range(robots)]
         self._unmapped: list[list[bool]] = [[] for _ in range(robots)]
         """Per robot and reading, whether the place of the reading is not in the map yet."""
+        self._waits = [False] * robots
+        """Per robot, whether the counts of its readings may change although its known signs do not."""
         self._known: Sequence[Sequence[KnownSign]] = ()
         self._known_of: list[Sequence[KnownSign]] = [()] * robots
         self._places_of: list[dict[str, Array]] = [{} for _ in range(robots)]
@@ -53,6 +55,7 @@ class RecentSigns(BindsAnew):
                 self._run(*reading)
                 self._texts[robot] = [sign.text, *self._texts[robot][: slots - 1]]
                 self._unmapped[robot] = [True, *self._unmapped[robot][: slots - 1]]
+                self._waits[robot] = True
 
     def know(self, beliefs: TeamBeliefs) -> None:
         """Update the known signs of each robot, and count the other places of each reading's text.
@@ -60,8 +63,8 @@ class RecentSigns(BindsAnew):
         Signs in an object that is the same as before are taken as unchanged.
         """
         changed = () if beliefs.signs is self._known else self._take(beliefs.signs)
-        for robot, unmapped in enumerate(self._unmapped):
-            if True in unmapped or robot in changed:
+        for robot, waits in enumerate(self._waits):
+            if waits or robot in changed:
                 self._count(robot, beliefs.poses[robot])
 
     def _take(self, signs: Sequence[Sequence[KnownSign]]) -> list[int]:
@@ -84,12 +87,13 @@ class RecentSigns(BindsAnew):
 
     def _count(self, robot: int, poses: Array) -> None:
         """Count the other places of each reading of a robot; poses (3, 3): in the map, its spread, in odom."""
-        rows, unmapped = self.readings[robot], self._unmapped[robot]
+        rows, unmapped, self._waits[robot] = self.readings[robot], self._unmapped[robot], False
         for row, text in enumerate(self._texts[robot]):
             places = self._places_of[robot].get(text, ())
             if unmapped[row] and len(places):
                 here = compose(poses[0], between(poses[2], [*rows[row, 1:3], 0.0]))[:2]
                 unmapped[row] = bool(np.hypot(*(places - here).T).min() >= SAME_SIGN_M)
+                self._waits[robot] |= unmapped[row]
             rows[row, 3] = len(places) if unmapped[row] else max(len(places) - 1, 0)
 
 
