@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from scipy.stats import kstest, norm
 
-from twc_env.world.sensors.noise import StepNoise, normal_quantiles
+from twc_env.world.sensors.noise import NORMALS_PER_WORD, StepNoise, look_up_normals, normal_quantiles
 
 
 def streams(*seeds):
@@ -36,3 +37,20 @@ def test_the_quantiles_have_the_moments_of_the_normal_distribution():
     assert (quantiles**4).mean() == pytest.approx(3.0, abs=0.03)
     assert np.mean(np.abs(quantiles) < 1.0) == pytest.approx(0.6827, abs=0.001)
     assert 3.6 < quantiles[-1] < 3.8
+
+
+def test_numbers_looked_up_are_normal_and_independent():
+    count = 40_000
+    table, words = normal_quantiles(), np.random.default_rng(5).bit_generator.random_raw(count)
+    numbers = np.empty(count * NORMALS_PER_WORD)
+    look_up_normals(words, table, numbers)
+    assert kstest(numbers, norm.cdf).pvalue > 0.01
+    sampling = 4.0 / np.sqrt(len(numbers))
+    for power, moment, spread in ((1, 0.0, 1.0), (2, 1.0, 2.0), (3, 0.0, 15.0), (4, 3.0, 96.0)):  # variance of z^power
+        assert (numbers**power).mean() == pytest.approx(moment, abs=sampling * np.sqrt(spread) + 0.02 * (power == 4))
+    for bound in (1.0, 2.0, 3.0, 3.5):
+        wanted = 2.0 * norm.sf(bound)
+        found = np.mean(np.abs(numbers) > bound)
+        assert found == pytest.approx(wanted, abs=sampling * np.sqrt(wanted) + 0.5 / 4096), "to half an entry"
+    for lag in (1, 2, NORMALS_PER_WORD, 180):
+        assert np.mean(numbers[lag:] * numbers[:-lag]) == pytest.approx(0.0, abs=sampling)

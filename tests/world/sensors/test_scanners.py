@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import kstest, norm
 
 from tests.world.sensors.test_lidar import nearest_hit
 from twc_env.config import LIDAR_PRESETS, EnvConfig, LidarConfig, lidar_preset, override
@@ -106,7 +107,22 @@ def test_noise_has_a_constant_part_and_one_that_grows_with_range():
     exact = scanners(beam_count=360).scan(0, BESIDE)[0][0]
     errors = np.array([device.scan(k, BESIDE)[0][0] - exact for k in range(400)])
     assert errors.std(axis=0) / np.hypot(0.01, 0.02 * exact) == pytest.approx(1.0, abs=0.15)
-    assert (errors / np.hypot(0.01, 0.02 * exact)).std() == pytest.approx(1.0, rel=0.01)
+    numbers = errors / np.hypot(0.01, 0.02 * exact)
+    assert numbers.std() == pytest.approx(1.0, rel=0.01)
+    assert kstest(numbers.ravel(), norm.cdf).pvalue > 0.01
+    for lag in (1, 360):  # the next beam, and the next scan
+        assert np.corrcoef(numbers.ravel()[lag:], numbers.ravel()[:-lag])[0, 1] == pytest.approx(0.0, abs=0.011)
+
+
+def test_robots_have_noise_of_their_own_that_repeats_with_the_seed():
+    poses = np.repeat(BESIDE, 2, axis=0) + [[0.0, 0.0, 0.0], [4.0, 3.0, math.pi]]
+    one, two, other = (
+        scanners(robots=2, seed=seed, range_noise_std_m=0.01, is_rolling=True, rate_hz=10.0).scan(0, poses)[0]
+        for seed in (1, 1, 2)
+    )
+    exact = scanners(robots=2, is_rolling=True, rate_hz=10.0).scan(0, poses)[0]
+    assert np.array_equal(one, two)
+    assert abs(np.corrcoef((one - exact)[:, :170])[0, 1]) < 0.3 and not np.array_equal(one, other)
 
 
 @pytest.mark.parametrize("detection_m", [3.0, 5.0, 9.0])

@@ -15,10 +15,8 @@ from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.materials import MATERIALS
 from twc_env.world.building.wall_index import WallIndex, index_walls
 from twc_env.world.sensors.near_walls import gather_near
-from twc_env.world.sensors.noise import StepNoise, normal_quantiles
+from twc_env.world.sensors.noise import NORMALS_PER_WORD, StepNoise, look_up_normals, normal_quantiles
 
-_QUANTILE_BITS, _QUANTILES_PER_WORD = 12, 5
-"""Bits of a random number that selects a quantile of the range noise, and such numbers per 64-bit word."""
 _LOOK_UP_MARGIN_M = 0.5
 """Walls are looked up for all positions within this distance, and again once the robot has left them."""
 _RANGE_MIN_M = 0.001
@@ -51,9 +49,9 @@ class Lidar:
         angles = 2 * math.pi * np.arange(config.beam_count) / config.beam_count
         self.directions = np.stack([np.cos(angles), np.sin(angles)])
         """(2, beams)."""
-        self._quantiles = normal_quantiles(1 << _QUANTILE_BITS)
-        words = -(-config.beam_count // _QUANTILES_PER_WORD)
-        self._deviates = np.empty(words * _QUANTILES_PER_WORD)
+        self._quantiles = normal_quantiles()
+        words = -(-config.beam_count // NORMALS_PER_WORD)
+        self._deviates = np.empty(words * NORMALS_PER_WORD)
         self.noise = StepNoise([random_stream(seed, "lidar", robot) for robot in range(robots)], words, "bits")
         self._fixed = (
             self.directions, np.full(robots, robot_radius_m, float), config.range_max_m,
@@ -289,11 +287,7 @@ def _reflect_glass(panes, poses, directions, chance, normal_probability, cos_max
 def _add_noise(ranges, words, quantiles, std, range_max, deviates):
     """Add Gaussian noise to ranges (n, beams) below the maximum; deviates (5 words,) is scratch."""
     for i in range(ranges.shape[0]):
-        for k in range(words.shape[1]):
-            word, first = words[i, k], _QUANTILES_PER_WORD * k
-            for j in range(_QUANTILES_PER_WORD):
-                deviates[first + j] = quantiles[word & np.uint64((1 << _QUANTILE_BITS) - 1)]
-                word >>= np.uint64(_QUANTILE_BITS)
+        look_up_normals(words[i], quantiles, deviates)
         row = ranges[i]
         for b in range(row.shape[0]):
             noisy = min(max(row[b] + std * deviates[b], _RANGE_MIN_M), range_max)

@@ -159,8 +159,6 @@ def mix_pixels(hit, chance, cone, step, range_max, is_closed, mixed, ranges):
 def add_noise(deviates, std, std_per_m, range_min, range_max, ranges):
     """Add normal noise, whose variance has a constant part and one that grows with range; too near: no return."""
     for b in range(ranges.shape[0]):
-        range_m = ranges[b]
-        if range_m < range_max:
-            slope = std_per_m * range_m
-            noisy = range_m + math.sqrt(std * std + slope * slope) * deviates[b]
-            ranges[b] = min(max(noisy, 0.001), range_max) if range_m >= range_min else range_max
+        range_m, slope = ranges[b], std_per_m * ranges[b]
+        noisy = min(max(range_m + math.sqrt(std * std + slope * slope) * deviates[b], 0.001), range_max)
+        ranges[b] = noisy if (range_m < range_max) & (range_m >= range_min) else range_max

@@ -22,7 +22,7 @@ from twc_env.world.building.materials import MATERIALS
 from twc_env.world.building.wall_index import WallIndex, index_walls
 from twc_env.world.sensors.beam_casting import NOTHING, cast, cast_discs, place_beams
 from twc_env.world.sensors.near_walls import gather_near
-from twc_env.world.sensors.noise import StepNoise
+from twc_env.world.sensors.noise import NORMALS_PER_WORD, StepNoise, look_up_normals, normal_quantiles
 from twc_env.world.sensors.scanner_errors import (
     add_noise,
     look_in_mirrors,
@@ -85,7 +85,7 @@ class Scanners:
         self._near = np.empty((count, 4, walls)), np.zeros(count, np.int64), np.full((count, 2), np.nan)
         self._room = (
             np.empty((8, walls)), np.empty((3, max(walls, len(self._things), self._paths.shape[1]))),
-            np.empty(walls, np.bool_), np.empty(lidar.beam_count),
+            np.empty(walls, np.bool_), np.zeros(_words(lidar.beam_count) * NORMALS_PER_WORD),
             np.empty((4, lidar.beam_count)), np.empty(lidar.beam_count, np.int64),
         )  # fmt: skip
         self._geometry = taus, mount, self.scanner.first_rad, self.scanner.step_rad, lidar.range_max_m, margin_m
@@ -118,7 +118,13 @@ class Scanners:
 
     def _packed(self) -> Lent:
         """The constant arguments of `_scan`."""
-        lidar, none = self._config, np.zeros((1, len(self.members), 0))
+        lidar, shape = self._config, (1, len(self.members), 0)
+        draws = tuple(
+            self._draws[name].numbers
+            if name in self._draws
+            else np.zeros(shape, np.uint64 if name == "lidar" else float)
+            for name in _NAMES
+        )
         return Lent((
             self._paths, self._discs, self._things, self.members, self._walls, self._near, self._geometry, self._room,
             self._radii, self._panes, self._mirrors,
@@ -126,7 +132,7 @@ class Scanners:
             (lidar.detection_range_m, *self._dark),
             (lidar.beam_divergence_rad, lidar.is_full_circle),
             (lidar.range_noise_std_m, lidar.range_noise_per_m, lidar.range_min_m, lidar.dropout_probability),
-            self._cast_things, tuple(self._draws[name].numbers if name in self._draws else none for name in _NAMES),
+            self._cast_things, draws, normal_quantiles(),
         ))  # fmt: skip
 
     def __getstate__(self) -> dict:
@@ -175,7 +181,7 @@ def _draws(lidar: LidarConfig, members: Sequence[int], seed: int):
     """Name, streams, count and kind of the random numbers that this scanner needs for a scan."""
     beams = lidar.beam_count
     needed = {
-        "lidar": (lidar.range_noise_std_m + lidar.range_noise_per_m, beams, "standard_normal"),
+        "lidar": (lidar.range_noise_std_m + lidar.range_noise_per_m, _words(beams), "bits"),
         "lidar-glass": (1.0 - lidar.glass_return_probability, beams, "random"),
         "lidar-mirror": (lidar.mirror_probability, beams, "random"),
         "lidar-loss": (lidar.detection_range_m, beams, "random"),
@@ -185,6 +191,11 @@ def _draws(lidar: LidarConfig, members: Sequence[int], seed: int):
     for name, (amount, count, kind) in needed.items():
         if amount > 0.0:
             yield name, ([random_stream(seed, name, robot) for robot in members], count, kind)
+
+
+def _words(beams: int) -> int:
+    """Random words for one scan's noise."""
+    return -(-beams // NORMALS_PER_WORD)
 
 
 def _split(plan: Floorplan, lidar: LidarConfig) -> tuple[WallIndex, Array, Array]:
@@ -229,7 +240,7 @@ def _scan(apparatus, poses, is_new, number, ranges):
     """Note the latest poses and, if a scan is complete, its number is `number`: fill ranges (members, beams)."""
     (
         paths, discs, segments, members, index, looked_up, geometry, room, radii, panes, mirrors, shiny, loss, edges,
-        limits, things, draws,
+        limits, things, draws, quantiles,
     ) = parts_of(apparatus)  # fmt: skip
     _note_motion(paths, poses, discs, radii)
     if not is_new:
@@ -237,7 +248,7 @@ def _scan(apparatus, poses, is_new, number, ranges):
     for w in range(segments.shape[0]):
         things[0, w], things[1, w] = segments[w, 0], segments[w, 1]
         things[2, w], things[3, w] = segments[w, 2] - segments[w, 0], segments[w, 3] - segments[w, 1]
-    glass_chance, mirror_chance, loss_chance, edge_chance, deviates, drop_chance = (
+    glass_chance, mirror_chance, loss_chance, edge_chance, words, drop_chance = (
         draws[0][number % draws[0].shape[0]], draws[1][number % draws[1].shape[0]],
         draws[2][number % draws[2].shape[0]], draws[3][number % draws[3].shape[0]],
         draws[4][number % draws[4].shape[0]], draws[5][number % draws[5].shape[0]],
@@ -288,10 +299,8 @@ def _scan(apparatus, poses, is_new, number, ranges):
         if edge_chance.shape[1] > 0:
             chance = edge_chance[i].reshape(2, count)
             mix_pixels(hit, chance, cone, abs(step), range_max, is_closed, work, row)
-        if deviates.shape[1] > 0:
-            add_noise(deviates[i], std, std_per_m, range_min, range_max, row)
-        else:
-            add_noise(beams[2], 0.0, 0.0, range_min, range_max, row)  # any numbers that are finite
+        look_up_normals(words[i], quantiles, work)  # without words, any numbers that are finite
+        add_noise(work, std, std_per_m, range_min, range_max, row)
         if drop_chance.shape[1] > 0:
             for b in range(count):
                 if drop_chance[i, b] < drop_probability:
