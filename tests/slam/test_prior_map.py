@@ -15,6 +15,7 @@ from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import GridMap
 from twc_env.reproduce.routes import RoutePlanner, room_tour, steer
 from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.localisation import GAIN, Localiser, Walls
 from twc_env.slam.map_localisation import MapLocalisation
 from twc_env.slam.modes import make_engine
 from twc_env.world.world import World
@@ -150,6 +151,25 @@ def test_a_robot_in_another_building_says_that_it_is_lost(config, first):
         world.step(np.array([[0.4, 0.3]]))
     assert engine.localisers[0].is_lost and engine.lacked() == ["robot 0 is lost in the map"]
     assert not engine.found_prior(0)
+
+
+@pytest.mark.parametrize(
+    ("turned", "is_lost", "left"), [(0.15, False, 1.0), (0.06, False, 1.0 - GAIN), (0.15, True, 0.0)]
+)
+def test_a_match_far_from_odometry_is_believed_by_a_lost_robot_alone(config, turned, is_lost, left):
+    """A scan in an empty room of 8 x 5 m, at a pose that is `turned` too far; `left`: what is left of that after it."""
+    level = np.full((51, 81), -50, np.int16)
+    level[[0, -1]] = level[:, [0, -1]] = 50
+    localiser = Localiser(
+        config, Walls.of(LastingMap.of_grid(GridMap(level, np.array([-0.05, -0.05]), 0.1), 120, 10.0))
+    )
+    angles = 2 * np.pi * np.arange(120) / 120 + 1e-9
+    along_m = [np.where(np.cos(angles) > 0, 5.0, -3.0) / np.cos(angles), np.where(np.sin(angles) > 0, 3.0, -2.0)]
+    ranges_m = np.minimum(along_m[0], along_m[1] / np.sin(angles))
+    localiser.pose_map_odom, localiser.is_lost = np.array([3.0, 2.0, turned]), is_lost
+    localiser._streak = (0, 0.0) if is_lost else (5, 0.0)
+    localiser.update(np.zeros(3), ranges_m, [], 0.0)
+    assert localiser.pose_map_odom[2] == pytest.approx(left * turned, abs=0.01)
 
 
 def test_a_map_without_walls_is_refused(config):

@@ -45,8 +45,11 @@ SPACING_M, SPACING_RAD, SPACING_S = 0.1, 0.1, 1.0
 """A scan is matched when the robot has moved or turned so far since the last one that was, or after this time."""
 GATE_M = 0.6
 """Points of a tracked scan further from a wall have no partner at first."""
-MOVED_MAX_M, MOVED_MAX_RAD = 0.5, 0.25
-"""A match further from odometry's prediction is not believed."""
+MOVED_MAX_M, MOVED_MAX_RAD = 0.3, 0.1
+"""A match further from odometry's prediction than 99 of 100 right ones is not believed, but for the first of a streak
+while the robot is lost: outside the map, a scan also fits turned or shifted walls."""
+GAIN = 0.5
+"""Of the way from odometry's prediction to the match, so much is gone: over a step of path both err about alike."""
 ROBOT, PLACES = 0, 1
 """Whose keyframes they are, for the recogniser: those of the robot, and the places of the map."""
 AGREE_M, AGREE_RAD = 0.7, 0.15
@@ -157,12 +160,14 @@ class Localiser:
         match = match_to_tree(self._walls.tree, points, predicted, GATE_M)
         moved = between(predicted, match.pose)
         is_near = math.hypot(moved[0], moved[1]) <= MOVED_MAX_M and abs(moved[2]) <= MOVED_MAX_RAD
+        is_near = is_near or (self.is_lost and self._streak[0] == 0)
         self.fit = match.inlier_ratio - self._through(match.pose, points)
         if not is_near or self.fit < (FOUND_MIN if self.is_lost else TRACKED_MIN):
             self._streak = 0, 0.0
             return
-        self.pose_map_odom, self._believed = compose(match.pose, inverse(odom)), (time_s, self._travel_m)
         scans, begun_m = self._streak
+        pose = compose(predicted, GAIN * moved) if scans else match.pose
+        self.pose_map_odom, self._believed = compose(pose, inverse(odom)), (time_s, self._travel_m)
         self._streak = scans + 1, begun_m if scans else self._travel_m
         if scans + 1 >= SURE_SCANS and self._travel_m - self._streak[1] >= SURE_M:
             self.is_lost = False

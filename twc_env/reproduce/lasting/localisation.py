@@ -6,11 +6,13 @@ error of 3 %, a curl of 0.5 degrees per metre, and noise. The engine maps the fi
 alone, as of a plain ROS map). Where the second half leaves the map, it must say that it is lost.
 
 `found_s` is the time until it says that it knows where it is, `said_lost` the share of scans at which it says that it
-is lost after that, `lost_inside` the same among scans taken within 1.5 m of one of the first half. Errors are over all
-scans at which it says that it knows. `error_m` is in the frame of the map, which was aligned as a whole with the poses
-of the first half: it holds the bend of that map, `map_error_m`. `in_map_error_m` is the error relative to the nearest
-scan of the first half, where the map has that scan: the error of localisation alone. `unsaid_s` is the longest time in
-which that was more than 0.5 m or 10 degrees and it did not say that it was lost.
+is lost after that, `lost_inside` the same among scans taken within 1.5 m of one of the first half; `lost_right` is the
+share after that at which it says that it is lost though its pose is right within 0.3 m and 10 degrees. `shared_m` is
+the length of path within 1.5 m of a scan of the first half. Errors are over all scans at which it says that it knows.
+`error_m` is in the frame of the map, which was aligned as a whole with the poses of the first half: it holds the bend
+of that map, `map_error_m`. `in_map_error_m` is the error relative to the nearest scan of the first half, where the map
+has that scan: the error of localisation alone. `unsaid_s` is the longest time in which that was more than 0.5 m or 10
+degrees and it did not say that it was lost.
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ SCALE, CURL_RAD_PER_M, NOISE_PER_M, NOISE_RAD = 0.03, math.radians(0.5), 0.02, 0
 SPACING_M, SPACING_RAD = 0.3, 0.3
 """Scans nearer to the one before are left out."""
 WRONG_M, WRONG_RAD, INSIDE_M = 0.5, math.radians(10), 1.5
+RIGHT_M = 0.3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -97,11 +100,15 @@ def _scored(engine: MapLocalisation, frames: list, truth: tuple[Array, Array, Ar
     in_map = between(between(poses[nearest], true), between(mapped[nearest], estimated))
     is_wrong = (np.hypot(in_map[:, 0], in_map[:, 1]) > WRONG_M) | (np.abs(in_map[:, 2]) > WRONG_RAD)
     begun = int(np.argmin(is_lost)) if not is_lost.all() else len(frames)
-    inside = is_lost[begun:][away_m[begun:] < INSIDE_M]
+    is_inside = away_m < INSIDE_M
+    inside = is_lost[begun:][is_inside[begun:]]
+    is_right = (np.hypot(in_map[:, 0], in_map[:, 1]) <= RIGHT_M) & ~is_wrong
     return {
         "found_s": float(times_s[begun] - times_s[0]) if begun < len(frames) else None,
         "said_lost": float(is_lost[begun:].mean()) if begun < len(frames) else 1.0,
         "lost_inside": float(inside.mean()) if len(inside) else None,
+        "lost_right": float((is_lost & is_right)[begun:].mean()) if begun < len(frames) else None,
+        "shared_m": float(np.hypot(*np.diff(true[:, :2], axis=0).T)[is_inside[1:] & is_inside[:-1]].sum()),
         "error_m": _median_m(between(true, compose(aligned, estimated))[~is_lost]),
         "in_map_error_m": _median_m(in_map[~is_lost]),
         "wrong": int((is_wrong & ~is_lost).sum()),
