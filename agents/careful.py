@@ -25,11 +25,13 @@ class CarefulTeam(Policy):
         self._waits, self._feels = config.people.count > 0, config.clutter.furniture > 0
         self._obstacles: dict[str, MovingObstacles] = {}
         self._felt: dict[str, FeltObstacles] = {}
+        self._speed_max_m_s: dict[str, float] = {}
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Prepare for a new episode."""
         self._team.reset(seed, agents)
         own = dict(zip(agents, self._own, strict=True))
+        self._speed_max_m_s = {agent: each.speed_max_m_s for agent, each in own.items()}
         self._obstacles = {agent: MovingObstacles(each) for agent, each in own.items() if self._waits}
         self._felt = {agent: FeltObstacles(each) for agent, each in own.items() if self._feels}
 
@@ -39,18 +41,20 @@ class CarefulTeam(Policy):
         team.give_truth(*truth)
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
-        """The team's actions, without speed where something moves."""
+        """The team's actions, slower or without speed where something moves."""
         known = dict(beliefs)
         for agent, felt in self._felt.items():
             if agent in beliefs and len(points := felt.feel(beliefs[agent])):
                 known[agent] = dataclasses.replace(beliefs[agent], ranges_m=shown(beliefs[agent].ranges_m, points))
         actions = self._team.act(known)
         for agent, belief in beliefs.items():
-            if self._waits and self._obstacles[agent].stop(belief, float(actions[agent][0])):
-                actions[agent] = np.array([0.0, actions[agent][1]], np.float32)
-        for agent, felt in self._felt.items():
-            if agent in actions:
-                felt.tell(float(actions[agent][0]) * felt.speed_max_m_s)
+            wanted, speed_max_m_s = float(actions[agent][0]), self._speed_max_m_s[agent]
+            if self._waits:
+                allowed = self._obstacles[agent].limited(belief, wanted * speed_max_m_s) / speed_max_m_s
+                if abs(allowed) < abs(wanted):
+                    actions[agent] = np.array([allowed, actions[agent][1]], np.float32)
+            if self._feels:
+                self._felt[agent].tell(float(actions[agent][0]) * speed_max_m_s)
         return actions
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:

@@ -308,13 +308,12 @@ class Drivers:
         return drive_to(0.6 * math.cos(bearing), 0.6 * math.sin(bearing), ranges_m, dynamics)
 
     def _wait_for_people(self, beliefs: Sequence[Belief], commands: Array) -> None:
-        """Hold robots near which something moves."""
+        """Slow down robots near which something moves."""
         for robot, (belief, obstacles) in enumerate(zip(beliefs, self._obstacles or (), strict=True)):
-            own = self._state[robot]
-            if obstacles.stop(belief, float(commands[robot, 0])):
-                commands[robot, 0] = 0.0
-                if own[_STATUS] == DRIVING:
-                    own[_ANCHOR_TICK] = own[_TICKS]  # who waits is not stuck
+            own, wanted = self._state[robot], float(commands[robot, 0])
+            commands[robot, 0] = allowed = obstacles.limited(belief, wanted)
+            if abs(allowed) < abs(wanted) and own[_STATUS] == DRIVING:
+                own[_ANCHOR_TICK] = own[_TICKS]  # who waits is not stuck
 
 
 def map_id(belief: Belief) -> tuple[int, int]:

@@ -59,11 +59,6 @@ class FeltObstacles:
         self._until: list[int] = []
         """Step until which each is remembered."""
 
-    @property
-    def speed_max_m_s(self) -> float:
-        """Of the robot."""
-        return self._dynamics.speed_max_m_s
-
     def tell(self, speed_m_s: float) -> None:
         """Note the speed of the command for the next step; call once per step, after `feel`."""
         change = self._dynamics.acceleration_max_m_s2 * self._dynamics.time_step_s
