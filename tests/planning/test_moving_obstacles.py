@@ -81,3 +81,10 @@ def test_wide_things_are_walls_that_come_into_view():
 
 def test_a_robot_goes_on_soon_after_they_left():
     assert not waits(approaching() + [scan_with([])] * 10)
+
+
+def test_a_robot_stands_beside_legs_while_somebody_else_walks_by():
+    beside, walks = (0.1, 0.4), [(1.2, 0.6 - 0.15 * k) for k in range(8)]
+    assert limit_m_s([scan_with([place]) for place in walks]) > 0.0
+    assert limit_m_s([scan_with([place, beside]) for place in walks]) == 0.0
+    assert limit_m_s([scan_with([beside])] * 8) == math.inf

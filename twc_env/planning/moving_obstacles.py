@@ -24,6 +24,8 @@ PERSON_M_S, REACTION_S = 1.3, 0.2
 """Somebody walks towards the robot this fast, and it begins to brake so late."""
 LEG_M = 0.14
 """A body is this much wider than the leg that the scan shows."""
+BESIDE_M = 0.25
+"""Where somebody moves, narrow things this near to the rim are taken for people who move too slowly to be noticed."""
 WIDTH_M = 0.6
 """Wider things are walls, of which a moving robot sees new parts, not people."""
 STEP_M = 0.15
@@ -35,9 +37,9 @@ HOLD_S = 0.4
 
 
 @kernel
-def _nearest_moved(ranges, pose, old_ranges, old_pose, reach, forward, teammates, teammate_radius):
+def _nearest_moved(ranges, pose, old_ranges, old_pose, reach, beside, forward, teammates, teammate_radius):
     """Range of the nearest end point within `reach` on something narrow that lies well inside the free space of the old
-    scan; infinite if there is none.
+    scan, infinite if there is none; and whether something narrow, moved or not, is nearer than `beside`.
 
     The beams beside its bearing must have been free as well: along a grazing wall, ranges of neighbours differ. Points
     behind a robot that drives forward (1) or back (-1), or within teammate_radius of teammates (k, 2), do not count.
@@ -46,9 +48,9 @@ def _nearest_moved(ranges, pose, old_ranges, old_pose, reach, forward, teammates
     per_beam = beams / (2.0 * math.pi)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     old_c, old_s = math.cos(old_pose[2]), math.sin(old_pose[2])
-    nearest = reach
+    nearest, is_beside = reach, False
     for i in range(beams):
-        if not 0.0 < ranges[i] < nearest:
+        if not 0.0 < ranges[i] < max(nearest, beside):
             continue
         ax, ay = ranges[i] * math.cos(i / per_beam), ranges[i] * math.sin(i / per_beam)
         if forward * ax < BEHIND_COS * ranges[i]:
@@ -58,6 +60,10 @@ def _nearest_moved(ranges, pose, old_ranges, old_pose, reach, forward, teammates
             is_teammate |= (ax - teammates[k, 0]) ** 2 + (ay - teammates[k, 1]) ** 2 < teammate_radius**2
         if is_teammate:
             continue
+        if not is_beside and ranges[i] < beside:
+            is_beside = _width(ranges, i) < WIDTH_M
+        if ranges[i] >= nearest:
+            continue
         wx, wy = pose[0] + c * ax - s * ay - old_pose[0], pose[1] + s * ax + c * ay - old_pose[1]
         dx, dy = old_c * wx + old_s * wy, old_c * wy - old_s * wx
         away, beam = math.sqrt(dx * dx + dy * dy), int(np.floor(math.atan2(dy, dx) * per_beam))
@@ -66,7 +72,7 @@ def _nearest_moved(ranges, pose, old_ranges, old_pose, reach, forward, teammates
             is_free &= old_ranges[b % beams] > away + SHIFT_M
         if is_free and _width(ranges, i) < WIDTH_M:
             nearest = ranges[i]
-    return nearest if nearest < reach else math.inf
+    return (nearest if nearest < reach else math.inf), is_beside
 
 
 @kernel
@@ -121,15 +127,17 @@ class MovingObstacles:
         self._earlier.append((np.array(pose_odom, float), ranges))
         old_pose, old_ranges = self._earlier[0]
         forward, radius_m = 1.0 if speed_m_s >= 0.0 else -1.0, self._dynamics.robot_radius_m
-        moved_m = _nearest_moved(
-            ranges, self._earlier[-1][0], old_ranges, old_pose, radius_m + REACH_M, forward,
+        moved_m, is_beside = _nearest_moved(
+            ranges, self._earlier[-1][0], old_ranges, old_pose, radius_m + REACH_M, radius_m + BESIDE_M, forward,
             np.ascontiguousarray(teammates_m, float), 2.0 * radius_m,
         )  # fmt: skip
         if moved_m < math.inf:
             self._hold_steps, self._moved_m = round(HOLD_S / self._dynamics.time_step_s), moved_m
         elif self._hold_steps > 0:
             self._hold_steps -= 1
-        return self._stops_within(self._moved_m - radius_m - LEG_M) if self._hold_steps > 0 else math.inf
+        if self._hold_steps == 0:
+            return math.inf
+        return 0.0 if is_beside else self._stops_within(self._moved_m - radius_m - LEG_M)
 
     def _stops_within(self, room_m: float) -> float:
         """Speed v [m/s] from which the robot stands before somebody has come who is room_m away: the root of
