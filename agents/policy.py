@@ -49,7 +49,8 @@ def policy_names() -> tuple[str, ...]:
 def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     """Create a policy for robots with the limits in `config.dynamics`; `name` may be FILE.py:CLASS.
 
-    Where there are people, the robots of our teams wait for those who move close to them (`careful.CarefulTeam`).
+    Where there are people or furniture, the robots of our teams wait for those who move close to them and remember what
+    they bumped into (`careful.CarefulTeam`).
 
     Raises ConfigError for an unknown name, and unless `action.kind` is `velocity`.
     """
@@ -71,7 +72,7 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
         team = TEAMS[name]
         module = import_module(f"{__package__}.{team.module}")
         scripted: Policy = getattr(module, team.class_name)(config)
-        if config.people.count:
+        if config.people.count or config.clutter.furniture:
             careful: Policy = import_module(f"{__package__}.careful").CarefulTeam(scripted, config)
             return careful
         return scripted

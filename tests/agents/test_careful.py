@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 import twc_env
 from agents.careful import CarefulTeam
@@ -19,8 +20,9 @@ class Ahead:
         return False
 
 
-def test_our_teams_wait_only_where_there_are_people():
-    config = override(EnvConfig(), {"people.count": 3})
+@pytest.mark.parametrize("setting", [{"people.count": 3}, {"clutter.furniture": 3}])
+def test_our_teams_are_careful_only_where_there_are_people_or_furniture(setting):
+    config = override(EnvConfig(), setting)
     assert isinstance(make_policy("nearest-frontier", config), CarefulTeam)
     assert not isinstance(make_policy("nearest-frontier"), CarefulTeam)
 
@@ -34,7 +36,7 @@ def test_a_robot_stops_but_may_turn_while_somebody_walks_towards_it():
     ahead = np.array([np.cos(heading), np.sin(heading)])
     crowd.step = lambda poses, commands: commands
     speeds = []
-    for k in range(8):
+    for k in range(10):
         crowd._state[0, :2] = np.array([x, y]) + (1.6 - 0.12 * k) * ahead
         crowd.discs[:, :2] = crowd._state[0, :2]
         env.step({agent: np.zeros(2) for agent in env.agents})

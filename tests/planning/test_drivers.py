@@ -65,3 +65,30 @@ def test_a_path_is_blocked_where_a_wall_is_near_a_point_of_its_next_three_metres
         assert is_blocked == path_is_blocked(grid, points, 0.18)
         found.append(is_blocked)
     assert 30 < sum(found) < 270
+
+
+def test_a_robot_drives_around_a_box_that_it_only_feels():
+    dynamics, grid = DynamicsConfig(), walled_room()
+    box_m, arrived = np.array([2.0, 3.2]), {}
+    for feels in (False, True):
+        driver, pose, speed = Driver(dynamics, PathFinder(), feels=feels), np.array([1.0, 3.2, 0.0]), 0.0
+
+        def now(tick: int, pose: np.ndarray) -> Belief:
+            return Belief(0, tick, pose.copy(), grid, ranges_m=np.full(36, -3.0), pose_odom=pose.copy())
+
+        driver.start(np.array([4.0, 3.2]), now(0, pose))
+        for tick in range(150):
+            told, turn_rate = driver.command(now(tick, pose), terrain_of)
+            change = dynamics.acceleration_max_m_s2 * dynamics.time_step_s
+            speed = min(max(told, speed - change), speed + change)
+            ahead = pose[:2] + speed * dynamics.time_step_s * np.array([np.cos(pose[2]), np.sin(pose[2])])
+            was_m, is_m = np.abs(pose[:2] - box_m).max(), np.abs(ahead - box_m).max()
+            if is_m < 0.2 + dynamics.robot_radius_m and is_m < was_m:
+                speed = 0.0
+            else:
+                pose[:2] = ahead
+            pose[2] += turn_rate * dynamics.time_step_s
+            if driver.status != "driving":
+                break
+        arrived[feels] = driver.status
+    assert arrived == {False: "failed", True: "arrived"}

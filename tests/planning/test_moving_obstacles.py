@@ -5,6 +5,7 @@ import pytest
 
 from twc_env.config import DynamicsConfig
 from twc_env.planning import MovingObstacles
+from twc_env.planning.moving_obstacles import LEG_M, PERSON_M_S, REACTION_S
 
 BEAMS, NOBODY = 180, np.zeros((0, 2))
 
@@ -20,13 +21,17 @@ def scan_with(places, room_m=3.0, radius_m=0.06, heading=0.0):
     return ranges
 
 
-def waits(scans, speed_m_s=0.5, teammates_m=NOBODY, headings=None):
-    """Whether the robot waits at the last of these scans."""
+def limit_m_s(scans, speed_m_s=0.5, teammates_m=NOBODY, headings=None):
+    """Greatest speed of the robot at the last of these scans."""
     obstacles = MovingObstacles(DynamicsConfig())
     for k, ranges in enumerate(scans):
         pose = np.array([0.0, 0.0, 0.0 if headings is None else headings[k]])
-        found = obstacles.are_near(pose, ranges, speed_m_s, teammates_m)
+        found = obstacles.limit_m_s(pose, ranges, speed_m_s, teammates_m)
     return found
+
+
+def waits(*scans, **others):
+    return limit_m_s(*scans, **others) < 0.5
 
 
 def approaching(sign=1.0):
@@ -35,6 +40,18 @@ def approaching(sign=1.0):
 
 def test_a_robot_waits_for_somebody_who_comes_nearer():
     assert waits(approaching())
+
+
+def test_the_nearer_somebody_is_the_slower_it_drives_until_it_stands():
+    scans = approaching()
+    limits = [limit_m_s(scans[:k]) for k in range(1, 9)]  # 1.5 to 0.9 m from the centre
+    assert limits[0] == math.inf and 0.3 < limits[-1] < 0.7 and (np.diff(limits[3:]) < 0.0).all()
+    assert limit_m_s([scan_with([(1.2 - 0.1 * k, 0.0)]) for k in range(8)]) == 0.0
+    dynamics, limit = DynamicsConfig(), limit_m_s(scans)  # stands when the body has come to the rim, by its own brake
+    took_s = REACTION_S + limit / dynamics.acceleration_max_m_s2
+    driven_m = limit * REACTION_S + limit**2 / (2.0 * dynamics.acceleration_max_m_s2)
+    leg_m = scans[-1].min() - dynamics.robot_radius_m - LEG_M
+    assert driven_m + PERSON_M_S * took_s == pytest.approx(leg_m, abs=1e-6)
 
 
 @pytest.mark.parametrize("place", [(0.8, 0.1), (0.5, -0.4)])
@@ -64,3 +81,10 @@ def test_wide_things_are_walls_that_come_into_view():
 
 def test_a_robot_goes_on_soon_after_they_left():
     assert not waits(approaching() + [scan_with([])] * 10)
+
+
+def test_a_robot_stands_beside_legs_while_somebody_else_walks_by():
+    beside, walks = (0.1, 0.4), [(1.2, 0.6 - 0.15 * k) for k in range(8)]
+    assert limit_m_s([scan_with([place]) for place in walks]) > 0.0
+    assert limit_m_s([scan_with([place, beside]) for place in walks]) == 0.0
+    assert limit_m_s([scan_with([beside])] * 8) == math.inf

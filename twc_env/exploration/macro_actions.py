@@ -77,7 +77,9 @@ class MacroActions:
         count = config.robots
         own = robot_configs(config)
         self._radii_m = [each.dynamics.robot_radius_m for each in own]
-        self._drivers = Drivers([each.dynamics for each in own], self._finder, config.people.count > 0)
+        self._drivers = Drivers(
+            [each.dynamics for each in own], self._finder, config.people.count > 0, config.clutter.furniture > 0
+        )
         self._search = CandidateSearch(config, self._finder)
         self._are_candidates_used = config.action.kind == "frontier" or config.observation.frontiers
         self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()

@@ -3,6 +3,7 @@
 from twc_env.planning.candidates import Candidates, find_candidates
 from twc_env.planning.covering_walk import WalkGraph, covering_walk, walk_graph
 from twc_env.planning.driver import Driver
+from twc_env.planning.felt_obstacles import FeltObstacles, shown
 from twc_env.planning.floor_views import FloorViews, place_graph
 from twc_env.planning.follow import Follower, as_action, drive_to, room_around_m
 from twc_env.planning.latency_tours import LatencyTours, TeamState
@@ -18,6 +19,7 @@ __all__ = [
     "Candidates",
     "Disc",
     "Driver",
+    "FeltObstacles",
     "FloorViews",
     "Follower",
     "LatencyTours",
@@ -37,5 +39,6 @@ __all__ = [
     "path_is_blocked",
     "place_graph",
     "room_around_m",
+    "shown",
     "walk_graph",
 ]

@@ -16,9 +16,11 @@ from twc_env.records.messages import Belief
 class Driver:
     """Drives one robot to the goal given to `start`; `command` returns the speeds of the next tick."""
 
-    def __init__(self, dynamics: DynamicsConfig, finder: PathFinder, waits_for_people: bool = False):
-        """waits_for_people: stop while something moves close to the robot."""
-        self._drivers = Drivers([dynamics], finder, waits_for_people)
+    def __init__(
+        self, dynamics: DynamicsConfig, finder: PathFinder, waits_for_people: bool = False, feels: bool = False
+    ):
+        """waits_for_people, feels: as of `Drivers`."""
+        self._drivers = Drivers([dynamics], finder, waits_for_people, feels)
 
     @property
     def status(self) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig
 from twc_env.kernels.compiled import kernel
+from twc_env.planning.felt_obstacles import FeltObstacles, shown
 from twc_env.planning.follow import LOOK_AHEAD_M, drive_to, look_ahead_point, room_around_m, steer_along
 from twc_env.planning.moving_obstacles import MovingObstacles
 from twc_env.planning.path_finder import Disc, PathFinder
@@ -37,6 +38,8 @@ BACK_OUT_S = 1.2
 """A stuck robot backs out toward the longest ranges for this long, then the goal has failed."""
 TEAMMATE_RADIUS_M, TEAMMATE_COST, TEAMMATE_RANGE_M = 0.6, 12, 6.0
 """Teammates up to `TEAMMATE_RANGE_M` away raise the traversal cost within `TEAMMATE_RADIUS_M`."""
+FELT_RADIUS_M, FELT_COST = 0.35, 30
+"""What a robot bumped into without seeing it raises the traversal cost within `FELT_RADIUS_M`."""
 CHECK_LENGTH_M, CHECK_STEP_M = 3.0, 0.1
 """Length of the path that is checked for walls, and the spacing of the points on it."""
 NARROW_FACTOR = 0.6
@@ -165,10 +168,16 @@ def _drive_with_map(own, path, pose, ranges, points, log_odds, origin, resolutio
 class Drivers:
     """Drives each robot to the goal given to `start`; `commands` returns the speeds of the next tick."""
 
-    def __init__(self, dynamics: Sequence[DynamicsConfig], finder: PathFinder, waits_for_people: bool = False):
-        """waits_for_people: stop while something moves close to a robot."""
+    def __init__(
+        self, dynamics: Sequence[DynamicsConfig], finder: PathFinder, waits_for_people: bool = False,
+        feels: bool = False,
+    ):  # fmt: skip
+        """waits_for_people: slow down while something moves close to a robot; feels: avoid what one bumped into."""
         self._dynamics, self._finder = dynamics, finder
         self._obstacles = [MovingObstacles(own) for own in dynamics] if waits_for_people else None
+        self._felt = [FeltObstacles(own) for own in dynamics] if feels else []
+        self._felt_m = [np.zeros((0, 2)) for _ in dynamics]
+        """(k, 2) of each robot, in its frame: what it has felt."""
         self._state = np.zeros((len(dynamics), _COLUMNS))
         for row, own in zip(self._state, dynamics, strict=True):
             tick_s = own.time_step_s
@@ -226,6 +235,8 @@ class Drivers:
             poses = np.array([[belief.pose_map_robot] for belief in beliefs])
             teammates = np.zeros((len(beliefs), max(len(belief.teammates) for belief in beliefs)), np.int64)
             versions, grids = np.array([belief.map_version for belief in beliefs]), [each.grid for each in beliefs]
+        if self._felt:
+            ranges_m = self._with_felt(beliefs, ranges_m)
         commands = np.empty((len(self._state), 2))
         kept = self._state, self._paths
         _drive(*kept, poses, ranges_m, self._beams, versions, teammates, self._points, commands, self._needs)
@@ -249,7 +260,22 @@ class Drivers:
                     own[_STATUS] = FAILED
         if self._obstacles is not None:
             self._wait_for_people(beliefs, commands)
+        for felt, speed_m_s in zip(self._felt, commands[:, 0].tolist(), strict=False):
+            felt.tell(speed_m_s)
         return commands
+
+    def _with_felt(self, beliefs: Sequence[Belief], ranges_m: Array) -> Array:
+        """The scans with what each robot bumped into; one that has felt something more plans anew, and has time."""
+        before, self._felt_m = self._felt_m, [felt.feel(each) for felt, each in zip(self._felt, beliefs, strict=True)]
+        for own, old, new in zip(self._state, before, self._felt_m, strict=True):
+            if len(new) > len(old):
+                own[_CORNERS], own[_ANCHOR_TICK] = 0, own[_TICKS]
+        if not any(map(len, self._felt_m)):
+            return ranges_m
+        ranges_m = ranges_m.copy()
+        for row, beams, points_m in zip(ranges_m, self._beams.tolist(), self._felt_m, strict=True):
+            row[:beams] = shown(row[:beams], points_m)
+        return ranges_m
 
     def _stacked(self, ranges_m: Sequence[Array | None] | Array) -> Array:
         """The scans in one array (robots, most beams), of whose rows the first `_beams` count."""
@@ -285,6 +311,8 @@ class Drivers:
             for pose in belief.teammates.values()
             if math.dist(pose[:2], here_m) < TEAMMATE_RANGE_M and math.dist(pose[:2], goal_m) > TEAMMATE_RADIUS_M
         ]
+        for x, y in transform_points(own[_X : _HEADING + 1], self._felt_m[robot]).tolist():
+            discs.append(Disc(x, y, FELT_RADIUS_M, FELT_COST))
         for squeeze in (1.0, NARROW_FACTOR):
             terrain = terrain_of(belief, squeeze)
             labels = np.zeros_like(terrain.labels)
@@ -308,13 +336,12 @@ class Drivers:
         return drive_to(0.6 * math.cos(bearing), 0.6 * math.sin(bearing), ranges_m, dynamics)
 
     def _wait_for_people(self, beliefs: Sequence[Belief], commands: Array) -> None:
-        """Hold robots near which something moves."""
+        """Slow down robots near which something moves."""
         for robot, (belief, obstacles) in enumerate(zip(beliefs, self._obstacles or (), strict=True)):
-            own = self._state[robot]
-            if obstacles.stop(belief, float(commands[robot, 0])):
-                commands[robot, 0] = 0.0
-                if own[_STATUS] == DRIVING:
-                    own[_ANCHOR_TICK] = own[_TICKS]  # who waits is not stuck
+            own, wanted = self._state[robot], float(commands[robot, 0])
+            commands[robot, 0] = allowed = obstacles.limited(belief, wanted)
+            if abs(allowed) < abs(wanted) and own[_STATUS] == DRIVING:
+                own[_ANCHOR_TICK] = own[_TICKS]  # who waits is not stuck
 
 
 def map_id(belief: Belief) -> tuple[int, int]:

@@ -1,4 +1,6 @@
-"""Whether something moves close to a robot, from two of its scans: an obstacle where there was free space before."""
+"""How fast a robot may drive where something moves close to it: an obstacle where there was free space in the scan
+before. The nearer, the slower, so that it stands before somebody who walks towards it has come: speed and separation
+monitoring as in ISO/TS 15066, with people of usual speed."""
 
 from __future__ import annotations
 
@@ -17,8 +19,13 @@ LAG_S = 0.3
 SHIFT_M = 0.12
 """An end point this far inside the free space of the earlier scan has moved."""
 REACH_M = 1.1
-"""Obstacles further from the robot's rim are ignored: braking from 1 m/s takes 0.3 m, somebody who walks towards the
-robot comes 0.8 m nearer meanwhile."""
+"""Obstacles further from the robot's rim are ignored."""
+PERSON_M_S, REACTION_S = 1.3, 0.2
+"""Somebody walks towards the robot this fast, and it begins to brake so late."""
+LEG_M = 0.14
+"""A body is this much wider than the leg that the scan shows."""
+BESIDE_M = 0.25
+"""Where somebody moves, narrow things this near to the rim are taken for people who move too slowly to be noticed."""
 WIDTH_M = 0.6
 """Wider things are walls, of which a moving robot sees new parts, not people."""
 STEP_M = 0.15
@@ -30,8 +37,9 @@ HOLD_S = 0.4
 
 
 @kernel
-def _has_moved(ranges, pose, old_ranges, old_pose, reach, forward, teammates, teammate_radius):
-    """Whether an end point within `reach` on something narrow lies well inside the free space of the old scan.
+def _nearest_moved(ranges, pose, old_ranges, old_pose, reach, beside, forward, teammates, teammate_radius):
+    """Range of the nearest end point within `reach` on something narrow that lies well inside the free space of the old
+    scan, infinite if there is none; and whether something narrow, moved or not, is nearer than `beside`.
 
     The beams beside its bearing must have been free as well: along a grazing wall, ranges of neighbours differ. Points
     behind a robot that drives forward (1) or back (-1), or within teammate_radius of teammates (k, 2), do not count.
@@ -40,8 +48,9 @@ def _has_moved(ranges, pose, old_ranges, old_pose, reach, forward, teammates, te
     per_beam = beams / (2.0 * math.pi)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     old_c, old_s = math.cos(old_pose[2]), math.sin(old_pose[2])
+    nearest, is_beside = reach, False
     for i in range(beams):
-        if not 0.0 < ranges[i] < reach:
+        if not 0.0 < ranges[i] < max(nearest, beside):
             continue
         ax, ay = ranges[i] * math.cos(i / per_beam), ranges[i] * math.sin(i / per_beam)
         if forward * ax < BEHIND_COS * ranges[i]:
@@ -51,6 +60,10 @@ def _has_moved(ranges, pose, old_ranges, old_pose, reach, forward, teammates, te
             is_teammate |= (ax - teammates[k, 0]) ** 2 + (ay - teammates[k, 1]) ** 2 < teammate_radius**2
         if is_teammate:
             continue
+        if not is_beside and ranges[i] < beside:
+            is_beside = _width(ranges, i) < WIDTH_M
+        if ranges[i] >= nearest:
+            continue
         wx, wy = pose[0] + c * ax - s * ay - old_pose[0], pose[1] + s * ax + c * ay - old_pose[1]
         dx, dy = old_c * wx + old_s * wy, old_c * wy - old_s * wx
         away, beam = math.sqrt(dx * dx + dy * dy), int(np.floor(math.atan2(dy, dx) * per_beam))
@@ -58,8 +71,8 @@ def _has_moved(ranges, pose, old_ranges, old_pose, reach, forward, teammates, te
         for b in range(beam - 1, beam + 3):
             is_free &= old_ranges[b % beams] > away + SHIFT_M
         if is_free and _width(ranges, i) < WIDTH_M:
-            return True
-    return False
+            nearest = ranges[i]
+    return (nearest if nearest < reach else math.inf), is_beside
 
 
 @kernel
@@ -92,29 +105,43 @@ class MovingObstacles:
     """Remembers the recent scans of one robot."""
 
     def __init__(self, dynamics: DynamicsConfig):
-        self._time_step_s, self._radius_m = dynamics.time_step_s, dynamics.robot_radius_m
+        self._dynamics = dynamics
         self._earlier: deque[tuple[Array, Array]] = deque(maxlen=max(1, round(LAG_S / dynamics.time_step_s)) + 1)
-        self._hold_steps = 0
+        self._hold_steps, self._moved_m = 0, math.inf
 
-    def stop(self, belief: Belief, speed_m_s: float) -> bool:
-        """Whether a robot that wants this speed has to wait; call once per step."""
-        return self.are_near(belief.pose_odom, belief.ranges_m, speed_m_s, _teammates_of(belief))
+    def limited(self, belief: Belief, speed_m_s: float) -> float:
+        """The speed [m/s] of a robot that wants this one; call once per step."""
+        limit_m_s = self.limit_m_s(belief.pose_odom, belief.ranges_m, speed_m_s, _teammates_of(belief))
+        return math.copysign(min(abs(speed_m_s), limit_m_s), speed_m_s)
 
-    def are_near(self, pose_odom: Array, ranges_m: Array | None, speed_m_s: float, teammates_m: Array) -> bool:
-        """Whether something moves nearby, not behind a robot of this speed, or did shortly before; call once per step.
+    def limit_m_s(self, pose_odom: Array, ranges_m: Array | None, speed_m_s: float, teammates_m: Array) -> float:
+        """Greatest speed [m/s] while something moves nearby, not behind a robot of this speed, or did shortly before;
+        call once per step.
 
         pose_odom (3,): in a frame that does not jump; teammates_m (k, 2): positions of teammates in the robot frame,
         which do not count.
         """
         if ranges_m is None or len(ranges_m) == 0:
-            return False
+            return math.inf
         ranges = np.ascontiguousarray(ranges_m, float)
         self._earlier.append((np.array(pose_odom, float), ranges))
         old_pose, old_ranges = self._earlier[0]
-        forward = 1.0 if speed_m_s >= 0.0 else -1.0
-        moved = _has_moved(
-            ranges, self._earlier[-1][0], old_ranges, old_pose, self._radius_m + REACH_M, forward,
-            np.ascontiguousarray(teammates_m, float), 2.0 * self._radius_m,
+        forward, radius_m = 1.0 if speed_m_s >= 0.0 else -1.0, self._dynamics.robot_radius_m
+        moved_m, is_beside = _nearest_moved(
+            ranges, self._earlier[-1][0], old_ranges, old_pose, radius_m + REACH_M, radius_m + BESIDE_M, forward,
+            np.ascontiguousarray(teammates_m, float), 2.0 * radius_m,
         )  # fmt: skip
-        self._hold_steps = round(HOLD_S / self._time_step_s) if moved else max(self._hold_steps - 1, 0)
-        return self._hold_steps > 0
+        if moved_m < math.inf:
+            self._hold_steps, self._moved_m = round(HOLD_S / self._dynamics.time_step_s), moved_m
+        elif self._hold_steps > 0:
+            self._hold_steps -= 1
+        if self._hold_steps == 0:
+            return math.inf
+        return 0.0 if is_beside else self._stops_within(self._moved_m - radius_m - LEG_M)
+
+    def _stops_within(self, room_m: float) -> float:
+        """Speed v [m/s] from which the robot stands before somebody has come who is room_m away: the root of
+        v^2 / 2 b + (PERSON_M_S / b + REACTION_S) v + PERSON_M_S * REACTION_S = room_m, with deceleration b."""
+        left_m, b = room_m - PERSON_M_S * REACTION_S, self._dynamics.acceleration_max_m_s2
+        half = PERSON_M_S + b * REACTION_S
+        return 0.0 if left_m <= 0.0 else math.sqrt(half * half + 2.0 * b * left_m) - half

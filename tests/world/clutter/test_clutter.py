@@ -7,7 +7,7 @@ import pytest
 
 from twc_env.config import EnvConfig, override
 from twc_env.maps import load_map
-from twc_env.world.clutter.contact import ANGLE, OPEN_RAD
+from twc_env.world.clutter.contact import ANGLE, COLUMNS, GOAL, LEFT_S, LENGTH, OPEN_RAD, SIDE, swing
 from twc_env.world.clutter.doorways import WIDTH_MAX_M, WIDTH_MIN_M, doorways_of
 from twc_env.world.clutter.furniture import PASSAGE_M, legs_of, sides_of
 from twc_env.world.world import World
@@ -48,7 +48,7 @@ def test_legs_have_the_width_of_the_table_and_sides_close():
 def test_doors_open_and_close_within_a_second_and_a_half(world_with):
     world = world_with(DOORS)
     doors, seen = world.clutter._doors, []
-    for _ in range(200):
+    for _ in range(400):
         world.tick(np.zeros((1, 2)))
         seen.append(doors[:, ANGLE].copy())
     angles = np.array(seen)
@@ -164,3 +164,40 @@ def test_people_do_not_gather_behind_open_doors():
             places.append(world.crowd.bodies.copy())
     moved_m = np.hypot(*np.diff(places, axis=0).transpose(2, 0, 1))
     assert (moved_m < 0.3).mean() < 0.25  # within 10 s; 0.4 where ways lead through open leaves
+
+
+@pytest.fixture
+def swung_door():
+    """When a door opens or closes [s]: it stays closed for 50 s and open for 60 s, then for 5 and 6 s. Somebody walks
+    before it from the first to the second time of the visit."""
+
+    def times_s(starts_open: bool, count: int, visit_s: tuple[float, float] = (0.0, 0.0)) -> list[float]:
+        doors, times, used = np.zeros((1, COLUMNS)), np.array([[50.0, 60.0, 5.0, 6.0]]), np.zeros(1, np.int64)
+        doors[0, LENGTH], doors[0, SIDE] = 0.9, 1.0
+        if starts_open:
+            doors[0, ANGLE] = doors[0, GOAL] = OPEN_RAD
+        doors[0, LEFT_S] = times[0, int(starts_open)]
+        nobody, rims, changes, step = np.zeros((0, 2)), np.zeros((1, 4)), [], 0
+        while len(changes) < count:
+            step += 1
+            goal = doors[0, GOAL]
+            walkers = np.array([[0.5, 1.0]]) if visit_s[0] < 0.1 * step <= visit_s[1] else nobody
+            swing(doors, times, used, walkers, np.zeros((0, 3)), np.zeros(0), 0.1, rims.copy(), rims)
+            if doors[0, GOAL] != goal:
+                changes.append(0.1 * step)
+        return changes
+
+    return times_s
+
+
+def test_a_door_uses_each_of_its_times_once(swung_door):
+    assert np.diff(swung_door(False, 4), prepend=0.0) == pytest.approx([50.0, 60.0, 5.0, 6.0], abs=0.11)
+    assert np.diff(swung_door(True, 3), prepend=0.0) == pytest.approx([60.0, 5.0, 6.0], abs=0.11)
+
+
+def test_a_door_that_somebody_opened_closes_three_seconds_later(swung_door):
+    opened, closed, opened_again = swung_door(False, 3, (0.55, 0.65))
+    assert (opened, closed) == pytest.approx((0.6, 3.6), abs=0.11)
+    assert opened_again - closed == pytest.approx(5.0, abs=0.11)  # the closed time that was cut short is over
+    assert swung_door(True, 1, (0.55, 0.65))[0] == pytest.approx(60.0, abs=0.11)  # it was open anyway
+    assert swung_door(True, 1, (58.0, 59.0))[0] == pytest.approx(62.0, abs=0.11)

@@ -19,7 +19,7 @@ _SWING_RAD_S = OPEN_RAD / 1.5
 _OPENS_FOR_M = 1.2
 """People who walk open a door at this distance ..."""
 _HELD_S = 3.0
-"""... and let go of it this long after."""
+"""... and hold it for this long after; one that is open anyway stays so for its own time, if that is longer."""
 _PERSON_M = 0.25
 _RANGE_MIN_M = 0.001
 
@@ -47,7 +47,8 @@ def swing(doors, times, used, walkers, poses, radii, dt, seen, rims):
     """Move the doors by one time step.
 
     A leaf stops before robots at poses (r, 3), and one that closes before walkers (k, 2), who open it. times (doors,
-    k): how long each stays closed and open, in turns; the leaves are the first rows of seen and rims.
+    k): how long each stays closed and open, in turns; used (doors,): how often each has closed, for no time is used
+    twice. The leaves are the first rows of seen and rims.
     """
     for k in range(doors.shape[0]):
         doors[k, LEFT_S] -= dt
@@ -58,12 +59,13 @@ def swing(doors, times, used, walkers, poses, radii, dt, seen, rims):
         for p in range(walkers.shape[0]):
             is_wanted |= (walkers[p, 0] - x) ** 2 + (walkers[p, 1] - y) ** 2 < _OPENS_FOR_M * _OPENS_FOR_M
         if is_wanted:
-            doors[k, GOAL], doors[k, LEFT_S] = OPEN_RAD, max(doors[k, LEFT_S], _HELD_S)
+            doors[k, LEFT_S] = max(doors[k, LEFT_S], _HELD_S) if doors[k, GOAL] > 0.0 else _HELD_S
+            doors[k, GOAL] = OPEN_RAD
         elif doors[k, LEFT_S] <= 0.0:
-            doors[k, GOAL] = 0.0 if doors[k, GOAL] > 0.0 else OPEN_RAD
-            kind = 1 if doors[k, GOAL] > 0.0 else 0
-            doors[k, LEFT_S] = times[k, (2 * used[k] + kind) % times.shape[1]]
-            used[k] += kind
+            opens = 0 if doors[k, GOAL] > 0.0 else 1
+            doors[k, GOAL] = opens * OPEN_RAD
+            used[k] += 1 - opens
+            doors[k, LEFT_S] = times[k, (2 * used[k] + opens) % times.shape[1]]
         turn = min(max(doors[k, GOAL] - doors[k, ANGLE], -_SWING_RAD_S * dt), _SWING_RAD_S * dt)
         if turn == 0.0:
             continue

@@ -11,7 +11,7 @@ from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.wall_index import is_blocked
 
 WIDTH_MIN_M, WIDTH_MAX_M = 0.75, 1.6
-"""Clear widths of single doors and of wide ones (DIN 18100: 0.6 to 1.3 m)."""
+"""Gaps that can have a door (ours): narrower ones let no robot pass, and a leaf as long as a wider one is rare."""
 _COS_MIN = 0.99
 """The gap continues both walls."""
 _BESIDE_M = 0.35
