@@ -262,7 +262,7 @@ def test_radio_asks_what_a_robot_heard_when_it_came_back(claimed_shift, is_right
             power_db = random.normal(0.0, 5.0, 8)
             prints += [Fingerprint(p.macs, p.rssi_dbm + power_db) for p in radio_survey(random, way + shift)]
     asked = (
-        np.concatenate([path, path + 0.1]), np.repeat([0, 1], 80), np.tile(np.linspace(0, 50, 80), 2),
+        np.concatenate([path, path + 0.1]), np.repeat([0, 1], 80), np.tile(np.linspace(0, 90, 80), 2),
         heard_at(prints), np.arange(160), np.repeat([False, True], 80),
     )  # fmt: skip
     assert wifi_difference(*asked) > RADIO_SLACK

@@ -36,7 +36,7 @@ SAME_PLACE_M = 1.2
 """Two places of different groups closer than this after a merge must have fingerprints ..."""
 REFERENCE_M = (1.5, 3.5)
 """... more alike than pairs of one robot at this distance range ..."""
-SOON_M, LATER_M = (0.0, 2 * REFERENCE_M[1]), (20.0, math.inf)
+SOON_M, LATER_M = (0.0, 2 * REFERENCE_M[1]), (40.0, math.inf)
 """... heard soon after each other, or when it came back: the path length between them."""
 PAIRS_MIN, PLACES_MAX = 4, 150
 """Minimum number of pairs for a decision; of more than twice PLACES_MAX places only every n-th is compared with all."""
