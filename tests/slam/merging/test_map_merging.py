@@ -9,13 +9,14 @@ from twc_env.records.growing_arrays import READINGS_ROOM
 from twc_env.records.messages import Fingerprint
 from twc_env.slam.merging import map_merging
 from twc_env.slam.merging.map_merging import (
+    LATER_M,
     count_places,
     largest_agreement,
     wall_contradiction,
     weight_of,
     wifi_difference,
 )
-from twc_env.slam.merging.merge_review import RADIO_SLACK
+from twc_env.slam.merging.merge_tests import RADIO_SLACK
 from twc_env.slam.places.heard_places import HeardPlaces
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid
 
@@ -248,6 +249,24 @@ def test_radio_tolerates_device_offsets():
 
 def test_radio_contradicts_if_the_second_robot_was_elsewhere():
     assert wifi_hypothesis_test((11.0, 9.0)) > RADIO_SLACK
+
+
+@pytest.mark.parametrize(("claimed_shift", "is_right"), [((0.0, 0.0), True), ((11.0, 9.0), False)])
+def test_radio_asks_what_a_robot_heard_when_it_came_back(claimed_shift, is_right):
+    """Both robots drive to and fro, robot 1 later; each time every access point has another power."""
+    random = np.random.default_rng(3)
+    there = np.stack([np.linspace(-8, 8, 40), 2 * np.sin(np.linspace(0, 6, 40))], axis=1)
+    path, prints = np.concatenate([there, there[::-1]]), []
+    for shift in (np.zeros(2), np.array(claimed_shift)):
+        for way in (there, there[::-1]):
+            power_db = random.normal(0.0, 5.0, 8)
+            prints += [Fingerprint(p.macs, p.rssi_dbm + power_db) for p in radio_survey(random, way + shift)]
+    asked = (
+        np.concatenate([path, path + 0.1]), np.repeat([0, 1], 80), np.tile(np.linspace(0, 90, 80), 2),
+        heard_at(prints), np.arange(160), np.repeat([False, True], 80),
+    )  # fmt: skip
+    assert wifi_difference(*asked) > RADIO_SLACK
+    assert (wifi_difference(*asked, LATER_M) < 1.0) is is_right
 
 
 def test_radio_decides_nothing_if_the_paths_are_apart():

@@ -8,7 +8,7 @@ import pytest
 from twc_env.config import MergingConfig
 from twc_env.records.geometry import between, compose
 from twc_env.records.messages import LoopCandidate, LoopClosure, SignObservation
-from twc_env.slam.merging.merge_review import RADIO_SLACK
+from twc_env.slam.merging.map_merging import SOON_M
 from twc_env.slam.merging.merge_tests import MergeTests
 from twc_env.slam.merging.mutual_observations import ObservationCounts
 
@@ -108,14 +108,25 @@ def test_a_closure_is_confirmed_by_another_from_elsewhere_that_moves_the_robots_
 
 
 @pytest.mark.parametrize(
-    ("difference", "merges", "stays"), [(0.99, True, True), (1.06, False, True), (1.2, False, False)]
+    ("soon", "later", "merges", "stays"),
+    [
+        (0.99, 1.2, True, True),
+        (1.06, 1.06, False, True),
+        (1.2, 1.2, False, False),
+        (1.2, 0.99, True, True),
+        (1.2, None, False, None),
+        (None, 0.99, False, None),
+    ],
 )
-def test_radio_asks_more_of_a_new_merge_than_of_an_existing_one(difference, merges, stays):
-    """Four closures by radio put a robot into a warehouse turned by half a circle, at a difference of 1.06."""
+def test_radio_asks_more_of_a_new_merge_than_of_an_existing_one(soon, later, merges, stays):
+    """Four closures by radio put a robot into a warehouse turned by half a circle, at a difference of 1.06.
+
+    Beside what robots hear soon after, what they hear when they come back may speak for a merge.
+    """
     asked = merge_tests()
-    asked.radio_difference = lambda *_: difference
+    asked.radio_difference = lambda a, b, pose, between_m=SOON_M: soon if between_m == SOON_M else later
     assert asked.cues_confirm((0,), (1,), asked.proposal(say(4, TRUE, "wifi"), (0,))) is merges
-    assert asked.radio_agrees((0,), (1,), np.zeros(3), RADIO_SLACK) is stays
+    assert asked.radio_still_agrees((0,), (1,)) is stays
 
 
 @pytest.mark.parametrize(("kept", "moves"), [(2, True), (3, False)])

@@ -35,7 +35,9 @@ NEAR_CELLS = 3
 SAME_PLACE_M = 1.2
 """Two places of different groups closer than this after a merge must have fingerprints ..."""
 REFERENCE_M = (1.5, 3.5)
-"""... more alike than pairs of one robot at this distance range."""
+"""... more alike than pairs of one robot at this distance range ..."""
+SOON_M, LATER_M = (0.0, 2 * REFERENCE_M[1]), (40.0, math.inf)
+"""... heard soon after each other, or when it came back: the path length between them."""
 PAIRS_MIN, PLACES_MAX = 4, 150
 """Minimum number of pairs for a decision; of more than twice PLACES_MAX places only every n-th is compared with all."""
 APART_M, APART_RAD = 1.5, 0.35
@@ -287,7 +289,7 @@ def _fingerprint_distance_db(macs, levels, starts, a, b, differences):
 
 
 @kernel
-def _compare_places(macs, levels, starts, places, positions, robots, travels, is_b):
+def _compare_places(macs, levels, starts, places, positions, robots, travels, is_b, least_m, most_m):
     """Fingerprint distances [dB] of pairs that the merge brings together, and of the reference pairs."""
     together, reference = np.empty(256), np.empty(256)
     found = learned = longest = 0
@@ -302,7 +304,7 @@ def _compare_places(macs, levels, starts, places, positions, robots, travels, is
                 continue
             apart = math.sqrt(dx * dx + dy * dy)
             is_together = apart < SAME_PLACE_M and is_b[i] != is_b[j]
-            is_own = robots[i] == robots[j] and abs(travels[i] - travels[j]) < 2 * REFERENCE_M[1]
+            is_own = robots[i] == robots[j] and least_m <= abs(travels[i] - travels[j]) < most_m
             is_yardstick = is_own and REFERENCE_M[0] <= apart <= REFERENCE_M[1]
             if not is_together and not is_yardstick:
                 continue
@@ -323,18 +325,20 @@ def _compare_places(macs, levels, starts, places, positions, robots, travels, is
 
 
 def wifi_difference(
-    positions: Array, robots: Array, travels_m: Array, heard: HeardPlaces, places: Array, is_b: Array
+    positions: Array, robots: Array, travels_m: Array, heard: HeardPlaces, places: Array, is_b: Array,
+    between_m: tuple[float, float] = SOON_M,
 ) -> float | None:  # fmt: skip
     """How different the fingerprints of places are that a merge would bring together, as a share of the reference;
     None with too few pairs to compare.
 
     positions (k, 2) of all keyframes of both groups in the proposed common frame, robots (k,), travels_m (k,) path
     length of each, `heard` fingerprints, places (k,) index of each keyframe's fingerprint in it, is_b (k,) bool. The
-    reference is computed from the same data: the median distance of fingerprints of one robot taken REFERENCE_M apart.
+    reference is computed from the same data: the median distance of fingerprints of one robot taken REFERENCE_M apart,
+    `between_m` along its path.
     """
     together, reference = _compare_places(
         heard.macs, heard.rssi_dbm, heard.starts, places, np.ascontiguousarray(positions, float), robots, travels_m,
-        is_b,
+        is_b, *between_m,
     )  # fmt: skip
     if len(together) < PAIRS_MIN or len(reference) < PAIRS_MIN:
         return None

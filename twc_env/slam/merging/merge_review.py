@@ -25,8 +25,8 @@ from twc_env.slam.merging.merge_tests import MergeTests
 
 FIRST_STEPS = 50
 """Steps until the first re-evaluation; the interval doubles each time."""
-WALLS_SLACK, RADIO_SLACK = 2.0, 1.1
-"""An existing merge may contradict walls and radio by these factors more than a new one."""
+WALLS_SLACK = 2.0
+"""An existing merge may contradict walls by this factor more than a new one."""
 SAME_PLACE_M = 2.0
 """A merge hypothesis this near an undone one counts as the same [m]."""
 STRAIN_MIN, STRAIN_SHARE = 16.27, 0.5
@@ -181,7 +181,7 @@ class MergeReview:
         if rival.weight > self._tests.weight(supporters, a):
             return True
         return heard is True and (
-            self._tests.walls_disagree(*grids, IDENTITY) or not self._tests.radio_agrees(a, b, IDENTITY, RADIO_SLACK)
+            self._tests.walls_disagree(*grids, IDENTITY) or not self._tests.radio_still_agrees(a, b)
         )
 
     def _map_objection(self, a: Sequence[int], b: Sequence[int]) -> str:
@@ -189,7 +189,7 @@ class MergeReview:
         share = wall_contradiction(*self._grids(a, b), IDENTITY)
         if share > self._rule.contradiction_max * WALLS_SLACK:
             return f"{share:.0%} of the walls of one lie in the free space of the other"
-        if self._rule.wifi_check and self._tests.radio_agrees(a, b, IDENTITY, RADIO_SLACK) is False:
+        if self._rule.wifi_check and self._tests.radio_still_agrees(a, b) is False:
             return "places that it brings together sound different"
         if self._tests.mutual_observations_contradict(a, b, IDENTITY):
             return "robots saw through the places where it puts others"

@@ -28,6 +28,8 @@ HYPOTHESES_MAX = 16
 TOLD_APART = 0.9
 """Radio tells two hypotheses apart if the places that one brings together differ by less than this share of what those
 of the other differ by."""
+RADIO_SLACK = 1.1
+"""An existing merge may contradict radio by this factor more than a new one."""
 SCANS_ALONE_MIN = 8
 """Where neither signs nor fingerprints are compared and robots do not look for each other, places this many,
 `spread_min_m` apart, must agree: rooms and whole wings of a building look alike."""
@@ -190,13 +192,29 @@ class MergeTests:
         here, there = (self.radio_difference(a, b, pose) for pose in (pose_a_b, other))
         return None if here is None or there is None else here < TOLD_APART * there
 
-    def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, slack: float = 1.0) -> bool | None:
-        """Whether places that the merge brings together are more alike than those of one robot at REFERENCE_M, times
-        `slack`; None with too few pairs."""
-        difference = self.radio_difference(a, b, pose_a_b)
-        return None if difference is None else difference < slack
+    def radio_agrees(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool | None:
+        """Whether places that the merge brings together are more alike than those of one robot at REFERENCE_M, heard
+        soon after each other or when it came back; None with too few pairs.
 
-    def radio_difference(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> float | None:
+        Two robots hear a place at different times. Where access points change their power meanwhile, only what a robot
+        hears when it comes back has the like in it.
+        """
+        soon = self.radio_difference(a, b, pose_a_b)
+        return None if soon is None else soon < 1.0 or bool(self._agrees_later(a, b, pose_a_b, 1.0))
+
+    def radio_still_agrees(self, a: Sequence[int], b: Sequence[int]) -> bool | None:
+        """`radio_agrees` of an existing merge, with RADIO_SLACK; None also as long as no robot came back."""
+        here = np.zeros(3)
+        soon = self.radio_difference(a, b, here)
+        return soon if soon is None else soon < RADIO_SLACK or self._agrees_later(a, b, here, RADIO_SLACK)
+
+    def _agrees_later(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, slack: float) -> bool | None:
+        later = self.radio_difference(a, b, pose_a_b, map_merging.LATER_M)
+        return None if later is None else later < slack
+
+    def radio_difference(
+        self, a: Sequence[int], b: Sequence[int], pose_a_b: Array, between_m: tuple[float, float] = map_merging.SOON_M
+    ) -> float | None:
         """`map_merging.wifi_difference` of this merge."""
         members, graph = [*a, *b], self._graph
         paths = [graph.path_of(robot) for robot in members]
@@ -210,6 +228,7 @@ class MergeTests:
             self._heard_everywhere(),
             nodes,
             np.arange(len(nodes)) >= count_a,
+            between_m,
         )
 
     def sparsify(self, _: Array) -> None:
