@@ -44,17 +44,26 @@ def test_robots_without_a_common_map_are_reported(mapper_of):
     assert lines == ["no common map of [0] and [1]; 0 closures wait for others that agree"]
 
 
-@pytest.mark.parametrize(("agree", "contradict", "is_doubted"), [(3, 4, False), (5, 5, False), (5, 6, True)])
-def test_a_map_that_most_closures_contradict_is_doubted(mapper_of, agree, contradict, is_doubted):
-    mapper = mapper_of(*[(0, None, None)] * 12)
-    for k in range(agree + contradict):
-        made = LoopClosure(
-            LoopCandidate((0, 0), (0, k % 11 + 1), np.zeros(3), "twc"), np.zeros(3), np.eye(3) / 100, 0.9, ""
-        )
+@pytest.mark.parametrize(
+    ("agree", "rivals", "others", "is_doubted"),
+    [(5, 9, 0, True), (7, 8, 0, True), (5, 4, 5, False), (4, 0, 12, False)],
+)
+def test_a_map_is_doubted_if_half_as_many_closures_agree_on_another_one(mapper_of, agree, rivals, others, is_doubted):
+    """Groups of closures further apart than their window, as rooms that look alike on one stretch count once."""
+    mapper = mapper_of(*[(robot, None, None) for robot in (0, 1) for _ in range(40)])
+    mapper._maps.merge(0, 1, np.zeros(3))
+    elsewhere = [np.array([0.0, 5.0, 0.0])] * rivals + [np.array([7.0, 9.0 * k - 60.0, 0.3 * k]) for k in range(others)]
+    for k, measured in enumerate([np.zeros(3)] * agree + elsewhere):
+        place = 14 * (k % 3) + k // 3  # three groups of neighbours
+        ends = (0, place), (1, place)
+        made = LoopClosure(LoopCandidate(*ends, np.zeros(3), "twc"), measured, np.diag([1e-3, 1e-3, 1e-4]), 0.9, "")
         mapper._graph.add_closure(made)
         mapper._graph.accept(made) if k < agree else mapper._graph.refuse(made, "5.0 m from the estimate")
-    line = "the map of robot 0 cannot be trusted: 6 of 11 closures contradict it"
-    assert (line in diagnostics_of(mapper)) is is_doubted
+    line = (
+        f"the map of robot 0 and robot 1 cannot be trusted: {rivals} closures between robot 0 and robot 1 agree on "
+        f"another one, {agree} on this one"
+    )
+    assert [text for text in diagnostics_of(mapper) if "trusted" in text] == [line] * is_doubted
 
 
 def test_a_device_offset_is_reported(mapper_of):

@@ -22,7 +22,9 @@ REPEATED_APART_M, REPEATED_SHARE, NAMES_MIN = 4.0, 0.4, 4
 
 
 DOUBTFUL_MIN = 5
-"""Fewer closures that contradict a map are no reason to doubt it."""
+"""Fewer closures that contradict a map, or agree on another one, are no reason to doubt it."""
+DOUBTFUL_SHARE = 0.5
+"""Closures between two robots that agree on another map are a reason from this share of those in use on."""
 NEVER = -1
 """In place of a step: not heard yet."""
 
@@ -163,15 +165,20 @@ def _apart(mapper: TeamMapper) -> list[str]:
 
 
 def _doubtful(mapper: TeamMapper) -> list[str]:
-    """Maps that more closures contradict than support: what most closures say may be right, or the rest."""
+    """Maps that most closures contradict, if those that agree on one other map are not far fewer than its own."""
     found = []
     for group in mapper.groups:
         accepted, refused = mapper.votes_in(group.robots)
-        if refused >= DOUBTFUL_MIN and refused > accepted:
-            who = " and ".join(_name(mapper, segment) for segment in group.robots)
-            found.append(
-                f"the map of {who} cannot be trusted: {refused} of {accepted + refused} closures contradict it"
-            )
+        if refused < DOUBTFUL_MIN or refused <= accepted:
+            continue
+        who = " and ".join(_name(mapper, segment) for segment in group.robots)
+        for (a, b), (held, rivals) in mapper.rival_votes_in(group.robots).items():
+            if rivals >= DOUBTFUL_MIN and rivals > DOUBTFUL_SHARE * held:
+                between = f"of {_name(mapper, a)}" if a == b else f"between {_name(mapper, a)} and {_name(mapper, b)}"
+                found.append(
+                    f"the map of {who} cannot be trusted: {rivals} closures {between} agree on another one, "
+                    f"{held} on this one"
+                )
     return found
 
 

@@ -25,6 +25,7 @@ from twc_env.slam.merging.merge_review import MergeReview
 from twc_env.slam.merging.merge_tests import MergeTests
 from twc_env.slam.merging.merge_trial import MergeTrials
 from twc_env.slam.merging.mutual_observations import MutualObservations
+from twc_env.slam.merging.rival_maps import rival_votes
 from twc_env.slam.radio.radio_constraints import RadioConstraints
 
 URGENT_SQUARED_ERROR = 1.0
@@ -267,6 +268,10 @@ class TeamMapper:
             for status in ("accepted", "rejected")
         )
         return agree, contradict
+
+    def rival_votes_in(self, robots: tuple[int, ...]) -> dict[tuple[int, int], tuple[int, int]]:
+        """See `rival_maps.rival_votes`."""
+        return rival_votes(self._graph, robots)
 
     @property
     def closures_verified(self) -> int:

@@ -1,9 +1,10 @@
 """Whether an optimised pose graph can be trusted, or is lost. It never sees the truth.
 
-Four things are measured of a component. *Undecided*: closures that the back end can neither accept nor contradict,
+Five things are measured of a component. *Undecided*: closures that the back end can neither accept nor contradict,
 because drift is too large. *Second hypothesis*: how many of the rejected closures agree with each other and odometry
 without the accepted ones; for back ends other than `ours`, also whether the search of `ours` in all closures finds
-another map, unless all closures agree. *Contradiction*: squared errors of what was accepted, per degree of freedom.
+another map, unless all closures agree. *Chance*: accepted closures without which the map lies elsewhere, and which
+that map denies (`chance_closures`). *Contradiction*: squared errors of what was accepted, per degree of freedom.
 *Expected error*: odometry and accepted closures are drawn anew from their stated noise, scaled by that ratio, and the
 graph is optimised again; how far its poses move, after alignment, is the error that the closures leave (a parametric
 bootstrap of the inverse Fisher information, without its gauge).
@@ -18,6 +19,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import PoseGraphConfig
 from twc_env.records.geometry import between, compose
+from twc_env.slam.graph_optimisation.chance_closures import aligned_distance_m, chance_closures
 from twc_env.slam.graph_optimisation.components import unchecked_poses
 from twc_env.slam.pose_graph.consistent_set import UNPROVEN
 from twc_env.slam.pose_graph.robust_back_end import BackendResult, solve
@@ -95,10 +97,17 @@ def trust_in(graph: Graph, result: BackendResult, robust: str = "ours") -> Trust
         reasons.append(
             f"the closures hold too little: expected error {expected_m:.3g} m on a map of {diagonal_m:.3g} m"
         )
+    away_max_m = max(DIFFERS_ERRORS * expected_m, DIFFERS_SHARE * diagonal_m)
+    if chance := chance_closures(graph, poses, accepted, away_max_m):
+        moved_m = max(moved_m for _, moved_m in chance)
+        reasons.append(
+            f"{len(chance)} of {count} accepted closures may fit by chance, as {closures - count} are rejected: "
+            f"without it the map lies {moved_m:.3g} m elsewhere and denies it"
+        )
     if robust != "ours" and count and (result.rejections or errors.max(initial=0.0) > STANDS_OUT):
         other = solve(poses, *graph.parts, PoseGraphConfig(robust="ours")).poses
-        away_m = float(np.sqrt(_aligned_square(other[:, :2], poses[:, :2])))
-        if away_m > max(DIFFERS_ERRORS * expected_m, DIFFERS_SHARE * diagonal_m):
+        away_m = aligned_distance_m(other[:, :2], poses[:, :2])
+        if away_m > away_max_m:
             reasons.append(f"the search of `ours` finds another map, {away_m:.3g} m away: use it, or compare both")
     return Trust(
         reasons=tuple(reasons),
@@ -137,13 +146,5 @@ def _expected_error_m(used: Graph, poses: Array) -> float:
         noise = np.einsum("eij,ej->ei", spread, random.normal(size=(len(spread), 3)))
         equations.measured = np.ascontiguousarray(compose(fitted, noise))
         moved = equations.minimise(poses, lambda squared: weight, ROUNDS)
-        squares.append(_aligned_square(moved[:, :2], poses[:, :2]))
+        squares.append(aligned_distance_m(moved[:, :2], poses[:, :2]) ** 2)
     return float(np.sqrt(np.mean(squares)))
-
-
-def _aligned_square(moved: Array, places: Array) -> float:
-    """Mean squared distance of positions (n, 2) to others after the best rigid alignment (Umeyama 1991)."""
-    a, b = moved - moved.mean(axis=0), places - places.mean(axis=0)
-    along, across = float((a * b).sum()), float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
-    total = float((a * a).sum() + (b * b).sum())
-    return max(total - 2.0 * float(np.hypot(along, across)), 0.0) / len(a)

@@ -146,6 +146,24 @@ class MapPrediction:
         root = np.linalg.inv(np.linalg.cholesky(own))
         return np.linalg.eigvalsh(turned(root, own - self.drift(used)))[:, -1]
 
+    def moves_without(self, used: Array) -> Array:
+        """(k,) root mean square distance [m] by which key poses move without each used closure, to first order.
+
+        Undoes the Kalman update by that closure: the joint covariance P times J^T (N - J P J^T)^-1 e.
+        """
+        i, j = self._i[used], self._j[used]
+        error, drift = self.predicted(used)[0], self.drift(used)
+        noise = self.own_noise(used) + self._off_key(i) + self._off_key(j)
+        pull = np.linalg.solve(noise - drift + 1e-9 * np.eye(3), error[..., None])
+        places = self._poses[self._keys, :2]
+        out = np.empty(len(used))
+        for k, (a, b) in enumerate(zip(self._key_of[i], self._key_of[j], strict=True)):
+            keys = len(places)
+            twist = (self._joint[:keys, :, a] - self._joint[:keys, :, b]) @ pull[k, :, 0]
+            shift = twist[:, :2] + twist[:, 2:] * np.column_stack([-places[:, 1], places[:, 0]])
+            out[k] = math.sqrt(float(((shift - shift.mean(axis=0)) ** 2).sum()) / keys)
+        return out
+
     def joint_of(self, closures: Array, covariance: Array) -> Array:
         """(k, 3, k, 3) joint covariance of several closures' predictions, with `covariance` (k, 3, 3) on the
         diagonal."""
