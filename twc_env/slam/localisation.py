@@ -46,10 +46,10 @@ SPACING_M, SPACING_RAD, SPACING_S = 0.1, 0.1, 1.0
 GATE_M = 0.6
 """Points of a tracked scan further from a wall have no partner at first."""
 MOVED_MAX_M, MOVED_MAX_RAD = 0.3, 0.1
-"""A match further from odometry's prediction than 99 of 100 right ones is not believed, but for the first of a streak
-while the robot is lost: outside the map, a scan also fits turned or shifted walls."""
+"""A match further from odometry's prediction is not believed, but for the first of a streak while the robot is lost:
+outside the map, a scan also fits turned or shifted walls."""
 GAIN = 0.5
-"""Of the way from odometry's prediction to the match, so much is gone: over a step of path both err about alike."""
+"""Of the way from odometry's prediction to the match, so much is gone: half, as both err."""
 ROBOT, PLACES = 0, 1
 """Whose keyframes they are, for the recogniser: those of the robot, and the places of the map."""
 AGREE_M, AGREE_RAD = 0.7, 0.15

@@ -53,8 +53,12 @@ class Structure:
     grid: WallGrid
     wall_loss_db: float
     explained: float
-    """Share of the variance of readings, beyond path loss, that the walls explain; if it is too small, only the path is
-    known as free, and no wall is counted."""
+    """Share of the variance of readings, beyond path loss, that the walls explain."""
+
+    @property
+    def is_told(self) -> bool:
+        """Whether strengths say anything about walls; else only the path is known as free, and no wall is counted."""
+        return self.explained >= EXPLAINED_MIN
 
 
 def map_structure(
