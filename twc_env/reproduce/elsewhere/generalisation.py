@@ -1,14 +1,14 @@
 """The claims of README and docs/results.md on sets that no setting was chosen on.
 
-| claim | set | the answer that needs no method (`trivial`) |
-|---|---|---|
-| exploration | generated buildings of the split `fresh` | merge nothing; odometry with known starts |
-| exploration | HouseExpo plans by size, but for the five of docs/results.md | the same |
-| Intel | four laser logs with Intel's odometry errors, once and twice as large (`resampled_odometry`) | odometry |
-| pose graphs | two graphs that docs/results.md does not show, half of the closures false | odometry |
-| radio SLAM | walks through a generated office instead of the twin of SUTD | odometry |
-| number of walls | generated flats, and HouseExpo plans with one router | always saying the most frequent number |
-| joined walks | walks of both malls together; every fourth walk of a floor | all walks at one point |
+- exploration: generated buildings of the split `fresh` (`trivial`: merge nothing; odometry with known starts)
+- exploration: HouseExpo plans by size, but for the five of docs/results.md (`trivial`: as above)
+- Intel: four laser logs with Intel's odometry errors, once and twice as large (`resampled_odometry`) (`trivial`:
+  odometry)
+- pose graphs: two graphs that docs/results.md does not show, half of the closures false (`trivial`: odometry)
+- radio SLAM: walks through a generated office instead of the twin of SUTD (`trivial`: odometry)
+- number of walls: generated flats, and HouseExpo plans with one router (`trivial`: always saying the most frequent
+  number)
+- joined walks: walks of both malls together; every fourth walk of a floor (`trivial`: all walks at one point)
 
 One row {claim, set, shown, elsewhere, trivial} per claim and set: `shown` is the figure of docs/results.md, `elsewhere`
 the same figure on the set; `cases` counts buildings, plans, logs or walks, and `at_most` is the upper end of the 95 %

@@ -5,11 +5,9 @@ the same buildings with the same seeds and the settings of the task. `mean_cover
 correctly, averaged over the time of an episode; `lead` that of the policy over the team, with its 95 % interval over
 buildings.
 
-| kind | buildings |
-|---|---|
-| 2, 3, 5, 8 robots | test buildings of ExploreQuick-v1; the shipped policy was trained with 3 |
-| flats | of HouseExpo, the largest 20 first, 3 robots, 2,000 time steps |
-| floors | ROS maps of real floors, 3 robots, 2,000 time steps |
+- 2, 3, 5, 8 robots: test buildings of ExploreQuick-v1; the shipped policy was trained with 3
+- flats: of HouseExpo, the largest 20 first, 3 robots, 2,000 time steps
+- floors: ROS maps of real floors, 3 robots, 2,000 time steps
 """
 
 from __future__ import annotations

@@ -3,16 +3,14 @@
 Teams that drive to the nearest frontier (`--agent`) in buildings of several kinds, from random starts without a common
 frame. `--split validation` has other buildings, on which the engine's tests were chosen.
 
-| kind | building |
-|---|---|
-| corridor | bare, 40 to 160 m long, 1.2 to 3 m wide: nothing but its ends tells places apart |
-| laser | 400 m2 of all kinds; laser scans are the only cue: no signs, no WiFi |
-| wings | the same rooms with the same signs again and again, and nothing else (`alike_wings`) |
-| wings, WiFi | the same with one access point per wing |
-| bare | offices and warehouses of 1,500 m2 without signs, three tenths of the access points (`twc/ExploreBare-v1`) |
-| degraded | 2,000 m2; 5 m scanners of 72 beams with 3 cm of noise, a tenth lost, glass, skid-steer odometry |
-| radio | 800 m2 without scan matching (`twc/ExploreRadio-v1`) |
-| mall | eight robots in 5,000 m2 (`twc/ExploreMall-v1`) |
+- corridor: bare, 40 to 160 m long, 1.2 to 3 m wide: nothing but its ends tells places apart
+- laser: 400 m2 of all kinds; laser scans are the only cue: no signs, no WiFi
+- wings: the same rooms with the same signs again and again, and nothing else (`alike_wings`)
+- wings, WiFi: the same with one access point per wing
+- bare: offices and warehouses of 1,500 m2 without signs, three tenths of the access points (`twc/ExploreBare-v1`)
+- degraded: 2,000 m2; 5 m scanners of 72 beams with 3 cm of noise, a tenth lost, glass, skid-steer odometry
+- radio: 800 m2 without scan matching (`twc/ExploreRadio-v1`)
+- mall: eight robots in 5,000 m2 (`twc/ExploreMall-v1`)
 
 `right`: teams that share one map at the end and never held a wrong one. `wrong`: teams in which at any time two robots
 shared a map that their own paths place more than 1 m or 10 degrees apart; `wrong_at_end` those in which they still do.
