@@ -165,7 +165,7 @@ class Rollouts:
         seen = self._teams.reset(self._seeds.tolist())
         everyone = np.arange(self._count)
         self._see(self._notes.beside(self._flat(seen), everyone), everyone, first=True)
-        gc.freeze()  # a collection over all objects of the libraries takes as long as thirty decisions
+        gc.freeze()  # collections need not visit the objects of the libraries
 
     def collect(
         self, policy: Callable[[dict[str, Array]], Array], update: int

@@ -183,7 +183,7 @@ class ClosureSearch:
         if closure.status != "accepted" or closure.is_loose or not isinstance(self._verifier, LoopVerifier):
             return
         if not self._verifier.is_fixed_by_walls(closure, target_path, source_path, self._robot_width_m):
-            closure.status, closure.reason = "rejected", "constrained only by objects that may be robots"
+            closure.status, closure.reason = "rejected", "dependence on objects that may be robots"
 
     def scans_arrived(self) -> None:
         """Requested scans have arrived: put the candidates that waited for them at the front of their queues."""
