@@ -56,6 +56,8 @@ def test_a_list_says_how_many_robots_there_are_unless_their_number_contradicts_i
     assert override(EnvConfig(), MIXED | {"robot": []}) == EnvConfig()
     with pytest.raises(ConfigError, match="robot lists 3 robots, and robots is 4: give one entry for each robot"):
         override(override(EnvConfig(), MIXED), {"robots": 4})
+    two = override(override(EnvConfig(), MIXED), {"robots": 2})
+    assert two.robot == override(EnvConfig(), MIXED).robot[:2], "fewer are the first ones"
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,21 @@ TASKS: dict[str, dict[str, Any]] = {
         "slam.prior": "earlier-session:2500",
         "episode.ends_at_coverage": 0.95,
     },
+    "twc/ExploreWard-v1": {
+        "world": "ward",
+        "map": "gen:ward:1000:train",
+        "robots": 4,
+        "max_cycles": 2500,
+        "lidar.range_max_m": 5.0,
+        "episode.ends_at_coverage": 0.95,
+    },
+    "twc/ExploreMixed-v1": {
+        "world": "office",
+        "team": "twc-slam",
+        "map": "gen:office:800:train",
+        "max_cycles": 2500,
+        "episode.ends_at_coverage": 0.95,
+    },
 }
 """Id -> dotted settings that differ from the defaults. Of v0, the last three are oracles and an ablation."""
 PURPOSES: dict[str, str] = {
@@ -120,6 +135,8 @@ PURPOSES: dict[str, str] = {
     "twc/ExploreRadio-v1": "accuracy without scan matching: WiFi and signs; scans only for driving and drawing",
     "twc/ExploreReturn-v1": "coming back: a part of the building was mapped in an earlier session; find that map, and "
     "the rest of the building",
+    "twc/ExploreWard-v1": "a crowd: people, doors and beds that move, and staff who lift robots out of their way",
+    "twc/ExploreMixed-v1": "unlike robots, handheld, wheeled and legged, among people and doors that move",
 }
 """Id -> what the task is for."""
 SUITES: dict[str, tuple[str, ...]] = {"v1": tuple(task for task in TASKS if task.endswith("-v1"))}

@@ -218,9 +218,9 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
     other settings of their section as they are.
 
     Strings are converted to the type of the field, as for command lines. `world` (`world_preset`) is applied first: it
-    changes the settings of its effects only; `team` (`robots.team_of`) is short for `robot` and their number; then
-    `radio.preset` and `lidar.preset`, which leave nothing of what the
-    world says about their section; then the others.
+    changes the settings of its effects only; `team` (`robots.team_of`) is short for `robot` and their number, and of a
+    mixed team fewer `robots` are its first ones; then `radio.preset` and `lidar.preset`, which leave nothing of what
+    the world says about their section; then the others.
     Raises ConfigError for an unknown key or an invalid value.
     """
     if not isinstance(assignments, Mapping) or not all(isinstance(key, str) for key in assignments):
@@ -237,6 +237,8 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
     if "robot" in assignments or "team" in assignments:
         values = _with_robots(values, assignments)
         assignments = {key: value for key, value in assignments.items() if key not in ("robot", "team")}
+    elif values["robot"] and str(assignments.get("robots", "")).isdecimal():
+        values["robot"] = values["robot"][: int(str(assignments["robots"]))]
     for section, (where, _) in _PRESETS.items():
         if f"{where}.preset" in assignments:
             values[where] = dataclasses.asdict(_preset(section, str(assignments.pop(f"{where}.preset"))))
