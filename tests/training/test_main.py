@@ -107,8 +107,8 @@ def test_a_training_ended_from_outside_keeps_its_last_model_and_resumes(end, sta
 
     rollouts, saved = [], ppo.save_model
 
-    def save(model, path, told):
-        saved(model, path, told)
+    def save(model, *rest):
+        saved(model, *rest)
         rollouts.append(model.num_timesteps)
         if len(rollouts) == 2:
             assert signal.getsignal(signal.Signals[end]) is not signal.SIG_DFL
