@@ -150,7 +150,7 @@ class Rollouts:
         self._discount = settings.discount**config.dynamics.time_step_s
         self._notes = TeamNotes(self._count, self._robots, config.max_cycles)
         self._seen: dict[str, Array] = {}
-        """Block -> (environments * robots, ...): what each robot sees now."""
+        """Block -> (environments, robots, ...): what each robot sees now."""
         self._open: list[list[Decision | None]] = [[None] * self._robots for _ in range(self._count)]
         """Decisions that still last."""
         self._totals = EpisodeTotals(self._count)
@@ -162,7 +162,7 @@ class Rollouts:
         self._start(self._teams.reset(1_000_003 * self._settings.seed))
 
     def _start(self, seen: dict[str, Array]) -> None:
-        self._see(seen)
+        self._see(seen, np.arange(self._count))
         gc.freeze()  # collections need not visit the objects of the libraries
 
     def collect(
@@ -202,26 +202,19 @@ class Rollouts:
 
     def _decide(self, policy: Callable, ready: Array, uniform: Array, closed: list) -> Array:
         """Actions (len(ready), robots) for the environments `ready`; new decisions are opened."""
-        everything = policy(self._seen)  # of the same size at each call, so that results do not depend on who is ready
-        logits = everything.reshape(self._count, self._robots, -1)[ready]
-        mask = self._rows_of("action_mask", ready) > 0
-        deciding = mask.sum(-1) > 1
-        chances = np.where(mask, np.exp(logits - logits.max(-1, keepdims=True)), 0.0)
-        chances /= chances.sum(-1, keepdims=True)
-        reached = np.cumsum(chances, -1)
-        chosen = (uniform[..., None] * reached[..., -1:] >= reached).sum(-1)
-        actions = np.where(deciding, chosen, mask.shape[-1] - 1)
-        states = self._teams.states(ready)
+        everything = policy(rows_of(self._seen))  # of the same size at each call, whoever is ready
+        mask = self._seen["action_mask"][ready] > 0
+        chances, actions = drawn(everything.reshape(self._count, self._robots, -1)[ready], mask, uniform)
+        deciding, states = mask.sum(-1) > 1, self._teams.states(ready)
+        actions = np.where(deciding, actions, mask.shape[-1] - 1)
         for i, robot in zip(*(each.tolist() for each in np.nonzero(deciding)), strict=True):
-            k = int(ready[i])
+            k, action = int(ready[i]), int(actions[i, robot])
             if (before := self._open[k][robot]) is not None:
                 closed[k][robot].append(before)
-            row = k * self._robots + robot
-            seen = {name: self._seen[name][row].copy() for name in self._used}
+            seen = {name: self._seen[name][k, robot].copy() for name in self._used}
             seen["state"] = states[i].copy()
-            action = int(actions[i, robot])
             self._open[k][robot] = Decision(seen, robot, action, float(np.log(chances[i, robot, action])))
-        rows = {name: self._rows_of(name, ready).reshape(-1, *block.shape[1:]) for name, block in self._seen.items()}
+        rows = rows_of({name: block[ready] for name, block in self._seen.items()})
         self._notes.note_choices(rows, actions.ravel(), ready)
         return actions
 
@@ -244,20 +237,12 @@ class Rollouts:
         self._see(seen, ids)
         return told
 
-    def _rows_of(self, name: str, ids: Array) -> Array:
-        block = self._seen[name]
-        rows: Array = block.reshape(self._count, self._robots, *block.shape[1:])[ids]
-        return rows
-
-    def _see(self, seen: dict[str, Array], ids: Array | None = None) -> None:
-        """Remember what the robots of these environments see, by default of all."""
-        rows = self._notes.beside({name: block.reshape(-1, *block.shape[2:]) for name, block in seen.items()}, ids)
-        if ids is None:
-            self._seen = rows
-            return
-        for name, block in rows.items():
-            whole = self._seen[name].reshape(self._count, self._robots, *block.shape[1:])
-            whole[ids] = block.reshape(len(ids), self._robots, *block.shape[1:])
+    def _see(self, seen: dict[str, Array], ids: Array) -> None:
+        """Remember what the robots of these environments see."""
+        for name, block in self._notes.beside(rows_of(seen), ids).items():
+            whole = (self._count, self._robots, *block.shape[1:])
+            own = self._seen.setdefault(name, np.zeros(whole, block.dtype))
+            own[ids] = block.reshape(len(ids), *whole[1:])
 
     def snapshot(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """Arrays and values from which `restore` plays on exactly: seeds and actions of the present episodes, notes on
@@ -283,6 +268,35 @@ class Rollouts:
         """End the worker processes."""
         self._teams.close()
         gc.unfreeze()
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Decisions as tensors, one row each."""
+
+    seen: dict[str, Tensor]
+    actions: Tensor
+    log_chances: Tensor
+    advantages: Tensor
+    returns: Tensor
+
+    def of(self, rows: Array) -> Batch:
+        """Some of them."""
+        seen = {name: block[rows] for name, block in self.seen.items()}
+        return Batch(seen, self.actions[rows], self.log_chances[rows], self.advantages[rows], self.returns[rows])
+
+
+def rows_of(blocks: dict[str, Array]) -> dict[str, Array]:
+    """Blocks (environments, robots, ...) with one row per robot."""
+    return {name: block.reshape(-1, *block.shape[2:]) for name, block in blocks.items()}
+
+
+def drawn(logits: Array, mask: Array, uniform: Array) -> tuple[Array, Array]:
+    """Probabilities (..., choices), 0 where masked, and the choices (...) that numbers in [0, 1) draw from them."""
+    chances = np.where(mask, np.exp(logits - logits.max(-1, keepdims=True)), 0.0)
+    chances /= chances.sum(-1, keepdims=True)
+    reached = np.cumsum(chances, -1)
+    return chances, (uniform[..., None] * reached[..., -1:] >= reached).sum(-1)
 
 
 class Learner:
@@ -316,36 +330,44 @@ class Learner:
             values = self.critic(seen).numpy()
             after = iter([] if next_seen is None else self.critic(next_seen).tolist())
         advantages = self._advantages(sequences, values, [None if each is None else next(after) for each in lasting])
-        actions = torch.tensor([each.action for each in done])
-        old = torch.tensor([each.log_chance for each in done])
-        gains, returns = torch.tensor(advantages, dtype=torch.float32), torch.tensor(advantages + values).float()
-        for group in self.optimizer.param_groups:
-            group["lr"] = settings.learning_rate * left
-        order = random_stream(settings.seed, "minibatches", update)
-        figures: dict[str, list[float]] = {"policy_loss": [], "value_loss": [], "entropy": [], "clipped_share": []}
+        whole = Batch(
+            seen,
+            torch.tensor([each.action for each in done]),
+            torch.tensor([each.log_chance for each in done]),
+            torch.tensor(advantages, dtype=torch.float32),
+            torch.tensor(advantages + values).float(),
+        )
+        step_size = self.optimizer.param_groups[0]["lr"] = settings.learning_rate * left
+        order, told = random_stream(settings.seed, "minibatches", update), []
         for _ in range(settings.epochs):
             for part in np.array_split(order.permutation(len(done)), min(settings.minibatches, len(done))):
-                own = {name: block[part] for name, block in seen.items()}
-                chances = torch.log_softmax(self.actor(own), 1)
-                ratio = torch.exp(chances.gather(1, actions[part][:, None])[:, 0] - old[part])
-                gain = gains[part]
-                gain = (gain - gain.mean()) / (gain.std(correction=0) + 1e-8)
-                limited = ratio.clamp(1.0 - settings.clip, 1.0 + settings.clip)
-                policy_loss = -torch.minimum(ratio * gain, limited * gain).mean()
-                entropy = -(chances.exp() * chances.clamp(min=-50.0)).sum(1).mean()
-                value_loss = (self.critic(own) - returns[part]).square().mean()
+                losses = self._losses(whole.of(part))
                 self.optimizer.zero_grad()
-                (policy_loss - settings.entropy_weight * entropy + value_loss).backward()
+                loss = losses["policy_loss"] - settings.entropy_weight * losses["entropy"]
+                (loss + losses["value_loss"]).backward()
                 for network in (self.actor, self.critic):
                     nn.utils.clip_grad_norm_(network.parameters(), settings.gradient_max)
                 self.optimizer.step()
-                clipped = (ratio - limited).abs().gt(0).float().mean()
-                for name, value in zip(figures, (policy_loss, value_loss, entropy, clipped), strict=True):
-                    figures[name].append(float(value.detach()))
+                told.append({name: float(value.detach()) for name, value in losses.items()})
         spread = float(np.var(advantages + values))
-        told = {f"train/{name}": float(np.mean(each)) for name, each in figures.items()}
+        figures = {f"train/{name}": float(np.mean([each[name] for each in told])) for name in told[0]}
         explained = 1.0 - float(np.var(advantages)) / spread if spread > 0.0 else 0.0
-        return {**told, "train/explained_variance": explained, "train/learning_rate": settings.learning_rate * left}
+        return {**figures, "train/explained_variance": explained, "train/learning_rate": step_size}
+
+    def _losses(self, batch: Batch) -> dict[str, Tensor]:
+        """PPO's clipped loss with normalised advantages, entropy, squared error of the critic, share of clipped
+        ratios."""
+        chances = torch.log_softmax(self.actor(batch.seen), 1)
+        ratio = torch.exp(chances.gather(1, batch.actions[:, None])[:, 0] - batch.log_chances)
+        limited = ratio.clamp(1.0 - self._settings.clip, 1.0 + self._settings.clip)
+        gain = batch.advantages
+        gain = (gain - gain.mean()) / (gain.std(correction=0) + 1e-8)
+        return {
+            "policy_loss": -torch.minimum(ratio * gain, limited * gain).mean(),
+            "value_loss": (self.critic(batch.seen) - batch.returns).square().mean(),
+            "entropy": -(chances.exp() * chances.clamp(min=-50.0)).sum(1).mean(),
+            "clipped_share": (ratio - limited).abs().gt(0).float().mean(),
+        }
 
     def _advantages(self, sequences: list[list[Decision]], values: Array, next_values: list[float | None]) -> Array:
         """Generalised advantages of all decisions, in order; a decision is discounted by its duration."""

@@ -16,7 +16,6 @@ RETRIES = 5
 ANSWER_S = 10.0
 """How long a cluster may take to answer."""
 THREADS = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
-HELP = "on a Ray cluster, HOST:PORT; auto: the one this machine belongs to, or a local one (pip install 'twc_env[ray]')"
 
 
 @contextmanager
