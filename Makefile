@@ -65,13 +65,13 @@ soak: .venv/installed-test ## hours: 1,000,000 steps, malformed input of every k
 .venv-ray/installed: pyproject.toml
 	$(PYTHON) -m venv .venv-ray || { rm -rf .venv-ray; exit 1; }
 	@echo "installing ray into .venv-ray (several minutes)"
-	.venv-ray/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ray,viz]' torch==2.13.0 pytest hypothesis
+	.venv-ray/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ray,viz,train]' torch==2.13.0 pytest hypothesis
 	@touch $@
 
 test-ray: .venv-ray/installed ## RLlib trains a team, Ray plays a benchmark (in .venv-ray: ray asks for an older gymnasium)
 	.venv-ray/bin/python -c 'import ray.rllib'
 	.venv-ray/bin/python -m pytest -q -k "rllib or RLlib" tests/vector/test_tools.py tests/docs/test_snippets.py
-	.venv-ray/bin/python -m pytest -q tests/suite/test_ray.py
+	.venv-ray/bin/python -m pytest -q tests/running/test_ray_cluster.py tests/suite/test_ray.py tests/vector/test_ray_pool.py tests/training/test_resuming.py
 	.venv-ray/bin/python docs/tutorials/rllib_ppo.py 1200 runs/rllib twc/ExploreQuick-v1
 
 .venv-benchmarl/installed: pyproject.toml

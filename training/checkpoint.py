@@ -75,3 +75,8 @@ def _packed(arrays: Mapping[str, Array], values: str) -> bytes:
 def below(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:
     """The arrays whose names begin with `prefix`, without it."""
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+def prefixed(prefix: str, arrays: Mapping[str, Array]) -> dict[str, Array]:
+    """The arrays under names with `prefix`, which `below` takes off again."""
+    return {prefix + name: array for name, array in arrays.items()}

@@ -19,6 +19,7 @@ from twc_env.records.json_values import write_json
 from twc_env.records.text_tables import aligned_text, csv_text, latex_table
 from twc_env.records.whole_file import write_text
 from twc_env.running.options import refuse_code
+from twc_env.running.ray_cluster import spread_out
 
 from .progress import progress_bar
 from .run_folder import Task, model_in, read_settings, task_of
@@ -133,33 +134,48 @@ def evaluate(
     show_progress: bool = True,
     films: Path | None = None,
     allow_code: bool = False,
+    where: tuple[int, str | None] = (1, None),
 ) -> Evaluation:
     """One episode per seed and policy, each seed in its own held-out building; optionally with films of the trained
     team.
 
-    model_path: a model file or a run folder. allow_code: whether its settings may name Python files to execute.
+    model_path: a model file or a run folder. allow_code: whether its settings may name Python files to execute. where:
+    number of processes, or the address of a Ray cluster.
 
     Raises DataError if the model or the settings of its run cannot be read, or films cannot be written, ConfigError for
     settings that name code which is not allowed.
     """
-    torch.set_num_threads(1)
     model_path = model_in(model_path)
     task = task_of(read_settings(model_path.parent))
     if not allow_code:
         refuse_code(task.config, model_path.parent / "config.json")
-    actor = load_actor(model_path, _team(task).observation_space("robot_0"))
-    episodes: dict[str, list[Episode]] = {name: [] for name in POLICIES}
-    filmed = None
+    load_actor(model_path, _team(task).observation_space("robot_0"))
     if films is not None:
-        filmed = RecordEpisodes(_team(task, "rgb_array"), films)
-    for seed in progress_bar(seeds, unit=" buildings", disable=not show_progress):
-        choosers = {"trained": sampling(actor, task.config, seed), "random": _random(seed), "nearest": _nearest}
-        for name, choose in choosers.items():
-            env = (filmed if name == "trained" else None) or _team(task)
-            episodes[name].append(_played(task, seed, env, choose))
-        episodes["nearest-frontier"].append(scripted(task, "nearest-frontier", seed))
+        RecordEpisodes(_team(task, "rgb_array"), films)  # can films be written?
+    parts = [(model_path.resolve(), task, seed, films) for seed in seeds]
+    found: dict[int, dict[str, Episode]] = {}
+    with progress_bar(total=len(parts), unit=" buildings", disable=not show_progress) as bar:
+        for k, episodes in spread_out(_in_building, parts, min(where[0], len(parts)), where[1]):
+            found[k] = episodes
+            bar.update(1)
     time_max_s = task.config.max_cycles * task.config.dynamics.time_step_s
-    return Evaluation(tuple(seeds), {name: tuple(values) for name, values in episodes.items()}, time_max_s)
+    table = {name: tuple(found[k][name] for k in range(len(parts))) for name in POLICIES}
+    return Evaluation(tuple(seeds), table, time_max_s)
+
+
+def _in_building(part: tuple[Path, Task, int, Path | None]) -> dict[str, Episode]:
+    """The episode of each policy in one held-out building."""
+    model_path, task, seed, films = part
+    torch.set_num_threads(1)
+    trained = _team(task)
+    choose = sampling(load_actor(model_path, trained.observation_space("robot_0")), task.config, seed)
+    filmed = trained if films is None else RecordEpisodes(_team(task, "rgb_array"), films)
+    return {
+        "trained": _played(task, seed, filmed, choose),
+        "random": _played(task, seed, _team(task), _random(seed)),
+        "nearest": _played(task, seed, _team(task), _nearest),
+        "nearest-frontier": scripted(task, "nearest-frontier", seed),
+    }
 
 
 def _random(seed: int) -> Choose:

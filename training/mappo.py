@@ -19,7 +19,8 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,16 +29,15 @@ import torch
 from gymnasium import spaces
 from numpy.typing import NDArray as Array
 from torch import Tensor, nn
-from twc_env.training.checkpoint import FILE_NAME, below, load, save
+from twc_env.training.checkpoint import below, load, prefixed, save
 from twc_env.training.encoder import USED, Actor, Encoder
+from twc_env.training.episode_totals import EpisodeTotals
 from twc_env.training.learning_curve import LearningCurve
-from twc_env.training.run_folder import Task, check_choices, check_same_run, write_settings
+from twc_env.training.run_folder import Task, check_choices, check_run, open_run
 from twc_env.training.team_notes import TeamNotes
 from twc_env.training.weights import arrays_of, arrays_of_adam, fill, fill_adam
 
-from twc_env.errors import DataError, WorkerError
 from twc_env.records.random_streams import random_stream
-from twc_env.running.output_folder import alone_in
 from twc_env.vector.teams import VectorTeams
 
 STATE_FIGURES = 8
@@ -139,32 +139,30 @@ class Decision:
 class Rollouts:
     """Plays the environments, and cuts what happens into the decisions of each robot."""
 
-    def __init__(self, task: Task, settings: Settings):
+    def __init__(self, task: Task, settings: Settings, ray: str | None = None):
+        """ray: address of a Ray cluster whose workers play."""
         config = task.config
         self._settings = settings
-        self._teams = VectorTeams(settings.environments, config, settings.workers, task.training_maps)
+        self._teams = VectorTeams(settings.environments, config, settings.workers, task.training_maps, ray)
         self.space = TeamNotes.space(self._teams.observation_space)
         self._used = [name for name in (*USED, "gained") if name in self.space.spaces]
         self._count, self._robots = settings.environments, self._teams.robots
         self._discount = settings.discount**config.dynamics.time_step_s
         self._notes = TeamNotes(self._count, self._robots, config.max_cycles)
         self._seen: dict[str, Array] = {}
-        """Block -> (environments * robots, ...): what each robot sees now."""
-        self._seeds = np.arange(self._count) + 1_000_003 * settings.seed
-        """Of the present episodes."""
-        self._played: list[list[list[int]]] = [[] for _ in range(self._count)]
-        """Per environment the actions since its episode began: with its seed, they are a snapshot that is no code."""
+        """Block -> (environments, robots, ...): what each robot sees now."""
         self._open: list[list[Decision | None]] = [[None] * self._robots for _ in range(self._count)]
         """Decisions that still last."""
-        self._earned = [dict.fromkeys(("score", "return", "steps"), 0.0) for _ in range(self._count)]
+        self._totals = EpisodeTotals(self._count)
         self.waited_s = self.inferred_s = 0.0
-        """Time spent with the environments and with the policy."""
+        """Time spent in `collect` with the environments and with the policy."""
 
     def begin(self) -> None:
         """Begin new episodes."""
-        seen = self._teams.reset(self._seeds.tolist())
-        everyone = np.arange(self._count)
-        self._see(self._notes.beside(self._flat(seen), everyone), everyone, first=True)
+        self._start(self._teams.reset(1_000_003 * self._settings.seed))
+
+    def _start(self, seen: dict[str, Array]) -> None:
+        self._see(seen, np.arange(self._count))
         gc.freeze()  # collections need not visit the objects of the libraries
 
     def collect(
@@ -177,6 +175,7 @@ class Rollouts:
         uniform = chance.random((settings.rollout_steps, self._count, self._robots))
         closed: list[list[list[Decision]]] = [[[] for _ in range(self._robots)] for _ in range(self._count)]
         episodes: list[tuple[int, int, dict]] = []
+        self.waited_s = self.inferred_s = 0.0
         steps, ready, in_flight = np.zeros(self._count, int), np.arange(self._count), 0
         while len(ready := ready[steps[ready] < settings.rollout_steps]) or in_flight:
             if len(ready):
@@ -186,12 +185,12 @@ class Rollouts:
                 self._teams.send(actions, ready)
                 in_flight += len(ready)
             began = time.perf_counter()
-            wanted = max(1, in_flight // 2) if settings.workers > 1 else in_flight
+            wanted = max(1, in_flight // 2) if self._teams.workers > 1 else in_flight
             ready, seen, rewards, ended, infos = self._teams.recv(wanted)
             self.waited_s += time.perf_counter() - began
             in_flight -= len(ready)
             for k, each in zip(ready.tolist(), self._take(ready, seen, rewards, ended, infos, closed), strict=True):
-                if each is not None:
+                if each:
                     episodes.append((int(steps[k]), k, each))
                 steps[k] += 1
         episodes.sort(key=lambda one: one[:2])  # not by who came first
@@ -203,121 +202,101 @@ class Rollouts:
 
     def _decide(self, policy: Callable, ready: Array, uniform: Array, closed: list) -> Array:
         """Actions (len(ready), robots) for the environments `ready`; new decisions are opened."""
-        everything = policy(self._seen)  # of the same size at each call, so that results do not depend on who is ready
-        logits = everything.reshape(self._count, self._robots, -1)[ready]
-        mask = self._rows_of("action_mask", ready) > 0
-        deciding = mask.sum(-1) > 1
-        chances = np.where(mask, np.exp(logits - logits.max(-1, keepdims=True)), 0.0)
-        chances /= chances.sum(-1, keepdims=True)
-        reached = np.cumsum(chances, -1)
-        chosen = (uniform[..., None] * reached[..., -1:] >= reached).sum(-1)
-        actions = np.where(deciding, chosen, mask.shape[-1] - 1)
-        states = self._teams.states(ready)
+        everything = policy(rows_of(self._seen))  # of the same size at each call, whoever is ready
+        mask = self._seen["action_mask"][ready] > 0
+        chances, actions = drawn(everything.reshape(self._count, self._robots, -1)[ready], mask, uniform)
+        deciding, states = mask.sum(-1) > 1, self._teams.states(ready)
+        actions = np.where(deciding, actions, mask.shape[-1] - 1)
         for i, robot in zip(*(each.tolist() for each in np.nonzero(deciding)), strict=True):
-            k = int(ready[i])
+            k, action = int(ready[i]), int(actions[i, robot])
             if (before := self._open[k][robot]) is not None:
                 closed[k][robot].append(before)
-            row = k * self._robots + robot
-            seen = {name: self._seen[name][row].copy() for name in self._used}
+            seen = {name: self._seen[name][k, robot].copy() for name in self._used}
             seen["state"] = states[i].copy()
-            action = int(actions[i, robot])
             self._open[k][robot] = Decision(seen, robot, action, float(np.log(chances[i, robot, action])))
-        for i, k in enumerate(ready.tolist()):
-            self._played[k].append(actions[i].tolist())
-        rows = {name: self._rows_of(name, ready).reshape(-1, *block.shape[1:]) for name, block in self._seen.items()}
+        rows = rows_of({name: block[ready] for name, block in self._seen.items()})
         self._notes.note_choices(rows, actions.ravel(), ready)
         return actions
 
-    def _take(self, ids: Array, seen: dict, rewards: Array, ended: Array, infos: list, closed: list | None) -> list:
-        """Process a step of the environments `ids`; returns what each episode that ended was like, else None."""
+    def _take(self, ids: Array, seen: dict, rewards: Array, ended: Array, infos: list, closed: list) -> list[dict]:
+        """Process a step of the environments `ids`; returns what each episode that ended was like, else nothing."""
         took = np.array([info[0]["time_steps"] for info in infos])
         self._notes.note_outcome(np.repeat(took, self._robots), 0.0, False, ids)
-        left = self._notes.time_left(ids).reshape(len(ids), -1)
-        told: list[dict[str, Any] | None] = []
+        paid = rewards * self._notes.time_left(ids).reshape(len(ids), -1)
+        told = []
         for i, k in enumerate(ids.tolist()):
-            earned, paid = self._earned[k], (rewards[i] * left[i]).tolist()
-            earned["score"] += float(np.mean(paid))
-            earned["return"] += float(np.mean(rewards[i]))
-            earned["steps"] += int(took[i])
-            for name, value in infos[i][0]["reward_terms"].items():
-                mean = float(np.mean([info["reward_terms"][name] for info in infos[i]]))
-                earned[f"terms/{name}"] = earned.get(f"terms/{name}", 0.0) + (mean if value is not None else 0.0)
             for robot, each in enumerate(self._open[k]):
                 if each is not None:
-                    each.reward += self._discount**each.time_steps * paid[robot]
+                    each.reward += self._discount**each.time_steps * float(paid[i, robot])
                     each.time_steps += int(took[i])
-            told.append(None)
-            if ended[i]:
-                told[-1] = {**earned, **{name: infos[i][0][name] for name in
-                            ("coverage_correct", "merged_robots", "wrong_merges", "team_ate_m")}}  # fmt: skip
-                self._end(k, closed)
+                    if ended[i]:
+                        each.is_last, self._open[k][robot] = True, None
+                        closed[k][robot].append(each)
+            told.append(self._totals.add(k, paid[i], rewards[i], infos[i], ended[i]))
         self._notes.note_outcome(0, rewards.ravel(), np.repeat(ended, self._robots), ids)
-        self._see(self._notes.beside(self._flat(seen), ids), ids)
+        self._see(seen, ids)
         return told
 
-    def _end(self, k: int, closed: list | None) -> None:
-        """The episode of environment k is over: so are its decisions."""
-        for robot, each in enumerate(self._open[k]):
-            if each is not None and closed is not None:
-                each.is_last = True
-                closed[k][robot].append(each)
-        self._open[k] = [None] * self._robots
-        self._played[k], self._seeds[k] = [], self._seeds[k] + self._count
-        self._earned[k] = dict.fromkeys(("score", "return", "steps"), 0.0)
-
-    def _flat(self, blocks: dict[str, Array]) -> dict[str, Array]:
-        return {name: block.reshape(-1, *block.shape[2:]) for name, block in blocks.items()}
-
-    def _rows_of(self, name: str, ids: Array) -> Array:
-        block = self._seen[name]
-        rows: Array = block.reshape(self._count, self._robots, *block.shape[1:])[ids]
-        return rows
-
-    def _see(self, rows: dict[str, Array], ids: Array, first: bool = False) -> None:
+    def _see(self, seen: dict[str, Array], ids: Array) -> None:
         """Remember what the robots of these environments see."""
-        for name, block in rows.items():
-            if first:
-                self._seen[name] = np.zeros((self._count * self._robots, *block.shape[1:]), block.dtype)
-            whole = self._seen[name].reshape(self._count, self._robots, *block.shape[1:])
-            whole[ids] = block.reshape(len(ids), self._robots, *block.shape[1:])
+        for name, block in self._notes.beside(rows_of(seen), ids).items():
+            whole = (self._count, self._robots, *block.shape[1:])
+            own = self._seen.setdefault(name, np.zeros(whole, block.dtype))
+            own[ids] = block.reshape(len(ids), *whole[1:])
 
     def snapshot(self) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Arrays and values from which `restore` plays on exactly: seeds and actions of the present episodes, and the
-        decisions that last."""
-        arrays: dict[str, Array] = {"seeds": self._seeds.copy()}
-        told = []
+        """Arrays and values from which `restore` plays on exactly: seeds and actions of the present episodes, notes on
+        them, and the decisions that last."""
+        arrays, told = {**prefixed("teams.", self._teams.snapshot()), **prefixed("notes.", self._notes.arrays())}, []
         for k in range(self._count):
-            arrays[f"actions.{k}"] = np.array(self._played[k], np.int64).reshape(-1, self._robots)
             for robot, each in enumerate(self._open[k]):
                 if each is not None:
-                    arrays |= {f"open.{k}.{robot}.{name}": block for name, block in each.seen.items()}
+                    arrays |= prefixed(f"open.{k}.{robot}.", each.seen)
                     told.append([k, robot, each.action, each.log_chance, each.reward, each.time_steps])
-        return arrays, {"open": told}
+        return arrays, {"open": told, "totals": self._totals.of}
 
     def restore(self, arrays: dict[str, Array], told: dict[str, Any]) -> None:
         """Play the present episodes again up to where they were; an environment does the same for the same actions."""
-        self._seeds = arrays["seeds"].copy()
-        self.begin()
-        played = [arrays[f"actions.{k}"] for k in range(self._count)]
-        step = 0
-        while len(ids := np.array([k for k in range(self._count) if step < len(played[k])], int)):
-            actions = np.stack([played[k][step] for k in ids])
-            rows = {name: self._rows_of(name, ids).reshape(-1, *b.shape[1:]) for name, b in self._seen.items()}
-            self._notes.note_choices(rows, actions.ravel(), ids)
-            self._teams.send(actions, ids)
-            came, seen, rewards, ended, infos = self._teams.recv(len(ids))
-            self._take(came, seen, rewards, ended, infos, None)
-            for k in ids.tolist():
-                self._played[k].append(played[k][step].tolist())
-            step += 1
+        self._notes.fill(below(arrays, "notes."))
+        self._totals.of = told["totals"]
+        self._start(self._teams.restore(below(arrays, "teams.")))
         for k, robot, action, log_chance, reward, time_steps in told["open"]:
-            seen = below(arrays, f"open.{k}.{robot}.")
-            self._open[k][robot] = Decision(seen, robot, action, log_chance, reward, time_steps)
+            blocks = below(arrays, f"open.{k}.{robot}.")
+            self._open[k][robot] = Decision(blocks, robot, action, log_chance, reward, time_steps)
 
     def close(self) -> None:
         """End the worker processes."""
         self._teams.close()
         gc.unfreeze()
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Decisions as tensors, one row each."""
+
+    seen: dict[str, Tensor]
+    actions: Tensor
+    log_chances: Tensor
+    advantages: Tensor
+    returns: Tensor
+
+    def of(self, rows: Array) -> Batch:
+        """Some of them."""
+        seen = {name: block[rows] for name, block in self.seen.items()}
+        return Batch(seen, self.actions[rows], self.log_chances[rows], self.advantages[rows], self.returns[rows])
+
+
+def rows_of(blocks: dict[str, Array]) -> dict[str, Array]:
+    """Blocks (environments, robots, ...) with one row per robot."""
+    return {name: block.reshape(-1, *block.shape[2:]) for name, block in blocks.items()}
+
+
+def drawn(logits: Array, mask: Array, uniform: Array) -> tuple[Array, Array]:
+    """Probabilities (..., choices), 0 where masked, and the choices (...) that numbers in [0, 1) draw from them."""
+    chances = np.where(mask, np.exp(logits - logits.max(-1, keepdims=True)), 0.0)
+    chances /= chances.sum(-1, keepdims=True)
+    reached = np.cumsum(chances, -1)
+    return chances, (uniform[..., None] * reached[..., -1:] >= reached).sum(-1)
 
 
 class Learner:
@@ -351,36 +330,44 @@ class Learner:
             values = self.critic(seen).numpy()
             after = iter([] if next_seen is None else self.critic(next_seen).tolist())
         advantages = self._advantages(sequences, values, [None if each is None else next(after) for each in lasting])
-        actions = torch.tensor([each.action for each in done])
-        old = torch.tensor([each.log_chance for each in done])
-        gains, returns = torch.tensor(advantages, dtype=torch.float32), torch.tensor(advantages + values).float()
-        for group in self.optimizer.param_groups:
-            group["lr"] = settings.learning_rate * left
-        order = random_stream(settings.seed, "minibatches", update)
-        figures: dict[str, list[float]] = {"policy_loss": [], "value_loss": [], "entropy": [], "clipped_share": []}
+        whole = Batch(
+            seen,
+            torch.tensor([each.action for each in done]),
+            torch.tensor([each.log_chance for each in done]),
+            torch.tensor(advantages, dtype=torch.float32),
+            torch.tensor(advantages + values).float(),
+        )
+        step_size = self.optimizer.param_groups[0]["lr"] = settings.learning_rate * left
+        order, told = random_stream(settings.seed, "minibatches", update), []
         for _ in range(settings.epochs):
             for part in np.array_split(order.permutation(len(done)), min(settings.minibatches, len(done))):
-                own = {name: block[part] for name, block in seen.items()}
-                chances = torch.log_softmax(self.actor(own), 1)
-                ratio = torch.exp(chances.gather(1, actions[part][:, None])[:, 0] - old[part])
-                gain = gains[part]
-                gain = (gain - gain.mean()) / (gain.std(correction=0) + 1e-8)
-                limited = ratio.clamp(1.0 - settings.clip, 1.0 + settings.clip)
-                policy_loss = -torch.minimum(ratio * gain, limited * gain).mean()
-                entropy = -(chances.exp() * chances.clamp(min=-50.0)).sum(1).mean()
-                value_loss = (self.critic(own) - returns[part]).square().mean()
+                losses = self._losses(whole.of(part))
                 self.optimizer.zero_grad()
-                (policy_loss - settings.entropy_weight * entropy + value_loss).backward()
+                loss = losses["policy_loss"] - settings.entropy_weight * losses["entropy"]
+                (loss + losses["value_loss"]).backward()
                 for network in (self.actor, self.critic):
                     nn.utils.clip_grad_norm_(network.parameters(), settings.gradient_max)
                 self.optimizer.step()
-                clipped = (ratio - limited).abs().gt(0).float().mean()
-                for name, value in zip(figures, (policy_loss, value_loss, entropy, clipped), strict=True):
-                    figures[name].append(float(value.detach()))
+                told.append({name: float(value.detach()) for name, value in losses.items()})
         spread = float(np.var(advantages + values))
-        told = {f"train/{name}": float(np.mean(each)) for name, each in figures.items()}
+        figures = {f"train/{name}": float(np.mean([each[name] for each in told])) for name in told[0]}
         explained = 1.0 - float(np.var(advantages)) / spread if spread > 0.0 else 0.0
-        return {**told, "train/explained_variance": explained, "train/learning_rate": settings.learning_rate * left}
+        return {**figures, "train/explained_variance": explained, "train/learning_rate": step_size}
+
+    def _losses(self, batch: Batch) -> dict[str, Tensor]:
+        """PPO's clipped loss with normalised advantages, entropy, squared error of the critic, share of clipped
+        ratios."""
+        chances = torch.log_softmax(self.actor(batch.seen), 1)
+        ratio = torch.exp(chances.gather(1, batch.actions[:, None])[:, 0] - batch.log_chances)
+        limited = ratio.clamp(1.0 - self._settings.clip, 1.0 + self._settings.clip)
+        gain = batch.advantages
+        gain = (gain - gain.mean()) / (gain.std(correction=0) + 1e-8)
+        return {
+            "policy_loss": -torch.minimum(ratio * gain, limited * gain).mean(),
+            "value_loss": (self.critic(batch.seen) - batch.returns).square().mean(),
+            "entropy": -(chances.exp() * chances.clamp(min=-50.0)).sum(1).mean(),
+            "clipped_share": (ratio - limited).abs().gt(0).float().mean(),
+        }
 
     def _advantages(self, sequences: list[list[Decision]], values: Array, next_values: list[float | None]) -> Array:
         """Generalised advantages of all decisions, in order; a decision is discounted by its duration."""
@@ -421,57 +408,52 @@ def batch_of(decisions: list[Decision]) -> dict[str, Tensor]:
     return tensors_of(rows)
 
 
-def train(task: Task, settings: Settings, folder: Path, resume: bool = False, show_progress: bool = True) -> Path:
+def train(
+    task: Task,
+    settings: Settings,
+    folder: Path,
+    resume: bool = False,
+    show_progress: bool = True,
+    ray: str | None = None,
+) -> Path:
     """Train for `settings.steps` decisions; returns the path of the checkpoint, which is written after each update.
 
-    `resume` continues from the checkpoint in `folder`, with the result of a run that was never interrupted. Raises
-    DataError if there is nothing to resume, if the folder holds a run and `resume` is not given, or if another process
-    trains in it.
+    `resume` continues from the checkpoint in `folder`, with the result of a run that was never interrupted. ray:
+    address of a Ray cluster whose workers play, or "auto"; the result is the same. Raises DataError if there is
+    nothing to resume, if the folder holds a run and `resume` is not given, or if another process trains in it.
     """
     torch.set_num_threads(1)  # the networks are small, and the environments need the cores
-    config, path = check_choices(task), folder / FILE_NAME
-    if resume:
-        check_same_run(folder, "mappo", task, settings)
-    elif path.exists():
-        raise DataError(f"{folder} already holds a model; continue with --resume or name another folder with --out")
-    rollouts = Rollouts(task, settings)
-    try:
-        with alone_in(folder, patience_s=0.0):
-            learner = Learner(rollouts.space, settings, config.dynamics.time_step_s)
-            update = decisions = 0
-            curve_values: dict[str, Any] = {}
-            if resume:
-                arrays, told = load(path)
-                learner.fill(arrays, path)
-                rollouts.restore(below(arrays, "rollouts."), told)
-                update, decisions, curve_values = told["update"], told["decisions"], told["curve"]
-            else:
-                write_settings(folder, "mappo", task, asdict(settings))
-                rollouts.begin()
-            with LearningCurve(folder, settings.steps, decisions, curve_values, show_progress) as curve:
-                while decisions < settings.steps:
-                    began, waited_s, inferred_s = time.perf_counter(), rollouts.waited_s, rollouts.inferred_s
-                    sequences, episodes = rollouts.collect(learner.logits, update)
-                    learnt = time.perf_counter()
-                    figures = learner.learn(sequences, rollouts.lasting(), update, 1.0 - decisions / settings.steps)
-                    ended = time.perf_counter()
-                    update, count = update + 1, sum(len(own) for own in sequences)
-                    decisions += count
-                    shares = {
-                        "speed/decisions_per_s": count / (ended - began),
-                        "speed/environments_share": (rollouts.waited_s - waited_s) / (ended - began),
-                        "speed/inference_share": (rollouts.inferred_s - inferred_s) / (ended - began),
-                        "speed/update_share": (ended - learnt) / (ended - began),
-                    }
-                    curve.note(decisions, count, episodes, {**figures, **shares})
-                    arrays, told = rollouts.snapshot()
-                    arrays = {**learner.arrays(), **{f"rollouts.{name}": each for name, each in arrays.items()}}
-                    save(path, arrays, {**told, "update": update, "decisions": decisions, "curve": curve.values()})
-    except WorkerError as error:
-        remedy = "--resume continues from the last saved model, if any"
-        raise DataError(f"a worker process has died (out of memory or killed); {remedy}") from error
-    finally:
-        rollouts.close()
+    config = check_choices(task)
+    check_run(folder, "mappo", task, settings, resume)
+    with (
+        closing(Rollouts(task, settings, ray)) as rollouts,
+        open_run(folder, "mappo", task, settings, resume) as path,
+    ):
+        learner = Learner(rollouts.space, settings, config.dynamics.time_step_s)
+        told: dict[str, Any] = {"update": 0, "decisions": 0, "curve": {}}
+        if resume:
+            arrays, told = load(path)
+            learner.fill(arrays, path)
+            rollouts.restore(below(arrays, "rollouts."), told)
+        else:
+            rollouts.begin()
+        update, decisions = told["update"], told["decisions"]
+        with LearningCurve(folder, settings.steps, decisions, told["curve"], show_progress) as curve:
+            while decisions < settings.steps:
+                began = time.perf_counter()
+                sequences, episodes = rollouts.collect(learner.logits, update)
+                learnt = time.perf_counter()
+                figures = learner.learn(sequences, rollouts.lasting(), update, 1.0 - decisions / settings.steps)
+                ended = time.perf_counter()
+                count = sum(len(own) for own in sequences)
+                update, decisions = update + 1, decisions + count
+                figures["speed/decisions_per_s"] = count / (ended - began)
+                parts = {"environments": rollouts.waited_s, "inference": rollouts.inferred_s, "update": ended - learnt}
+                figures |= {f"speed/{name}_share": part_s / (ended - began) for name, part_s in parts.items()}
+                curve.note(decisions, count, episodes, figures)
+                arrays, told = rollouts.snapshot()
+                told |= {"update": update, "decisions": decisions, "curve": curve.values()}
+                save(path, {**learner.arrays(), **prefixed("rollouts.", arrays)}, told)
     return path
 
 

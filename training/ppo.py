@@ -7,7 +7,8 @@ decides to go on, and the discount counts decisions.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from contextlib import closing
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,25 +16,24 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium import spaces
+from numpy.typing import NDArray as Array
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import MultiInputActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from torch import Tensor, nn
-from twc_env.training.checkpoint import FILE_NAME, below, load, save
+from twc_env.training.checkpoint import below, load, prefixed, save
 from twc_env.training.encoder import Actor, Encoder
+from twc_env.training.episode_totals import EpisodeTotals
 from twc_env.training.learning_curve import LearningCurve
-from twc_env.training.run_folder import Task, check_choices, check_same_run, write_settings
+from twc_env.training.run_folder import Task, check_choices, check_run, open_run
 from twc_env.training.team_notes import TeamNotes
 from twc_env.training.weights import arrays_of, arrays_of_adam, fill, fill_adam
 
-from twc_env.errors import DataError, WorkerError
-from twc_env.running.output_folder import alone_in
+from twc_env.records.random_streams import random_stream
 from twc_env.vector.sb3 import TeamVecEnv
-
-ACTOR = "policy.mlp_extractor.actor."
-"""Prefix of the policy's own weights in a checkpoint."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,15 +127,14 @@ class NotedTeams(VecEnvWrapper):
     The time limit is the end of the episode, as the clock is seen and there is no return after it.
     """
 
-    def __init__(self, teams: TeamVecEnv, max_cycles: int):
-        super().__init__(teams, TeamNotes.space(teams.observation_space))
-        self._teams, self._robots = teams.num_envs // teams.robots, teams.robots
-        self._new_notes = partial(TeamNotes, self._teams, teams.robots, max_cycles)
+    def __init__(self, rows: TeamVecEnv, max_cycles: int):
+        super().__init__(rows, TeamNotes.space(rows.observation_space))
+        self._rows, self._robots = rows, rows.robots
+        self._new_notes = partial(TeamNotes, rows.teams.count, rows.robots, max_cycles)
 
     def reset(self):
         """Reset the teams and the added observations."""
-        self.notes, self.seen = self._new_notes(), self.venv.reset()
-        self._earned: list[dict[str, float]] = [{} for _ in range(self._teams)]
+        self.notes, self.totals, self.seen = self._new_notes(), EpisodeTotals(self._rows.teams.count), self.venv.reset()
         return self.notes.beside(self.seen)
 
     def step_async(self, actions):
@@ -147,62 +146,62 @@ class NotedTeams(VecEnvWrapper):
         """Results of the teams, without `TimeLimit.truncated`, so that no value is added at the time limit. The first
         info of a team whose episode has ended has `told`, what it was like."""
         self.seen, rewards, dones, infos = self.venv.step_wait()
-        took = np.array([info["time_steps"] for info in infos])
-        self.notes.note_outcome(took)
+        self.notes.note_outcome(np.array([info["time_steps"] for info in infos]))
         paid = rewards * self.notes.time_left()
         self.notes.note_outcome(0, rewards, dones)
         for info in infos:
             info.pop("TimeLimit.truncated", None)
-        for k, earned in enumerate(self._earned):
-            rows = slice(k * self._robots, (k + 1) * self._robots)
-            own = {"score": paid[rows].mean(), "return": rewards[rows].mean(), "steps": took[rows.start]}
-            terms = [info["reward_terms"] for info in infos[rows]]
-            own |= {f"terms/{name}": np.mean([each[name] for each in terms]) for name in terms[0]}
-            for name, value in own.items():
-                earned[name] = earned.get(name, 0.0) + float(value)
-            if dones[rows.start]:
-                ends = "coverage_correct", "merged_robots", "wrong_merges", "team_ate_m"
-                infos[rows.start]["told"] = {**earned, **{name: infos[rows.start][name] for name in ends}}
-                self._earned[k] = {}
+        for k in range(self._rows.teams.count):
+            own = slice(k * self._robots, (k + 1) * self._robots)
+            if told := self.totals.add(k, paid[own], rewards[own], infos[own], dones[own.start]):
+                infos[own.start]["told"] = told
         return self.notes.beside(self.seen), paid.astype(np.float32), dones, infos
 
+    def snapshot(self) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Arrays and values from which `restore` plays on exactly."""
+        teams, notes = prefixed("teams.", self._rows.teams.snapshot()), prefixed("notes.", self.notes.arrays())
+        return {**teams, **notes}, {"totals": self.totals.of}
 
-def train(task: Task, settings: Settings, folder: Path, resume: bool = False, show_progress: bool = True) -> Path:
-    """Train until a total of `settings.steps` decisions; returns the path of the saved model.
+    def restore(self, arrays: dict[str, Array], told: dict[str, Any]) -> tuple[dict[str, Array], Array]:
+        """Observations, and whether they are the first of an episode."""
+        self.notes, self.totals = self._new_notes(), EpisodeTotals(self._rows.teams.count)
+        self.notes.fill(below(arrays, "notes."))
+        self.totals.of = told["totals"]
+        teams = below(arrays, "teams.")
+        seen = self._rows.teams.restore(teams)
+        self.seen = {name: block.reshape(-1, *block.shape[2:]) for name, block in seen.items()}
+        begins = [not len(teams[f"actions.{k}"]) for k in range(self._rows.teams.count)]
+        return self.notes.beside(self.seen), np.repeat(begins, self._robots)
 
-    `resume` continues from the model in `folder`; task and settings must be the same, except for the workers. Episodes
-    are drawn from the seed and the step count, so a resumed run is reproducible but differs from an uninterrupted one
-    (that of `mappo` does not). Raises DataError if there is nothing to resume, if the folder holds a run and `resume`
-    is not given, or if another process trains in it.
+
+def train(
+    task: Task,
+    settings: Settings,
+    folder: Path,
+    resume: bool = False,
+    show_progress: bool = True,
+    ray: str | None = None,
+) -> Path:
+    """Train until a total of `settings.steps` decisions; returns the path of the saved model, written after each
+    update.
+
+    `resume` continues from the model in `folder`, with the result of a run that was never interrupted; task and
+    settings must be the same, except for the workers. ray: address of a Ray cluster whose workers play, or "auto"; the
+    result is the same. Raises DataError if there is nothing to resume, if the folder holds a run and `resume` is not
+    given, or if another process trains in it.
     """
     torch.set_num_threads(1)
-    config, model_path = check_choices(task), folder / FILE_NAME
-    if resume:
-        check_same_run(folder, "ppo", task, settings)
-    elif model_path.exists():
-        raise DataError(f"{folder} already holds a model; continue with --resume or name another folder with --out")
-    raw = TeamVecEnv(settings.environments, config, settings.workers, task.training_maps, settings.seed)
-    teams = NotedTeams(raw, config.max_cycles)
-    try:
-        with alone_in(folder, patience_s=0.0):
-            model, told = _new_model(teams, settings), {}
-            if resume:
-                told = load_into(model, model_path)
-                teams.seed(settings.seed + model.num_timesteps)
-                model.set_random_seed(settings.seed + model.num_timesteps)
-            else:
-                write_settings(folder, "ppo", task, asdict(settings))
-            if settings.steps > model.num_timesteps:
-                with LearningCurve(folder, settings.steps, model.num_timesteps, told, show_progress) as curve:
-                    saving = Saving(curve, model_path)
-                    model.learn(settings.steps - model.num_timesteps, saving, reset_num_timesteps=False)
-                    save_model(model, model_path, curve.values())
-    except WorkerError as error:
-        remedy = "--resume continues from the last saved model, if any"
-        raise DataError(f"a worker process has died (out of memory or killed); {remedy}") from error
-    finally:
-        teams.close()
-    return model_path
+    config = check_choices(task)
+    check_run(folder, "ppo", task, settings, resume)
+    raw = TeamVecEnv(settings.environments, config, settings.workers, task.training_maps, settings.seed, ray)
+    with closing(NotedTeams(raw, config.max_cycles)) as teams, open_run(folder, "ppo", task, settings, resume) as path:
+        model = _new_model(teams, settings)
+        told = load_into(model, teams, path) if resume else {}
+        if settings.steps > model.num_timesteps:
+            with LearningCurve(folder, settings.steps, model.num_timesteps, told, show_progress) as curve:
+                left = settings.steps - model.num_timesteps
+                model.learn(left, Saving(curve, settings.seed, teams, path), reset_num_timesteps=False)
+    return path
 
 
 def _new_model(teams: VecEnv, settings: Settings) -> PPO:
@@ -229,47 +228,58 @@ def falling(first: float, left: float) -> float:
 
 
 class Saving(BaseCallback):
-    """After each rollout: note it on the learning curve, and save the model as of the update before."""
+    """After each update: note it on the learning curve, and save everything. What is random until the next one follows
+    from the seed and the number of decisions."""
 
-    def __init__(self, curve: LearningCurve, path: Path):
+    def __init__(self, curve: LearningCurve, seed: int, teams: NotedTeams, path: Path):
         super().__init__()
-        self._curve, self._path = curve, path
-        self._ended: list[dict] = []
-
-    def _on_training_start(self) -> None:
-        self._before = self.num_timesteps
+        self._curve, self._seed, self._teams, self._path = curve, seed, teams, path
+        self._new = 0
+        """Decisions since the last update."""
 
     def _on_rollout_start(self) -> None:
-        self._began_s, self._from = self._curve.now_s(), self.num_timesteps
+        self._note_update()
+        self._began_s, self._new, self._ended = self._curve.now_s(), 0, list[dict]()
+        set_random_seed(int(random_stream(self._seed, "sampling", self.num_timesteps).integers(2**31)))
 
     def _on_step(self) -> bool:
+        self._new += self._teams.num_envs
         self._ended += [info["told"] for info in self.locals["infos"] if "told" in info]
         return True
 
-    def _on_rollout_end(self) -> None:
-        new = self.num_timesteps - self._from
+    def _on_training_end(self) -> None:
+        self._note_update()
+
+    def _note_update(self) -> None:
+        if not self._new:
+            return
         figures: dict[str, Any] = {k: v for k, v in self.logger.name_to_value.items() if k.startswith("train/")}
-        figures["speed/decisions_per_s"] = new / (self._curve.now_s() - self._began_s)
-        self._curve.note(self.num_timesteps, new, self._ended, figures)
-        self._ended = []
-        if self._from > self._before:
-            save_model(self.model, self._path, self._curve.values())
+        figures["speed/decisions_per_s"] = self._new / (self._curve.now_s() - self._began_s)
+        self._curve.note(self.num_timesteps, self._new, self._ended, figures)
+        assert isinstance(self.model, PPO)
+        save_model(self.model, self._teams, self._path, self._curve.values())
 
 
-def save_model(model: PPO, path: Path, told: dict[str, Any]) -> None:
+def save_model(model: PPO, teams: NotedTeams, path: Path, curve: dict[str, Any]) -> None:
     """Save whole or not at all."""
-    arrays = {**arrays_of(model.policy, "policy."), **arrays_of_adam(model.policy.optimizer, "optimizer.")}
-    save(path, arrays, {"decisions": model.num_timesteps, "updates": model._n_updates, "curve": told})
+    arrays, told = teams.snapshot()
+    arrays = {
+        **arrays_of(model.policy, "policy."), **arrays_of_adam(model.policy.optimizer, "optimizer."),
+        **prefixed("rollouts.", arrays),
+    }  # fmt: skip
+    save(path, arrays, {**told, "decisions": model.num_timesteps, "updates": model._n_updates, "curve": curve})
 
 
-def load_into(model: PPO, path: Path) -> dict[str, Any]:
+def load_into(model: PPO, teams: NotedTeams, path: Path) -> dict[str, Any]:
     """Continue a file's training in a new model of the same settings; returns what its learning curve told."""
     arrays, values = load(path)
     fill(model.policy, below(arrays, "policy."), path)
     fill_adam(model.policy.optimizer, below(arrays, "optimizer."), path)
     model.num_timesteps, model._n_updates = int(values["decisions"]), int(values["updates"])
-    told: dict[str, Any] = values["curve"]
-    return told
+    seen, model._last_episode_starts = teams.restore(below(arrays, "rollouts."), values)
+    model._last_obs = seen
+    curve: dict[str, Any] = values["curve"]
+    return curve
 
 
 if __name__ == "__main__":

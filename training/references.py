@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 import twc_env
 from twc_env.config import digest
 from twc_env.records.json_values import write_json
+from twc_env.running.ray_cluster import spread_out
 
 from .evaluate import scripted
 from .progress import progress_bar
@@ -20,10 +22,13 @@ TEAMS = {"random": "random", "information-gain": "information-gain", "informed":
 and the upper reference."""
 
 
-def references(task: Task, folder: Path, buildings: int, show_progress: bool = True) -> dict[str, float]:
+def references(
+    task: Task, folder: Path, buildings: int, show_progress: bool = True, ray: str | None = None
+) -> dict[str, float]:
     """Mean over time of the mapped floor of each of `TEAMS`, averaged over validation buildings.
 
-    Kept in references.json of the run folder: measured again only for another task, version or number of buildings.
+    ray: address of a Ray cluster that plays. Kept in references.json of the run folder: measured again only for another
+    task, version or number of buildings.
     """
     path = folder / "references.json"
     origin = {"config_digest": digest(task.config), "version": twc_env.__version__, "buildings": buildings}
@@ -34,9 +39,15 @@ def references(task: Task, folder: Path, buildings: int, show_progress: bool = T
     except (OSError, ValueError, TypeError, AttributeError):  # there is none, or a damaged one
         pass
     played = [(team, number) for team in TEAMS for number in range(buildings)]
-    found: dict[str, list[float]] = {team: [] for team in TEAMS}
-    for team, number in progress_bar(played, unit=" reference episodes", disable=not show_progress):
-        found[team].append(scripted(task, team, number, "validation").mean_coverage)
-    means = {team: float(np.mean(values)) for team, values in found.items()}
+    found: dict[tuple[str, int], float] = {}
+    with progress_bar(total=len(played), unit=" reference episodes", disable=not show_progress) as bar:
+        for k, mean_coverage in spread_out(partial(_mean_coverage, task), played, 1, ray):
+            found[played[k]] = mean_coverage
+            bar.update(1)
+    means = {team: float(np.mean([found[team, number] for number in range(buildings)])) for team in TEAMS}
     write_json(path, {"of": origin, "mean_coverage": means})
     return means
+
+
+def _mean_coverage(task: Task, played: tuple[str, int]) -> float:
+    return scripted(task, *played, "validation").mean_coverage

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,9 @@ from typing import Any
 import twc_env
 from twc_env import TASKS, task_config
 from twc_env import config as configuration
-from twc_env.errors import ConfigError, DataError, TwcError, did_you_mean
+from twc_env.errors import ConfigError, DataError, TwcError, WorkerError, did_you_mean
 from twc_env.records.json_values import table_of, write_json
+from twc_env.running.output_folder import alone_in
 
 from .checkpoint import FILE_NAME
 
@@ -153,10 +155,16 @@ def check_choices(task: Task) -> configuration.EnvConfig:
     return config
 
 
-def check_same_run(folder: Path, algorithm: str, task: Task, settings: Any) -> None:
-    """Raise DataError unless `folder` holds a run of this task with these settings that can be resumed."""
+def check_run(folder: Path, algorithm: str, task: Task, settings: Any, resume: bool) -> None:
+    """Raise DataError unless `folder` is free for a new run, or holds one of this task with these settings that can be
+    resumed."""
+    has_model = (folder / FILE_NAME).exists()
+    if not resume:
+        if has_model:
+            raise DataError(f"{folder} already holds a model; continue with --resume or name another folder with --out")
+        return
     record = read_settings(folder)
-    if not (folder / FILE_NAME).exists():
+    if not has_model:
         raise DataError(f"{folder} has no {FILE_NAME} to resume from; start without --resume")
     told: Mapping[str, Any] = record["settings"]
     free = {name: told.get(name, getattr(settings, name)) for name in ("workers", "steps")}
@@ -168,6 +176,22 @@ def check_same_run(folder: Path, algorithm: str, task: Task, settings: Any) -> N
     changed = [f"{k}={written.get(k)!r} instead of {value!r}" for k, value in own.items() if written.get(k) != value]
     if changed:
         raise DataError(f"{folder} was trained with {', '.join(changed)}; use the same settings, or name another --out")
+
+
+@contextmanager
+def open_run(folder: Path, algorithm: str, task: Task, settings: Any, resume: bool) -> Iterator[Path]:
+    """The path of the model of a run, in whose folder nobody else writes meanwhile; a new run gets its `config.json`.
+
+    Raises DataError if another process trains there, or if workers have died.
+    """
+    try:
+        with alone_in(folder, patience_s=0.0):
+            if not resume:
+                write_settings(folder, algorithm, task, asdict(settings))
+            yield folder / FILE_NAME
+    except WorkerError as error:
+        remedy = "--resume continues from the last saved model, if any"
+        raise DataError(f"a worker process has died (out of memory or killed); {remedy}") from error
 
 
 def model_in(path: Path) -> Path:

@@ -6,6 +6,8 @@ of one group share their goals, as those of the scripted teams do.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray as Array
@@ -88,6 +90,15 @@ class TeamNotes:
         rows = self._rows(teams)
         clock, gained = (each[:, None].astype(np.float32) for each in (self.time_left(teams), self._gained[rows]))
         return {**seen, "clock": clock, "gained": gained, "goals": self._nearness(seen, rows)}
+
+    def arrays(self) -> dict[str, Array]:
+        """What `fill` needs to go on."""
+        return {name: getattr(self, f"_{name}").copy() for name in ("elapsed", "gained", "goals_m", "group_sizes")}
+
+    def fill(self, arrays: Mapping[str, Array]) -> None:
+        """Go on from the `arrays` of other notes of as many teams and robots."""
+        for name in self.arrays():
+            setattr(self, f"_{name}", arrays[name].copy())
 
     def _rows(self, teams: Array | None) -> Array:
         teams = self._all if teams is None else teams

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from contextlib import closing
 
 import torch
 from twc_env.training.mappo import Learner, Rollouts, Settings
@@ -11,47 +13,51 @@ from twc_env.training.run_folder import Task
 from twc_env.running.process_memory import peak_mb
 
 
-def throughput(task: Task, updates: int, settings: Settings) -> dict[str, float]:
-    """Collect and learn for some updates in one process, after one that loads kernels and reaches all parts.
+def throughput(task: Task, updates: int, settings: Settings, ray: str | None = None) -> dict[str, float]:
+    """Collect and learn for some updates, after one that loads kernels and reaches all parts.
 
-    Returns decisions per second of CPU time, which depends less on what else the machine does than wall time; the
-    shares of environments, inference and update in it; time steps per second; and memory [MB].
+    Returns decisions per second, and shares of environments, inference and update. With one process also decisions and
+    robots' time steps per second of CPU time, which depends less on what else the machine does, and memory [MB]; the
+    shares are those of CPU time then. ray: address of a Ray cluster whose workers play.
     """
     torch.set_num_threads(1)  # as in training
-    clock, inferred_s, rollouts = time.process_time, 0.0, Rollouts(task, settings)
-    learner = Learner(rollouts.space, settings, task.config.dynamics.time_step_s)
+    is_alone = ray is None and settings.workers <= 1
+    with closing(Rollouts(task, settings, ray)) as rollouts:
+        learner = Learner(rollouts.space, settings, task.config.dynamics.time_step_s)
+        rollouts.begin()
+        _play(rollouts, learner, range(1), time.perf_counter)
+        began_s = time.perf_counter()
+        clock = time.process_time if is_alone else time.perf_counter
+        parts, decisions, time_steps = _play(rollouts, learner, range(1, updates + 1), clock)
+        wall_s, total_s = time.perf_counter() - began_s, sum(parts.values())
+    figures = {"decisions_per_s": decisions / wall_s}
+    if is_alone:
+        figures |= {
+            "decisions_per_cpu_s": decisions / total_s, "robot_steps_per_cpu_s": time_steps / total_s,
+            "memory_mb": peak_mb(),
+        }  # fmt: skip
+    return figures | {f"{name}_share": part_s / total_s for name, part_s in parts.items()}
+
+
+def _play(
+    rollouts: Rollouts, learner: Learner, updates: range, clock: Callable[[], float]
+) -> tuple[dict[str, float], int, int]:
+    """Seconds by part, decisions, and their time steps."""
+    parts, decisions, time_steps = dict.fromkeys(("environments", "inference", "update"), 0.0), 0, 0
 
     def policy(seen: dict) -> object:
-        nonlocal inferred_s
         began = clock()
         logits = learner.logits(seen)
-        inferred_s += clock() - began
+        parts["inference"] += clock() - began
         return logits
 
-    decisions = time_steps = 0
-    collected_s = learnt_s = 0.0
-    try:
-        rollouts.begin()
-        for update in range(-1, updates):
-            began, inferred_s_before = clock(), inferred_s
-            sequences, _ = rollouts.collect(policy, update + 1)
-            between = clock()
-            learner.learn(sequences, rollouts.lasting(), update + 1, 1.0)
-            if update < 0:
-                inferred_s = 0.0
-                continue
-            collected_s += between - began - (inferred_s - inferred_s_before)
-            learnt_s += clock() - between
-            done = [each for own in sequences for each in own]
-            decisions, time_steps = decisions + len(done), time_steps + sum(each.time_steps for each in done)
-    finally:
-        rollouts.close()
-    total_s = collected_s + inferred_s + learnt_s
-    return {
-        "decisions_per_cpu_s": decisions / total_s,
-        "robot_steps_per_cpu_s": time_steps / total_s,
-        "environments_share": collected_s / total_s,
-        "inference_share": inferred_s / total_s,
-        "update_share": learnt_s / total_s,
-        "memory_mb": peak_mb(),
-    }
+    for update in updates:
+        began, inferred_s = clock(), parts["inference"]
+        sequences, _ = rollouts.collect(policy, update)
+        between = clock()
+        learner.learn(sequences, rollouts.lasting(), update, 1.0)
+        parts["environments"] += between - began - (parts["inference"] - inferred_s)
+        parts["update"] += clock() - between
+        done = [each for own in sequences for each in own]
+        decisions, time_steps = decisions + len(done), time_steps + sum(each.time_steps for each in done)
+    return parts, decisions, time_steps

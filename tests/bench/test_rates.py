@@ -216,3 +216,15 @@ def test_a_long_episode_is_timed_by_tenths(tmp_path, capsys):
     assert record_mb[-1] < 0.1 < rows[-1]["memory_mb"] and gc.get_freeze_count() == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 11 and lines[0].split()[:2] == ["steps", "path_m"]
+
+
+def test_bench_memory_tells_what_each_environment_adds(monkeypatch, capsys):
+    from twc_env import tasks
+    from twc_env.commands import bench
+
+    tiny = {"map": "gen:office:120:train", "robots": 2, "max_cycles": 40, "lidar.beam_count": 60}
+    monkeypatch.setitem(tasks.TASKS, "twc/Tiny-v1", tiny)
+    monkeypatch.setitem(bench.SUITES, "v1", ("twc/Tiny-v1",))
+    assert main(["bench", "--memory"]) == 0
+    (_, row) = capsys.readouterr().out.splitlines()
+    assert row.split()[0] == "twc/Tiny-v1" and -1.0 < float(row.split()[1]) < 30.0

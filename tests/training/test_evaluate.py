@@ -38,6 +38,7 @@ def test_recording_a_trained_team_does_not_affect_the_episode(run, tmp_path):
     films = sorted(path.name for path in (tmp_path / "films").iterdir())
     assert len(films) == 2 and films[0].endswith("-seed0.gif") and films[1].endswith("-seed1.gif")
     assert filmed.episodes == plain.episodes
+    assert evaluate(run, [0, 1], False, where=(2, None)).episodes == plain.episodes, "in two processes"
 
 
 def test_coverage_does_not_depend_on_the_reward_of_training(task):
@@ -73,3 +74,13 @@ def test_one_building_is_printed_without_a_spread():
     assert [row.split() for row in rows[:2]] == [
         ["trained", "0.900", "0.500", "2.00", "0"], ["random", "0.900", "0.500", "+0.000", "2.00", "0"]
     ]  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_ray_cluster_evaluates_the_same_episodes(run, task, tmp_path):
+    pytest.importorskip("ray", reason="needs the extra 'ray'")
+    from twc_env.training.evaluate import evaluate
+    from twc_env.training.references import references
+
+    assert evaluate(run, [0, 1], False, where=(1, "auto")) == evaluate(run, [0, 1], False)
+    assert references(task, tmp_path, 1, False, "auto") == references(task, tmp_path / "b", 1, False)

@@ -19,6 +19,8 @@ from twc_env.__main__ import main
         (["evaluate", "--seeds", "a-b"], "seeds must be numbers and ranges"),
         (["evaluate", "--seeds", "0-99999999999"], "a range holds at most 100000 seeds; got 0-99999999999"),
         (["evaluate", "--seeds", "3,99999999999999999999"], "--seeds must be 0 to 2147483647"),
+        (["evaluate", "--ray", "auto", "--jobs", "2"], "a Ray cluster uses all of its cores; leave it out with --ray"),
+        (["evaluate", "--ray", "auto", "--films", "films"], "--films films: machines of a cluster would keep them"),
         (["train", "ppo", "--steps", "0"], "--steps must be at least 1; got 0"),
         (["train", "ppo", "--set", "lidar.beam_count"], "--set takes KEY=VALUE"),
         (["train", "ppo", "--set", "lidar.beam_cuont=9"], "did you mean 'beam_count'?"),
@@ -107,8 +109,8 @@ def test_a_training_ended_from_outside_keeps_its_last_model_and_resumes(end, sta
 
     rollouts, saved = [], ppo.save_model
 
-    def save(model, path, told):
-        saved(model, path, told)
+    def save(model, *rest):
+        saved(model, *rest)
         rollouts.append(model.num_timesteps)
         if len(rollouts) == 2:
             assert signal.getsignal(signal.Signals[end]) is not signal.SIG_DFL

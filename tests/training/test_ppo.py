@@ -5,7 +5,6 @@ import json
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from twc_env.errors import DataError, MapError
@@ -44,7 +43,7 @@ def test_tensorboard_shows_what_metrics_csv_has_and_every_term_of_the_reward(run
         assert shown == [(int(row["decisions"]), row[column]) for row in metrics_of(run)]
     assert {tag for tag in curve if tag.startswith("terms/")} == {f"terms/{term}" for term in TERMS}
     assert curve["terms/coverage"][-1][1] == pytest.approx(curve["episodes/return"][-1][1], abs=1e-5)
-    assert [step for step, _ in curve["train/value_loss"]] == [128], "of the update before"
+    assert [step for step, _ in curve["train/value_loss"]] == [64, 128]
 
 
 def test_the_step_size_decreases_to_zero():
@@ -62,7 +61,7 @@ def test_a_run_can_be_resumed_with_another_number_of_processes(train, task, sett
 def test_the_same_seed_learns_the_same_weights(train, task, settings, run, weights_of, tmp_path):
     train(task, settings, 128, tmp_path)
     first, second = (weights_of(folder) for folder in (run, tmp_path))
-    assert first.keys() == second.keys() and all(np.array_equal(first[name], second[name]) for name in first)
+    assert first.keys() == second.keys() and all(first[name].tobytes() == second[name].tobytes() for name in first)
 
 
 def test_training_resumes_where_it_stopped_and_keeps_the_learning_curve(train, task, settings, tmp_path):

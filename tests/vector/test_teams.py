@@ -464,3 +464,30 @@ def test_after_an_interruption_no_stale_answer_is_taken(monkeypatch):
 def test_a_split_that_is_misspelt_is_answered_with_the_right_one():
     with pytest.raises(ConfigError, match=r"buildings are a split .* did you mean 'train'\?"):
         VectorTeams(1, SMALL, buildings="trian")
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_other_environments_go_on_from_a_snapshot_with_the_same_bytes(workers):
+    config, random = {**CHOICES, "max_cycles": 60}, np.random.default_rng(0)
+
+    def on(teams, steps):
+        told = []
+        for _ in range(steps):
+            masks = teams.action_masks()
+            seen, rewards, ended, _ = teams.step((random.random(masks.shape) * masks).argmax(-1))
+            told.append(b"".join(block.tobytes() for block in (*seen.values(), rewards, ended, teams.states())))
+        return told
+
+    with VectorTeams(3, config) as first, VectorTeams(3, config, workers) as second:
+        with pytest.raises(TwcError, match=r"only episodes that have begun"):
+            first.snapshot()
+        first.reset(4)
+        on(first, 9)
+        kept, random = first.snapshot(), np.random.default_rng(1)
+        assert kept["seeds"].max() > 6, "an episode has ended"
+        expected, random = on(first, 9), np.random.default_rng(1)
+        second.restore(kept)
+        assert on(second, 9) == expected
+        first.send(first.sample(), range(3))
+        with pytest.raises(TwcError, match=r"without pending steps"):
+            first.snapshot()

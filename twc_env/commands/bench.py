@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from twc_env.commands.train import learning_libraries
 from twc_env.records.json_values import write_json
-from twc_env.running.options import add_json, add_set, assignments, count
+from twc_env.running.options import add_json, add_ray, add_set, assignments, count, natural
 from twc_env.running.terminal import aligned, tell, terminal_width
+from twc_env.tasks import SUITES
 
 if TYPE_CHECKING:
     from twc_env.config import EnvConfig
@@ -25,6 +26,8 @@ def add_arguments(speed: argparse.ArgumentParser) -> None:
         "  twc-env bench --map gen:office:800:7 --robots 5 --set link.range_max_m=10\n"
         "  twc-env bench --parts\n"
         "  twc-env bench --training ExploreQuick-v1\n"
+        "  twc-env bench --training ExploreQuick-v1 --workers 2\n"
+        "  twc-env bench --memory\n"
         "  twc-env bench --vector --map twin-02 --steps 1000\n"
         "  twc-env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer"
     )
@@ -59,10 +62,13 @@ def add_arguments(speed: argparse.ArgumentParser) -> None:
     instead.add_argument(
         "--training",
         metavar="TASK",
-        help="decisions of mappo per second of CPU time in a task such as ExploreQuick-v1, in one process, and the "
-        "shares of environments, inference and update; other settings are those of training (extra train)",
+        help="decisions of mappo per second in a task such as ExploreQuick-v1, and the shares of environments, "
+        "inference and update; with one process by CPU time; other settings are those of training (extra train)",
     )
+    instead.add_argument("--memory", action="store_true", help="memory of an environment of each task of the suite v1")
     instead.add_argument("--long", action="store_true", help="step times along one long episode, in tenths")
+    speed.add_argument("--workers", type=natural, help="with --training: processes (default: 1, with --ray all cores)")
+    add_ray(speed, "; with --training")
     add_json(speed)
     speed.set_defaults(run=_bench)
 
@@ -80,7 +86,11 @@ def _bench(options: argparse.Namespace) -> None:
         _bench_long(config, options)
         return
     figures: dict[str, Any]
-    if options.training:
+    if options.memory:
+        from twc_env.bench.memory import bench_memory
+
+        figures = {"memory": bench_memory(SUITES["v1"], report=_report)}
+    elif options.training:
         figures = dict(_bench_training(options))
     elif options.vector:
         from twc_env.bench.vector_teams import bench_vector
@@ -91,7 +101,7 @@ def _bench(options: argparse.Namespace) -> None:
     else:
         figures = bench(config, options.episodes, report=_report)
     for key, value in figures.items():
-        if key in ("scaling", "vector"):
+        if key in ("scaling", "vector", "memory"):
             print(aligned(value, terminal_width()))
         else:
             print(f"{key:<28} {value:,.3f}" if isinstance(value, float) else f"{key:<28} {value}")
@@ -113,7 +123,8 @@ def _bench_training(options: argparse.Namespace) -> dict[str, float]:
         from twc_env.training.throughput import throughput
 
     task = Task(task_id(options.training), overrides=assignments(options.set))
-    found: dict[str, float] = throughput(task, options.episodes, Settings(workers=1))
+    workers = int(options.ray is None) if options.workers is None else options.workers
+    found: dict[str, float] = throughput(task, options.episodes, Settings(workers=workers), options.ray)
     return found
 
 

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from twc_env.commands.train import SEEDS, learning_libraries
 from twc_env.errors import DataError
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
 from twc_env.records.text_tables import aligned_text
-from twc_env.running.options import add_allow_code, add_json, add_pictures, count, parse_seeds, picture_options
+from twc_env.running.options import (
+    add_allow_code,
+    add_json,
+    add_pictures,
+    add_ray,
+    count,
+    parse_seeds,
+    picture_options,
+    refuse_jobs_with_ray,
+)  # fmt: skip
 from twc_env.running.terminal import aligned, tell, terminal_width
 from twc_env.tasks import SUITES
 
@@ -54,6 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--films", type=Path, metavar="FOLDER", help="write a film of the trained team in each building"
     )
+    parser.add_argument("--jobs", type=count, default=1, help="worker processes")
+    add_ray(parser)
     group = parser.add_argument_group("with --suite")
     group.add_argument("--suite", choices=SUITES, help="play the tasks of this suite")
     group.add_argument("--tasks", nargs="+", metavar="TASK", help="these (default: the one that each model learnt)")
@@ -66,12 +76,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--split", choices=("train", "validation", "test"), default="test", help="buildings")
     group.add_argument("--buildings", type=count, default=10, help="per task, from the start of the split")
-    group.add_argument("--jobs", type=count, default=1, help="worker processes")
     add_allow_code(parser)
     parser.set_defaults(run=_evaluate)
 
 
 def _evaluate(options: argparse.Namespace) -> int:
+    refuse_jobs_with_ray(options)
+    if options.ray is not None and options.films is not None:
+        raise DataError(f"--films {options.films}: machines of a cluster would keep them; leave out --ray")
     if options.suite:
         return _evaluate_suite(options)
     with learning_libraries():
@@ -84,7 +96,8 @@ def _evaluate(options: argparse.Namespace) -> int:
         raise DataError(f"--model {options.model[1]}: several models need --suite v1; name one")
     check_folder(options.out)
     model = options.model[0]
-    found = evaluate(model, seeds, show_progress=not options.quiet, films=options.films, allow_code=options.allow_code)
+    where = options.jobs, options.ray
+    found = evaluate(model, seeds, not options.quiet, options.films, options.allow_code, where)
     if options.json != TERMINAL:
         print(aligned_text(found.rows(), terminal_width()))
     write_json(options.json, found.as_json())
@@ -115,7 +128,7 @@ def _evaluate_suite(options: argparse.Namespace) -> int:
     for task, own_models in played.items():
         teams = dict.fromkeys((*own_models, *options.agents, *REFERENCES))
         planned += entries([task], tuple(teams), options.split, options.buildings)
-    values = play_all(planned, folder / "episodes", options.jobs, None, lambda text: print(text, file=sys.stderr))
+    values = play_all(planned, folder / "episodes", options.jobs, options.ray, tell)
     rows = rows_of_models(models, planned, values)
     write_json(options.json, rows)
     if options.json != TERMINAL:

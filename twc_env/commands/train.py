@@ -6,13 +6,13 @@ import argparse
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 from twc_env.errors import DataError
 from twc_env.records.json_values import check_folder
 from twc_env.running.argument_parser import add_verbosity
-from twc_env.running.options import add_folder, add_set, assignments, count, natural, number
+from twc_env.running.options import add_folder, add_ray, add_set, assignments, count, natural, number
 
 SEEDS = 2**31
 """Seeds are below this: torch and numpy accept no larger ones, and resuming adds the number of steps."""
@@ -24,6 +24,7 @@ The first hour:
   open runs/quick/curve.png                        # then: the curve, with lines for three scripted teams
   twc-env evaluate --suite v1 --model runs/quick --buildings 10 --json runs/quick/test.json    # on test buildings
   twc-env train mappo --task ExploreQuick-v1 --steps 30000 --out runs/quick --resume   # after an interruption
+  twc-env train mappo --task ExploreQuick-v1 --ray auto --out runs/far    # on all machines of a Ray cluster
 docs/learning.md has the rest.
 """
 
@@ -81,9 +82,9 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
     parser.add_argument(
         "--workers",
         type=natural,
-        default=2,
-        help="worker processes (default: %(default)s; 0: none, run in this process)",
+        help="worker processes (default: 2, with --ray one per core of the cluster; 0: none, run in this process)",
     )
+    add_ray(parser, "; the result is the same, also if workers or machines are lost")
     parser.add_argument("--seed", type=int, default=0, help="of network, buildings and episodes")
     tuned = parser.add_argument_group("hyperparameters", "defaults and their reasons: Settings of training/*.py")
     tuned.add_argument("--learning-rate", type=number(0.0, 1.0), metavar="RATE", help="initial step size of Adam")
@@ -144,13 +145,15 @@ def _train(options: argparse.Namespace) -> int:
     )
     given = {field.name: getattr(options, field.name, None) for field in fields(algorithm.Settings)}
     settings = algorithm.Settings(**{name: value for name, value in given.items() if value is not None})
-    model_path = algorithm.train(task, settings, options.out, options.resume, show_progress=not options.quiet)
+    if options.ray is not None and options.workers is None:
+        settings = replace(settings, workers=0)
+    model_path = algorithm.train(task, settings, options.out, options.resume, not options.quiet, options.ray)
     print(f"model: {model_path}   learning curve: {options.out / 'metrics.csv'} and {options.out / 'tensorboard'}")
     if options.references:
         from twc_env.training.curve_picture import draw_curve
         from twc_env.training.references import references
 
-        means = references(task, options.out, options.references)
+        means = references(task, options.out, options.references, ray=options.ray)
         title = f"{options.algorithm}, {task.id or task.map or 'small generated buildings'}"
         if path := draw_curve(options.out, means, title):
             print(f"picture: {path}")

@@ -61,6 +61,22 @@ def add_config(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_ray(parser: argparse._ActionsContainer, more: str = "") -> None:
+    """The option `--ray`. Commands that also have `--jobs` call `refuse_jobs_with_ray`."""
+    parser.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help="play on a Ray cluster, HOST:PORT; auto: the one this machine belongs to, or a local one (pip install "
+        f"'twc_env[ray]'){more}",
+    )
+
+
+def refuse_jobs_with_ray(options: argparse.Namespace) -> None:
+    """Raise ConfigError for `--jobs` beside `--ray`."""
+    if options.ray is not None and options.jobs != 1:
+        raise ConfigError(f"--jobs {options.jobs}: a Ray cluster uses all of its cores; leave it out with --ray")
+
+
 def add_allow_code(parser: argparse.ArgumentParser) -> None:
     """The option `--allow-code`, see `refuse_code`."""
     parser.add_argument(

@@ -6,7 +6,7 @@ import argparse
 
 from twc_env.errors import ConfigError
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
-from twc_env.running.options import count
+from twc_env.running.options import add_ray, count, refuse_jobs_with_ray
 from twc_env.running.terminal import tell, terminal_width
 from twc_env.tasks import SUITES
 
@@ -42,9 +42,7 @@ def add_suite_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--split", choices=_SPLITS, default="test", help="buildings; use validation for tuning")
     group.add_argument("--buildings", type=count, default=10, help="buildings per task, from the start of the split")
-    group.add_argument(
-        "--ray", metavar="ADDRESS", help="play on a Ray cluster; auto: the one this machine belongs to, or a local one"
-    )
+    add_ray(group)
 
 
 def check_options(options: argparse.Namespace) -> None:
@@ -55,8 +53,7 @@ def check_options(options: argparse.Namespace) -> None:
             if name == "agents" and not options.suite:
                 remedy += "; without a suite, --agent names one team and twc-env compare plays several"
             raise ConfigError(f"--{name} {_shown(getattr(options, name))}: {remedy}")
-    if options.ray is not None and options.jobs != 1:
-        raise ConfigError(f"--jobs {options.jobs}: a Ray cluster uses all of its cores; leave it out with --ray")
+    refuse_jobs_with_ray(options)
 
 
 def _shown(value: object) -> str:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from twc_env.config import to_dict
 from twc_env.errors import DataError
 from twc_env.running.finished_parts import FinishedParts, code_digest
+from twc_env.running.ray_cluster import spread_out
 from twc_env.running.terminal import COMPILING_SHARE, show_line
-from twc_env.running.worker_processes import in_processes
 from twc_env.suite.entries import Entry
 from twc_env.suite.player import digest_of_team, play
 
@@ -29,9 +29,9 @@ def play_all(
 ) -> list[dict[str, Any]]:
     """The values of every entry, in their order; episodes that an earlier run with the same code finished are read.
 
-    jobs: worker processes; ray_address: play on a Ray cluster instead, see `ray_cluster.on_ray`. `tell` gets a sentence
-    about what is reused. Raises DataError if the folder cannot be written to or a worker process dies; what is finished
-    by then is kept.
+    jobs: worker processes; ray_address: play on a Ray cluster instead, see `running.ray_cluster`. `tell` gets a
+    sentence about what is reused. Raises DataError if the folder cannot be written to or a worker process dies; what is
+    finished by then is kept.
     """
     digests: dict[tuple[str, str], str] = {}
     stores = {}
@@ -49,7 +49,7 @@ def play_all(
         tell(f"{len(entries) - len(waiting)} of {len(entries)} episodes are finished already")
     progress = Progress(entries, waiting)
     parts = [entries[k] for k in waiting]
-    for at, (digest, values) in _played(parts, min(jobs, len(parts)), ray_address):
+    for at, (digest, values) in spread_out(play_here, parts, min(jobs, len(parts)), ray_address):
         if digest != code_digest("twc_env.agents"):
             raise DataError(
                 f"a worker has other code ({digest}) than this machine ({code_digest('twc_env.agents')}): install the "
@@ -64,14 +64,6 @@ def play_all(
 def play_here(entry: Entry) -> Played:
     """Play one entry, and tell by which code."""
     return code_digest("twc_env.agents"), play(entry)
-
-
-def _played(parts: list[Entry], jobs: int, ray_address: str | None) -> Iterator[tuple[int, Played]]:
-    if ray_address is None or not parts:
-        return in_processes(play_here, parts, jobs)
-    from twc_env.suite.ray_cluster import on_ray
-
-    return on_ray(play_here, parts, ray_address)
 
 
 def _settings(entry: Entry) -> dict[str, Any]:

@@ -43,8 +43,9 @@ class TeamVecEnv(VecEnv):
         workers: int = 0,
         buildings: str | Sequence[str] = (),
         seed: int = 0,
+        ray: str | None = None,
     ):
-        self.teams = VectorTeams(count, config, workers, buildings)
+        self.teams = VectorTeams(count, config, workers, buildings, ray)
         self.robots = self.teams.robots
         self._next_seed = whole_number("seed", seed, 0)
         self.render_mode = None

@@ -43,9 +43,14 @@ from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
 from twc_env.records.one_thread import OneThread
 from twc_env.vector.environment_group import RESET, STATE, STEP, EnvironmentGroup, Infos
+from twc_env.vector.episode_actions import EpisodeActions
+from twc_env.vector.ray_pool import RayPool
 from twc_env.vector.shared_arrays import FLAT, SharedArrays
 from twc_env.vector.worker_pool import WorkerPool
 from twc_env.world.building.splits import SPLITS, family_of, is_of_split, split_names
+
+Runner = EnvironmentGroup | WorkerPool | RayPool
+"""What executes the environments."""
 
 
 class VectorTeams:
@@ -60,18 +65,20 @@ class VectorTeams:
         config: EnvConfig | Mapping[str, Any] | None = None,
         workers: int = 0,
         buildings: str | Sequence[str] = (),
+        ray: str | None = None,
     ):
         """`workers`: processes that share the environments, of which this is the first; 0 is as 1. `buildings`: a split
         ("train") or names of maps; each new episode plays in one of them, drawn by its seed. Without any, all play on
-        the config's own map.
+        the config's own map. `ray`: address of a Ray cluster, or "auto", whose actors are the workers; 0 is one per
+        core.
 
         Raises ConfigError for an invalid count or number of workers, or for workers of a process that may have none,
-        MapError for an unknown building, TwcError for an invalid configuration.
+        MapError for an unknown building, TwcError for an invalid configuration, DataError without that cluster.
         """
         count, workers = whole_number("count", count, 1), whole_number("workers", workers, 0)
         if workers > count:
             raise ConfigError(f"{count} environments cannot be shared among {workers} workers: 0 to {count} workers")
-        if workers > 1 and multiprocessing.current_process().daemon:
+        if workers > 1 and ray is None and multiprocessing.current_process().daemon:
             raise ConfigError(
                 f"workers={workers}: this process is itself a worker (such as a DataLoader's) and may start none; use 0"
             )
@@ -87,16 +94,25 @@ class VectorTeams:
             )
         self.state_space = model.state_space
         names = _building_names(buildings, family_of(self.config.map))
-        spaces_of_robot = self.observation_space, self.action_space
+        shape = count, self.robots, self.observation_space, self.action_space, self.state_space
         try:
-            self._arrays = SharedArrays(count, self.robots, *spaces_of_robot, self.state_space)
+            self._arrays = SharedArrays(*shape)
         except (OverflowError, MemoryError, OSError) as error:
             raise ConfigError(f"count={count}: so many environments do not fit into memory; take fewer") from error
-        task = self._arrays, to_dict(self.config), names
-        self._all = range(count)
-        self._runner: EnvironmentGroup | WorkerPool | None = (
-            WorkerPool(count, workers, *task) if workers > 1 else EnvironmentGroup(self._all, *task)
-        )
+        self._all, actions = range(count), self._arrays.actions
+        self._episodes = EpisodeActions(count, actions.shape[1:], actions.dtype)
+        task = to_dict(self.config), names
+        self._runner: Runner | None
+        if ray is not None:
+            self._runner = RayPool(workers, shape, self._arrays, self._episodes, ray)
+            self._runner.start(*task)
+            workers = self._runner.workers
+        elif workers > 1:
+            self._runner = WorkerPool(count, workers, self._arrays, *task)
+        else:
+            self._runner = EnvironmentGroup(self._all, self._arrays, *task)
+        self.workers = max(workers, 1)
+        """Processes that share the environments."""
         weakref.finalize(self, _close_unless_forked, self._runner, os.getpid()).atexit = False
         self._alone = OneThread("VectorTeams")
         self._pending: set[int] = set()
@@ -117,8 +133,37 @@ class VectorTeams:
                     pass
             self._pending.clear()
             self._early.clear()
+        for k, each in enumerate(seeds):
+            self._episodes.begin(k, each)
         self._execute(RESET, self._all, seeds)
+        return self._observations()
+
+    def _observations(self) -> dict[str, Array]:
         return {name: block.copy() for name, block in self._arrays.observations.items()}
+
+    def snapshot(self) -> dict[str, Array]:
+        """Arrays from which `restore` plays on exactly: seeds of the present episodes, and their actions so far.
+
+        Raises TwcError before the first `reset`, and while a step was not yet received.
+        """
+        if self._pending or None in self._episodes.seeds:
+            raise TwcError("only episodes that have begun, without pending steps, have a snapshot: reset() or recv()")
+        ended = self._arrays.ended.tolist()
+        seeds = [
+            int(seed or 0) + self.count * has_ended for seed, has_ended in zip(self._episodes.seeds, ended, strict=True)
+        ]
+        actions = {f"actions.{k}": self._episodes.of(k)[: 0 if ended[k] else None] for k in self._all}
+        return {"seeds": np.array(seeds, np.int64), **actions}
+
+    def restore(self, arrays: Mapping[str, Array]) -> dict[str, Array]:
+        """Play the episodes of a `snapshot` again up to where they were; returns observations as `reset` does."""
+        self.reset(arrays["seeds"].tolist())
+        played, step = [arrays[f"actions.{k}"] for k in self._all], 0
+        while ids := [k for k in self._all if step < len(played[k])]:
+            self.send(np.stack([played[k][step] for k in ids]), ids)
+            self.recv(len(ids))
+            step += 1
+        return self._observations()
 
     def step(self, actions: Array) -> tuple[dict[str, Array], Array, Array, list[Infos]]:
         """One step of all environments.
@@ -138,6 +183,8 @@ class VectorTeams:
         """
         wanted = self._idle(ids)
         self._arrays.actions[wanted] = self._checked(actions, wanted)
+        for k in wanted:
+            self._episodes.note(k, self._arrays.actions[k], self._arrays.ended[k])
         with self._running() as runner:
             runner.submit(STEP, wanted)
         self._pending.update(wanted)
@@ -178,7 +225,7 @@ class VectorTeams:
             raise failures[0]
         return ids, observations, arrays.rewards[ids], arrays.ended[ids], infos
 
-    def _results(self, runner: EnvironmentGroup | WorkerPool, count: int) -> Iterator[tuple[int, Infos | TwcError]]:
+    def _results(self, runner: Runner, count: int) -> Iterator[tuple[int, Infos | TwcError]]:
         early = [self._early.popleft() for _ in range(min(count, len(self._early)))]
         yield from early
         yield from runner.results(count - len(early))
@@ -207,7 +254,7 @@ class VectorTeams:
             raise failures[0]
 
     @contextlib.contextmanager
-    def _running(self) -> Iterator[EnvironmentGroup | WorkerPool]:
+    def _running(self) -> Iterator[Runner]:
         """The runner; it is closed if the block is interrupted, because the next call must not read old results."""
         runner = self._open()
         with self._alone:
@@ -217,7 +264,7 @@ class VectorTeams:
                 self.close()
                 raise
 
-    def _open(self) -> EnvironmentGroup | WorkerPool:
+    def _open(self) -> Runner:
         if self._runner is None:
             raise TwcError("these environments are closed: create new ones")
         return self._runner
@@ -302,7 +349,7 @@ class VectorTeams:
             runner.close()
 
 
-def _close_unless_forked(runner: EnvironmentGroup | WorkerPool, owner: int) -> None:
+def _close_unless_forked(runner: Runner, owner: int) -> None:
     """Close what nobody refers to any more; a copy in a forked process must not end the workers of its parent."""
     if os.getpid() == owner:
         runner.close()
