@@ -88,7 +88,7 @@ def test_a_wall_that_the_other_run_saw_in_pieces_does_not_contradict():
     free[5:75, 5:115] = True
     pieces, without = free.copy(), free.copy()
     free[10:70, 60] = False
-    pieces[10:70, 60] = np.arange(60) % 8 >= 5
+    pieces[10:70, 61] = np.arange(60) % 8 >= 5  # a run's walls bend
     whole, broken, open_floor = (compared(SavedMap(name, each, ~each, 0.1), 0.1) for name, each in
                                  (("whole", free), ("pieces", pieces), ("open", without)))  # fmt: skip
     assert agreement_at(broken, whole, np.zeros(3)).contradicting_m == 0.0
