@@ -17,6 +17,7 @@ from twc_env.reproduce.routes import RoutePlanner, room_tour, steer
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.localisation import GAIN, Localiser, Walls
 from twc_env.slam.map_localisation import MapLocalisation
+from twc_env.slam.merging import map_merging
 from twc_env.slam.modes import make_engine
 from twc_env.world.world import World
 
@@ -76,6 +77,14 @@ def test_a_later_session_finds_itself_in_the_frame_of_the_first(first, second):
     assert engine.found_prior(0)
     apart = compose(first[1], estimated[-1]) - true[-1]
     assert np.hypot(*apart[:2]) < 0.1
+
+
+@pytest.mark.parametrize(("share", "is_found"), [(0.15, True), (0.25, False)])
+def test_an_old_map_may_contradict_walls_as_much_as_an_existing_merge(config, first, monkeypatch, share, is_found):
+    """Doors were shut and furniture was moved since; a map of the same day may contradict a tenth of the walls."""
+    monkeypatch.setattr(map_merging, "wall_contradiction", lambda *_: share)
+    engine, *_ = driven(config, read_lasting_map(first[0]), seed=7, backwards=True)
+    assert engine.found_prior(0) == is_found
 
 
 def test_the_poses_of_the_first_session_do_not_change(first, second):

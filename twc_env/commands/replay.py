@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -228,7 +229,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     check_writable(options.bag)
     if options.bag is not None and options.bag.exists():
         raise DataError(f"{options.bag} exists: bags are not overwritten; name another, or delete it")
-    asked = assignments(options.set)
+    asked, begun_s = assignments(options.set), time.monotonic()
     source = read_input(logs, _asked(options, asked.get("lidar.beam_count")))
     config = source.config
     if not options.allow_code:
@@ -247,11 +248,14 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     if page_path is None and (options.out or options.html is not None):
         page_path = (options.out or logs[0].parent) / "replay.html"
     has_page = page_path is not None and config.slam.mode != "off"
+    read_s = time.monotonic() - begun_s
     page = None
     if has_page:
         robots = config.robots
         page = LogPage(robots, len(source.steps), config.dynamics.robot_radius_m)
+    begun_cpu_s = time.process_time()
     done = run(source, config, None if page is None else page.note)
+    cpu_s = time.process_time() - begun_cpu_s
     end_line()
     team = done.engine.team
     figures = {
@@ -276,6 +280,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     if is_told:
         for name, value in _told(figures):
             print(f"{name:<16} {value}")
+        print(f"{'duration':<16} {_pace(done, read_s, cpu_s)}")
         print("\n" + aligned(done.table(), terminal_width()))
         if len(team.groups) > 1 and (lacked := done.engine.lacked()):
             print("\nwhy there is more than one map:", *lacked, sep="\n  ")
@@ -309,6 +314,12 @@ def _told(figures: dict[str, Any]) -> list[tuple[str, str]]:
     if "saved" in figures:
         rows.append(("map saved", str(figures["saved"])))
     return [*rows, ("settings digest", figures["config_digest"])]
+
+
+def _pace(done: Replay, read_s: float, cpu_s: float) -> str:
+    """How long the log is, and how long it took: only for the terminal, since it differs from run to run."""
+    log_s, took_s = float(_times_of_steps(done.source)[-1]), done.elapsed_s
+    return f"{log_s:,.0f} s of log replayed in {took_s:.1f} s ({cpu_s:.1f} s of processor time), read in {read_s:.1f} s"
 
 
 def _say_what_is_ignored(config: EnvConfig) -> None:

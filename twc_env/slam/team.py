@@ -22,7 +22,7 @@ from twc_env.slam.mapping.team_graph import TeamGraph
 from twc_env.slam.merging.map_optimiser import MapOptimiser
 from twc_env.slam.merging.merge_hypotheses import merge_hypotheses
 from twc_env.slam.merging.merge_review import MergeReview
-from twc_env.slam.merging.merge_tests import MergeTests
+from twc_env.slam.merging.merge_tests import WALLS_SLACK, MergeTests
 from twc_env.slam.merging.merge_trial import MergeTrials
 from twc_env.slam.merging.mutual_observations import MutualObservations
 from twc_env.slam.merging.rival_maps import rival_votes
@@ -409,7 +409,7 @@ class TeamMapper:
         if self._tests.mutual_observations_contradict(robots_a, robots_b, pose_a_b):
             return False
         grids = self._maps.known_grid(robots_a, a), self._maps.known_grid(robots_b, b)
-        if self._tests.walls_disagree(*grids, pose_a_b):
+        if self._tests.walls_disagree(*grids, pose_a_b, 1.0 if self.prior not in robots_a else WALLS_SLACK):
             return False
         tried = None if self._trials is None else self._trials.merged(robots_a, robots_b, proposal)
         if self._trials is not None and tried is None:

@@ -40,7 +40,15 @@ def test_two_sessions_merge_and_find_what_has_changed(written):
     building = rows[0]
     assert (building["building"], building["merged"], building["wrong"]) == (BUILDING, 1, 0)
     assert building["ate_m"] < 0.05 and building["grid_change_found"] > 0.9
-    assert rows[1]["building"] == "all 1" and rows[1]["merged"] == 1
+    assert building["shared_m"] > 20
+    assert rows[1]["building"] == "all 1" and rows[1]["merged"] == 1 and rows[1]["apart"] == 0
+
+
+def test_what_two_sessions_share_is_the_second_path_near_the_first():
+    first = np.column_stack([np.arange(11.0), np.zeros(11)])[:, None]
+    second = np.column_stack([np.full(9, 4.0), np.arange(9.0)])[:, None]  # leaves the first path at right angles
+    assert sessions._shared_m(first, second) == 1.0
+    assert sessions._shared_m(first, second + 20.0) == 0.0
 
 
 def test_the_error_of_no_pose_is_unknown():

@@ -35,6 +35,21 @@ def test_a_shift_of_all_walls_of_a_run_is_a_shift_of_its_pose(monkeypatch):
     assert np.quantile(apart_m, 0.4) < 0.1
 
 
+def test_a_pair_is_ambiguous_if_its_parts_fit_elsewhere_as_well_without_any_error():
+    """Three equal rooms in a row: two and two of them fit at two places; a wall in the shared room tells."""
+    free = np.zeros((60, 200), bool)
+    for first in (10, 70, 130):
+        free[10:50, first : first + 50] = True
+    free[28:32, 5:185] = True  # doors
+    for is_odd in (False, True):
+        if is_odd:
+            free[10:26, 100:103] = False
+        row = SavedMap("row", free, ~free, 0.1)
+        parts = [free & (np.arange(200) < 125), free & (np.arange(200) >= 65)]
+        cut = map_cuts.saved_parts(row, (parts[0], parts[1]), (0.1, 0.1), np.random.default_rng(0))
+        assert saved_maps.is_ambiguous(cut) == (not is_odd)
+
+
 @needs_data
 def test_the_table_counts_what_is_right_wrong_and_left(rows_of):
     rows = rows_of(saved_maps, "--pairs", "4", "--false-pairs", "3", "--jobs", "1")

@@ -13,7 +13,7 @@ from twc_env.reproduce.maps.saved_maps import error_of
 from twc_env.running.map_merge import read_saved_maps
 from twc_env.slam.saved_maps.map_joining import Pair, join_maps, joined
 from twc_env.slam.saved_maps.merged_grid import merged_grid
-from twc_env.slam.saved_maps.placement import Agreement, Placement, judged, place
+from twc_env.slam.saved_maps.placement import Agreement, Placement, agreement_at, judged, place
 from twc_env.slam.saved_maps.placement_search import turns_along_walls
 from twc_env.slam.saved_maps.saved_map import SavedMap, compared
 
@@ -80,6 +80,19 @@ def test_things_that_stand_free_are_no_walls():
 
 def agreement(agreeing_m, contradicting_m=0.0, x=0.0):
     return Agreement(np.array([x, 0.0, 0.0]), agreeing_m, contradicting_m, 50.0, 0.5)
+
+
+def test_a_wall_that_the_other_run_saw_in_pieces_does_not_contradict():
+    """A thin wall through a hall: seen in pieces of half a metre it is no wall, but neither is there free floor."""
+    free = np.zeros((80, 120), bool)
+    free[5:75, 5:115] = True
+    pieces, without = free.copy(), free.copy()
+    free[10:70, 60] = False
+    pieces[10:70, 61] = np.arange(60) % 8 >= 5  # a run's walls bend
+    whole, broken, open_floor = (compared(SavedMap(name, each, ~each, 0.1), 0.1) for name, each in
+                                 (("whole", free), ("pieces", pieces), ("open", without)))  # fmt: skip
+    assert agreement_at(broken, whole, np.zeros(3)).contradicting_m == 0.0
+    assert agreement_at(open_floor, whole, np.zeros(3)).contradicting_m > 2.0
 
 
 @pytest.mark.parametrize(

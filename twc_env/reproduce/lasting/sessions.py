@@ -9,7 +9,8 @@ building; the engine only receives sensor frames.
 1 m or 10 degrees wrong. `ate_m` is the root mean square position error of the second session in the frame of the first
 one, which was aligned with the building by the first session's truth: no second alignment. `grid_change_found` is the
 share of cells that changed (furniture or a door came or went) and that the second session's scans saw, which the saved
-map shows as they are now.
+map shows as they are now. `shared_m` is the length of the second session's path within 1.5 m of the first one's: a
+session that shares nothing, because doors are shut, cannot find the old map; the row of all counts these as `apart`.
 
 `--sessions 10` rows: that many sessions in one building, each with the map of the one before: size of the file,
 keyframes in it, median time of an engine's step. With TWC_DATA also the Intel Lab log, cut in three.
@@ -30,6 +31,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 from scipy.ndimage import distance_transform_edt, label
+from scipy.spatial import cKDTree
 
 from twc_env.config import EnvConfig, override
 from twc_env.datasets.lasting_maps import read_lasting_map, write_lasting_map
@@ -57,6 +59,8 @@ ROOMS_MAX, ROOMS_SHARED = 5, 2
 """Rooms of its own strip that a robot tours, and of the next robot's."""
 MOVED_SHARE, SHUT_SHARE = 1 / 3, 1 / 2
 WRONG_M, WRONG_RAD = 1.0, math.radians(10)
+NEAR_M = 1.5
+"""A place of the second session this near the first one's path is shared."""
 STOP_AWAY_M = 0.7
 """A stop is left out if no open floor is this near."""
 LEAN = {f"observation.{block}": False for block in ("lidar", "map", "wifi", "signs", "team")}
@@ -99,6 +103,7 @@ def _of_all(found: Sequence[dict]) -> dict:
         "building": f"all {len(found)}",
         "merged": sum(row["merged"] for row in found) / len(found),
         "wrong": sum(row["wrong"] for row in found),
+        "apart": sum(row["shared_m"] == 0.0 for row in found),
         **mean,
         "ate_max_m": max((row["ate_m"] for row in in_map), default=math.nan),
         "found_s": float(np.median([row["found_s"] for row in in_map] or [math.nan])),
@@ -124,6 +129,8 @@ class Session:
     """The scans of this session alone, drawn at the true poses."""
     step_ms: float
     """Median time of a step of the engine."""
+    true_m: Array
+    """(steps, robots, 2) where the robots were."""
 
 
 def two_sessions(name: str, seed: int = 0, settings: dict | None = None) -> dict:
@@ -146,6 +153,7 @@ def two_sessions(name: str, seed: int = 0, settings: dict | None = None) -> dict
         "ate_m": _rms(second.errors[:, :2]),
         "grid_change_found": change_found(plans, second.seen, saved.grid, first.pose_building_map),
         "found_s": second.found_s,
+        "shared_m": _shared_m(first.true_m, second.true_m),
         "boxes": len(before.boxes_m),
         "boxes_moved": int((before.boxes_m != after.boxes_m).any(axis=1).sum()),
         "doors": len(after.doors_m),
@@ -154,6 +162,12 @@ def two_sessions(name: str, seed: int = 0, settings: dict | None = None) -> dict
         "keyframes": len(first.lasting.poses),
         "step_ms": second.step_ms,
     }
+
+
+def _shared_m(first_m: Array, second_m: Array) -> float:
+    """Length [m] of the second paths (steps, robots, 2) near the first."""
+    away_m, _ = cKDTree(first_m.reshape(-1, 2)).query(second_m)
+    return float(np.linalg.norm(np.diff(second_m, axis=0), axis=2)[away_m[1:] < NEAR_M].sum())
 
 
 def _rms(errors_m: Array) -> float | None:
@@ -201,8 +215,9 @@ def session(
     )
     seen = map_at(engine, result.true_poses, env.config)
     return Session(
-        engine.lasting_map(), aligned, errors, len(inside), len(wrong), found_s, seen, 1e3 * float(np.median(times_s))
-    )
+        engine.lasting_map(), aligned, errors, len(inside), len(wrong), found_s, seen,
+        1e3 * float(np.median(times_s)), result.true_poses[:, :, :2],
+    )  # fmt: skip
 
 
 def _saved_group(engine) -> int:

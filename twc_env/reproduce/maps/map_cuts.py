@@ -40,6 +40,8 @@ class Cut:
     """(3,) of the source's map frame in the target's."""
     overlap: float
     """Share of the smaller part's floor that the other knows."""
+    without_errors: tuple[SavedMap, ...] = ()
+    """The parts as the building shows them, in its frame; none if they are of two buildings."""
 
 
 def overlapping_parts(building: SavedMap, share: float, random: np.random.Generator) -> tuple[Array, Array]:
@@ -66,7 +68,9 @@ def saved_parts(
     drawn = [_run(building, floor, res, random, which) for which, floor, res in
              zip("ab", parts, resolutions_m, strict=True)]  # fmt: skip
     (target, in_target), (source, in_source) = drawn
-    return Cut(target, source, compose(in_target, inverse(in_source)), overlap_of(parts))
+    res = building.resolution_m
+    bare = tuple(SavedMap(building.name, floor, building.walls & _beside(floor, res), res) for floor in parts)
+    return Cut(target, source, compose(in_target, inverse(in_source)), overlap_of(parts), bare)
 
 
 def twice(wing: SavedMap, floor: Array) -> tuple[SavedMap, Array]:

@@ -7,6 +7,10 @@ with holes, and with things that the other run did not see. Pairs that must not 
 of one building that do not overlap, and one of two identical wings against both. A merge is right within 0.2 m and 2
 degrees, measured at the middle of the second map's floor.
 
+`ambiguous` counts those of the pairs kept apart that nobody can place: laid on each other without any error of the
+runs, and with the truth known, the two parts have a placement elsewhere at which nothing contradicts and at least as
+much wall agrees as at the true one. None of them counts as right.
+
 Buildings of at least 100 m2 are taken; of the HouseExpo plans every second one by name, and not two whose outline is
 broken or bare. The others, with ipa's Freiburg52, lab_d, lab_f, office_b and office_d, are where the method was
 calibrated.
@@ -27,8 +31,8 @@ from twc_env.reproduce.maps.map_cuts import Cut, overlap_of, overlapping_parts, 
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.running.map_merge import read_saved_maps
 from twc_env.running.options import count
-from twc_env.slam.saved_maps.placement import place
-from twc_env.slam.saved_maps.saved_map import SavedMap
+from twc_env.slam.saved_maps.placement import OTHER_M, OTHER_RAD, agreement_at, place, ranked_placements
+from twc_env.slam.saved_maps.saved_map import SavedMap, cell_of, compared
 
 CHOOSES = ("pairs", "false_pairs")
 ROS = ("ros/intel.yaml", "ros/willow-2010-02-18-0.10.yaml")
@@ -112,8 +116,24 @@ def try_case(case: Case) -> dict:
         "overlap": cut.overlap,
         "error_m": error_m,
         "error_deg": error_deg,
+        "is_ambiguous": not placement.is_believed and is_ambiguous(cut),
         "reason": placement.reason,
     }
+
+
+def is_ambiguous(cut: Cut) -> bool:
+    """Whether the parts as the building shows them fit elsewhere at least as well as where they belong."""
+    if not cut.without_errors or cut.overlap == 0.0:
+        return False
+    target, source = cut.without_errors
+    known, cell_m = Cut(target, source, np.zeros(3), cut.overlap), cell_of([target, source])
+    true = agreement_at(compared(target, cell_m), compared(source, cell_m), known.pose)
+    for one in ranked_placements(target, source):
+        error_m, error_deg = error_of(known, one.pose)
+        is_elsewhere = error_m >= OTHER_M or np.radians(error_deg) >= OTHER_RAD
+        if is_elsewhere and one.contradicting_m == 0.0 and one.agreeing_m >= true.agreeing_m:
+            return True
+    return False
 
 
 def make_pair(case: Case) -> Cut:
@@ -177,6 +197,7 @@ def _row(kind: str, results: list[dict]) -> dict:
         "right": len(right),
         "wrong": len(accepted) - len(right),
         "abstained": len(results) - len(accepted),
+        "ambiguous": sum(result["is_ambiguous"] for result in results),
         "median_error_m": float(np.median(errors_m)) if right else None,
         "median_error_deg": float(np.median(errors_deg)) if right else None,
     }

@@ -4,10 +4,10 @@ Five things are measured of a component. *Undecided*: closures that the back end
 because drift is too large. *Second hypothesis*: how many of the rejected closures agree with each other and odometry
 without the accepted ones; for back ends other than `ours`, also whether the search of `ours` in all closures finds
 another map, unless all closures agree. *Chance*: accepted closures without which the map lies elsewhere, and which
-that map denies (`chance_closures`). *Contradiction*: squared errors of what was accepted, per degree of freedom.
-*Expected error*: odometry and accepted closures are drawn anew from their stated noise, scaled by that ratio, and the
-graph is optimised again; how far its poses move, after alignment, is the error that the closures leave (a parametric
-bootstrap of the inverse Fisher information, without its gauge).
+that map denies, unless hardly any is rejected (`chance_closures`). *Contradiction*: squared errors of what was
+accepted, per degree of freedom. *Expected error*: odometry and accepted closures are drawn anew from their stated
+noise, scaled by that ratio, and the graph is optimised again; how far its poses move, after alignment, is the error
+that the closures leave (a parametric bootstrap of the inverse Fisher information, without its gauge).
 """
 
 from __future__ import annotations
@@ -25,6 +25,9 @@ from twc_env.slam.pose_graph.consistent_set import UNPROVEN
 from twc_env.slam.pose_graph.robust_back_end import BackendResult, solve
 from twc_env.slam.pose_graph.solver import Graph, NormalEquations
 
+FEW_REFUSED = 0.05
+"""Where a fit of all closures rejects at most this share of them, `ours` does not search for a set; where so few are
+rejected, accepted ones that fit by chance are not looked for."""
 UNDECIDED_MAX = 0.5
 """Undecided closures as a share of the accepted ones."""
 SECOND_MAX = 0.5
@@ -98,7 +101,8 @@ def trust_in(graph: Graph, result: BackendResult, robust: str = "ours") -> Trust
             f"the closures hold too little: expected error {expected_m:.3g} m on a map of {diagonal_m:.3g} m"
         )
     away_max_m = max(DIFFERS_ERRORS * expected_m, DIFFERS_SHARE * diagonal_m)
-    if chance := chance_closures(graph, poses, accepted, away_max_m):
+    is_mixed = closures - count > FEW_REFUSED * closures
+    if is_mixed and (chance := chance_closures(graph, poses, accepted, away_max_m)):
         moved_m = max(moved_m for _, moved_m in chance)
         reasons.append(
             f"{len(chance)} of {count} accepted closures may fit by chance, as {closures - count} are rejected: "

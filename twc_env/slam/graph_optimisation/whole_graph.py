@@ -12,7 +12,7 @@ from twc_env.errors import DataError
 from twc_env.records.geometry import compose, inverse
 from twc_env.records.planar_graph import PlanarGraph
 from twc_env.slam.graph_optimisation.components import components_of, placed_poses
-from twc_env.slam.graph_optimisation.trust import Trust, trust_in
+from twc_env.slam.graph_optimisation.trust import FEW_REFUSED, Trust, trust_in
 from twc_env.slam.pose_graph import solver as pose_graph
 from twc_env.slam.pose_graph.odometry_chains import Chains
 from twc_env.slam.pose_graph.pairwise_consistency import PairwiseConsistency
@@ -21,8 +21,6 @@ from twc_env.slam.pose_graph.solver import GATE, Graph, NormalEquations
 
 METHODS = ("ours", "dcs", "cauchy", "gnc", "pcm", "none")
 ITERATIONS_MAX = 100
-FEW_REFUSED = 0.05
-"""Where a fit of all closures, refitted, rejects at most this share of them, `ours` does not search for a set."""
 SIGHTING_GATE = 9.21
 """99 % quantile of chi squared with two degrees of freedom: sightings beyond it are weighed down."""
 HEADING_INFORMATION = 1e-6

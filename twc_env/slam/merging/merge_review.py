@@ -21,12 +21,10 @@ from twc_env.records.messages import GridMap, LoopClosure
 from twc_env.slam.mapping.group_maps import GroupMaps
 from twc_env.slam.mapping.team_graph import TeamGraph
 from twc_env.slam.merging.map_merging import MergeProposal, wall_contradiction
-from twc_env.slam.merging.merge_tests import MergeTests
+from twc_env.slam.merging.merge_tests import WALLS_SLACK, MergeTests
 
 FIRST_STEPS = 50
 """Steps until the first re-evaluation; the interval doubles each time."""
-WALLS_SLACK = 2.0
-"""An existing merge may contradict walls by this factor more than a new one."""
 SAME_PLACE_M = 2.0
 """A merge hypothesis this near an undone one counts as the same [m]."""
 STRAIN_MIN, STRAIN_SHARE = 16.27, 0.5

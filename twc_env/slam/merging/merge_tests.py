@@ -28,6 +28,9 @@ HYPOTHESES_MAX = 16
 TOLD_APART = 0.9
 """Radio tells two hypotheses apart if the places that one brings together differ by less than this share of what those
 of the other differ by."""
+WALLS_SLACK = 2.0
+"""An existing merge, or one with the map of an earlier session, may contradict walls by this factor more than a new
+one: since that session doors were shut and furniture was moved."""
 RADIO_SLACK = 1.1
 """An existing merge may contradict radio by this factor more than a new one."""
 SCANS_ALONE_MIN = 8
@@ -308,9 +311,9 @@ class MergeTests:
         """Whether robots saw each other where and when the merge says so, too often for chance."""
         return self._mutual_observations is not None and self._mutual_observations.count(a, b, pose_a_b).confirm
 
-    def walls_disagree(self, grid_a: GridMap, grid_b: GridMap, pose_a_b: Array) -> bool:
-        """Whether more than `contradiction_max` of one map's walls lie in free space of the other."""
-        return map_merging.wall_contradiction(grid_a, grid_b, pose_a_b) > self._rule.contradiction_max
+    def walls_disagree(self, grid_a: GridMap, grid_b: GridMap, pose_a_b: Array, slack: float = 1.0) -> bool:
+        """Whether more than `contradiction_max`, times slack, of one map's walls lie in free space of the other."""
+        return map_merging.wall_contradiction(grid_a, grid_b, pose_a_b) > self._rule.contradiction_max * slack
 
 
 def _texts_disagree(texts: Array, places: Array, is_b: Array) -> bool:

@@ -2,7 +2,8 @@
 
 Refinement is iterative closest points to lines (Censi 2008) on walls of the same direction. Of a refined placement
 counts, both ways, how many metres of wall lie on a wall of the same direction and how many lie in the free floor of the
-other map; walls in what the other map does not know count neither way.
+other map; walls in what the other map does not know count neither way, nor do those near shapes of the other map that
+are too small for a wall: where a run saw a wall in pieces, each may be as small as a thing.
 """
 
 from __future__ import annotations
@@ -195,7 +196,8 @@ def _agreeing(target: ComparedMap, source: ComparedMap, pose: Array) -> tuple[fl
     distance_m = target.wall_distance_m[row, column]
     agrees = is_inside & _are_same(source, direction, target, target.nearest[row, column])
     agrees &= distance_m <= max(AGREE_M, 1.5 * target.cell_m)
-    contradicts = is_inside & target.free[row, column] & (distance_m > max(CONTRADICT_M, 2.5 * target.cell_m))
+    is_bare = target.anything_m[row, column] > max(CONTRADICT_M, 2.5 * target.cell_m)
+    contradicts = is_inside & target.free[row, column] & is_bare
     return float(agrees.sum()) * source.cell_m, _long_count(source, contradicts) * source.cell_m
 
 

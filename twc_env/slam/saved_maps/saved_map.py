@@ -51,6 +51,8 @@ class ComparedMap:
     """(rows, columns) float32, to the nearest point on a wall."""
     nearest: Array
     """(rows, columns) int32, the index of that point."""
+    anything_m: Array
+    """(rows, columns) float32, distance to the nearest occupied cell, also of what is too small for a wall."""
     points: Array
     """(n, 2) [m] on walls next to free floor, one per cell at most."""
     directions_rad: Array
@@ -111,6 +113,7 @@ def compared(saved: SavedMap, cell_m: float) -> ComparedMap:
         free=free,
         wall_distance_m=(distance * cell_m).astype(np.float32),
         nearest=owner[near_row, near_column],
+        anything_m=(ndimage.distance_transform_edt(wall_count == 0) * cell_m).astype(np.float32),
         points=points,
         directions_rad=directions,
         is_thin=is_thin,
