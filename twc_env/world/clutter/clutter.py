@@ -238,7 +238,9 @@ def _doors_of(
     means = np.tile([config.door_closed_mean_s, config.door_open_mean_s], _TIMES // 2)
     times = random.exponential(means, (len(doorways), _TIMES))
     share = config.door_open_mean_s / (config.door_open_mean_s + config.door_closed_mean_s)
-    is_open, buckets, found = random.random(len(doorways)) < share, home.wall_index.buckets(), []
+    is_open, buckets = random.random(len(doorways)) < share, home.wall_index.buckets()
+    found: list[tuple[Array, Array, Array]] = []
+    """Each door, its times, and its leaf when it is open."""
     for k in np.flatnonzero(has_door).tolist():
         ends = doorways[k] if is_turned[k] else doorways[k, [2, 3, 0, 1]]
         along = ends[2:] - ends[:2]
