@@ -47,6 +47,7 @@ def test_the_nearer_somebody_is_the_slower_it_drives_until_it_stands():
     limits = [limit_m_s(scans[:k]) for k in range(1, 9)]  # 1.5 to 0.9 m from the centre
     assert limits[0] == math.inf and 0.3 < limits[-1] < 0.7 and (np.diff(limits[3:]) < 0.0).all()
     assert limit_m_s([scan_with([(1.2 - 0.1 * k, 0.0)]) for k in range(8)]) == 0.0
+    scans = [scan_with([(1.6 - 0.1 * k, 0.0)]) for k in range(8)]
     dynamics, limit = DynamicsConfig(), limit_m_s(scans)  # stands when the body has come to the rim, by its own brake
     took_s = REACTION_S + limit / dynamics.acceleration_max_m_s2
     driven_m = limit * REACTION_S + limit**2 / (2.0 * dynamics.acceleration_max_m_s2)
@@ -88,3 +89,16 @@ def test_a_robot_stands_beside_legs_while_somebody_else_walks_by():
     assert limit_m_s([scan_with([place]) for place in walks]) > 0.0
     assert limit_m_s([scan_with([place, beside]) for place in walks]) == 0.0
     assert limit_m_s([scan_with([beside])] * 8) == math.inf
+
+
+def test_a_robot_that_people_have_come_close_to_drives_to_where_they_are_not():
+    walks = [(-0.1 - 0.02 * k, 0.9 - 0.08 * k) for k in range(8)]  # up to its side, a little behind
+    assert limit_m_s([scan_with([place]) for place in walks]) == math.inf
+    assert limit_m_s([scan_with([place]) for place in walks], speed_m_s=-0.5) == 0.0
+
+
+def test_of_a_speed_only_the_share_towards_somebody_is_limited():
+    ahead, aside = (
+        [scan_with([(far * c, far * s)]) for far in np.linspace(1.6, 0.9, 8)] for c, s in ((1, 0), (0.5, 0.866))
+    )
+    assert limit_m_s(aside) == pytest.approx(2.0 * limit_m_s(ahead), rel=0.1)

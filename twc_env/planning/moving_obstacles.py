@@ -1,6 +1,7 @@
 """How fast a robot may drive where something moves close to it: an obstacle where there was free space in the scan
 before. The nearer, the slower, so that it stands before somebody who walks towards it has come: speed and separation
-monitoring as in ISO/TS 15066, with people of usual speed."""
+monitoring as in ISO/TS 15066, with people of usual speed. Only what the robot drives towards counts: one that people
+have come close to may go where they are not."""
 
 from __future__ import annotations
 
@@ -30,39 +31,45 @@ WIDTH_M = 0.6
 """Wider things are walls, of which a moving robot sees new parts, not people."""
 STEP_M = 0.15
 """Greatest difference of neighbouring ranges on one thing."""
-BEHIND_COS = -0.2
-"""What moves further behind than this is left behind."""
+BESIDE_COS = 0.2
+"""Of them, those further to the side than this are passed."""
 HOLD_S = 0.4
 """Something that stops stays a moving obstacle for this long."""
 
 
 @kernel
-def _nearest_moved(ranges, pose, old_ranges, old_pose, reach, beside, forward, teammates, teammate_radius):
-    """Range of the nearest end point within `reach` on something narrow that lies well inside the free space of the old
-    scan, infinite if there is none; and whether something narrow, moved or not, is nearer than `beside`.
+def _limit(ranges, pose, old_ranges, old_pose, radius, reach, beside, forward, teammates, teammate_radius, braking):
+    """Greatest speed towards end points within `reach` on something narrow that lies well inside the free space of the
+    old scan, infinite if there are none; and whether something narrow, moved or not, is nearer than `beside`.
 
     The beams beside its bearing must have been free as well: along a grazing wall, ranges of neighbours differ. Points
     behind a robot that drives forward (1) or back (-1), or within teammate_radius of teammates (k, 2), do not count.
+    Of a speed, only its share towards the point is limited.
     """
     beams = ranges.shape[0]
     per_beam = beams / (2.0 * math.pi)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     old_c, old_s = math.cos(old_pose[2]), math.sin(old_pose[2])
-    nearest, is_beside = reach, False
+    limit, is_beside = math.inf, False
     for i in range(beams):
-        if not 0.0 < ranges[i] < max(nearest, beside):
+        if not 0.0 < ranges[i] < reach:
             continue
         ax, ay = ranges[i] * math.cos(i / per_beam), ranges[i] * math.sin(i / per_beam)
-        if forward * ax < BEHIND_COS * ranges[i]:
+        towards = forward * ax / ranges[i]
+        if towards <= 0.0:
+            continue
+        speed = _stops_within(ranges[i] - radius - LEG_M, braking) / towards
+        is_near = not is_beside and ranges[i] < beside and towards > BESIDE_COS
+        if not (speed < limit or is_near):
             continue
         is_teammate = False
         for k in range(teammates.shape[0]):
             is_teammate |= (ax - teammates[k, 0]) ** 2 + (ay - teammates[k, 1]) ** 2 < teammate_radius**2
         if is_teammate:
             continue
-        if not is_beside and ranges[i] < beside:
+        if is_near:
             is_beside = _width(ranges, i) < WIDTH_M
-        if ranges[i] >= nearest:
+        if not speed < limit:
             continue
         wx, wy = pose[0] + c * ax - s * ay - old_pose[0], pose[1] + s * ax + c * ay - old_pose[1]
         dx, dy = old_c * wx + old_s * wy, old_c * wy - old_s * wx
@@ -71,8 +78,16 @@ def _nearest_moved(ranges, pose, old_ranges, old_pose, reach, beside, forward, t
         for b in range(beam - 1, beam + 3):
             is_free &= old_ranges[b % beams] > away + SHIFT_M
         if is_free and _width(ranges, i) < WIDTH_M:
-            nearest = ranges[i]
-    return (nearest if nearest < reach else math.inf), is_beside
+            limit = speed
+    return limit, is_beside
+
+
+@kernel
+def _stops_within(room, braking):
+    """Speed v [m/s] from which the robot stands before somebody has come who is `room` [m] away: the root of
+    v^2 / 2 b + (PERSON_M_S / b + REACTION_S) v + PERSON_M_S * REACTION_S = room, with deceleration b."""
+    left, half = room - PERSON_M_S * REACTION_S, PERSON_M_S + braking * REACTION_S
+    return 0.0 if left <= 0.0 else math.sqrt(half * half + 2.0 * braking * left) - half
 
 
 @kernel
@@ -107,7 +122,7 @@ class MovingObstacles:
     def __init__(self, dynamics: DynamicsConfig):
         self._dynamics = dynamics
         self._earlier: deque[tuple[Array, Array]] = deque(maxlen=max(1, round(LAG_S / dynamics.time_step_s)) + 1)
-        self._hold_steps, self._moved_m = 0, math.inf
+        self._hold_steps, self._held_m_s, self._forward = 0, math.inf, 1.0
 
     def limited(self, belief: Belief, speed_m_s: float) -> float:
         """The speed [m/s] of a robot that wants this one; call once per step."""
@@ -127,21 +142,17 @@ class MovingObstacles:
         self._earlier.append((np.array(pose_odom, float), ranges))
         old_pose, old_ranges = self._earlier[0]
         forward, radius_m = 1.0 if speed_m_s >= 0.0 else -1.0, self._dynamics.robot_radius_m
-        moved_m, is_beside = _nearest_moved(
-            ranges, self._earlier[-1][0], old_ranges, old_pose, radius_m + REACH_M, radius_m + BESIDE_M, forward,
-            np.ascontiguousarray(teammates_m, float), 2.0 * radius_m,
+        found_m_s, is_beside = _limit(
+            ranges, self._earlier[-1][0], old_ranges, old_pose, radius_m, radius_m + REACH_M, radius_m + BESIDE_M,
+            forward, np.ascontiguousarray(teammates_m, float), 2.0 * radius_m, self._dynamics.acceleration_max_m_s2,
         )  # fmt: skip
-        if moved_m < math.inf:
-            self._hold_steps, self._moved_m = round(HOLD_S / self._dynamics.time_step_s), moved_m
+        if found_m_s < math.inf:
+            self._hold_steps, self._held_m_s = round(HOLD_S / self._dynamics.time_step_s), found_m_s
+        elif forward != self._forward:
+            self._hold_steps = 0
         elif self._hold_steps > 0:
             self._hold_steps -= 1
+        self._forward = forward
         if self._hold_steps == 0:
             return math.inf
-        return 0.0 if is_beside else self._stops_within(self._moved_m - radius_m - LEG_M)
-
-    def _stops_within(self, room_m: float) -> float:
-        """Speed v [m/s] from which the robot stands before somebody has come who is room_m away: the root of
-        v^2 / 2 b + (PERSON_M_S / b + REACTION_S) v + PERSON_M_S * REACTION_S = room_m, with deceleration b."""
-        left_m, b = room_m - PERSON_M_S * REACTION_S, self._dynamics.acceleration_max_m_s2
-        half = PERSON_M_S + b * REACTION_S
-        return 0.0 if left_m <= 0.0 else math.sqrt(half * half + 2.0 * b * left_m) - half
+        return 0.0 if is_beside else self._held_m_s

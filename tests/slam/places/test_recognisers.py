@@ -1,15 +1,16 @@
 """Common behaviour of all recognisers, and their differences."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from twc_env.config import PlaceRecognitionConfig, override
-from twc_env.records.messages import SignObservation
+from twc_env.records.messages import Fingerprint, SignObservation
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.places.place_recognition import make_recogniser
-from twc_env.slam.places.signless_recognisers import least
+from twc_env.slam.places.signless_recognisers import SignlessRecogniser, least
 
 NAMES = ("twc", "text", "wifi", "lidar", "fused")
 MACS = (1, 2, 3, 4, 5)
@@ -141,3 +142,15 @@ def test_the_engine_verifies_candidates_of_every_recogniser(recorded, name):
     engine.finish()
     assert {c.candidate.recogniser for c in engine.team.closures} <= {name, "proximity"}
     assert any(c.candidate.recogniser == name for c in engine.team.closures)
+
+
+def test_a_carried_robot_is_compared_by_wifi_with_all_earlier_places_until_it_is_found_whatever_signs_it_reads(place):
+    recogniser = SignlessRecogniser(PlaceRecognitionConfig(), 10.0, robot_count=1)
+    assert recogniser.propose(place(0)) == []
+    recogniser.add_robot()
+    lost = [replace(place(1, k, text="QUIET PLEASE", travel_m=2.0 * k), time_s=60.0) for k in range(3)]
+    nothing_heard = Fingerprint(np.zeros(0, np.int64), np.zeros(0))
+    assert recogniser.propose(replace(lost[0], fingerprint=nothing_heard), is_lost=True) == []
+    assert [c.target for c in recogniser.propose(lost[0], is_lost=True)] == [(0, 0)]
+    assert [c.target for c in recogniser.propose(lost[1], is_lost=True)] == [(0, 0)]
+    assert recogniser.propose(lost[2]) == []

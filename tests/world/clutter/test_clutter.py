@@ -64,6 +64,22 @@ def test_open_doors_do_not_stand_in_a_narrow_corridor():
     assert len(leaves) >= 15 and not ((leaves[:, 3] > 6.6) & (leaves[:, 3] < 8.2)).any()
 
 
+@pytest.mark.parametrize("number", [0, 505, 520])
+def test_open_doors_opposite_each_other_leave_the_way_between_them(number):
+    plan = load_map(f"gen:office:400:{number}")
+    world = World(override(EnvConfig(map=plan.name, robots=1), {"clutter.door_share": 1.0}), plan)
+    world.reset(0)
+    leaves = world.clutter.open_leaves
+    shares = np.linspace(0.0, 1.0, 50)[:, None, None]
+    points = leaves[:, :2] + shares * (leaves[:, 2:] - leaves[:, :2])  # (50, doors, 2)
+    for i, (x, y) in enumerate((leaves[:, 2:] - leaves[:, :2]).tolist()):
+        beyond = (points - leaves[i, :2]) @ (x, y) > 0.1 * math.hypot(x, y)  # on this side of its wall
+        is_opposite = (leaves[:, 2:] - leaves[:, :2]) @ (x, y) < -0.1
+        away_m = np.hypot(*np.moveaxis(points[:, None] - points[None, :, [i]], -1, 0)).min(axis=1)
+        assert (away_m[beyond & is_opposite] > 0.9).all()
+    assert len(leaves) >= 10
+
+
 def test_furniture_leaves_passages_and_keeps_away_from_robots(world_with):
     world = world_with(FURNITURE, "random")
     clutter = world.clutter

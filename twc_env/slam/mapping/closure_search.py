@@ -36,7 +36,7 @@ class ClosureSearch:
 
     def __init__(self, config: EnvConfig, graph: TeamGraph, maps: GroupMaps, robot_count: int):
         self._rule, self._on_request = config.slam.place_recognition, config.link.scan_on_request
-        self._graph, self._maps = graph, maps
+        self._graph, self._maps, self._robot_count = graph, maps, robot_count
         self._recogniser = make_recogniser(config.slam.place_recognition, config.lidar.range_max_m)
         self._drops_repetitions = isinstance(self._recogniser, TextWifiRecogniser)
         """Whether the recogniser itself drops repetitions, before it computes a candidate."""
@@ -89,7 +89,8 @@ class ClosureSearch:
         candidates = self._recogniser.propose(keyframe, teammates if has_closure else ())
         new, candidates = (candidates, []) if self._drops_repetitions else ([], candidates)
         if self._signless is not None:
-            candidates += self._signless.propose(keyframe, teammates if has_any_closure else ())
+            is_lost = keyframe.robot >= self._robot_count and len(teammates) == 1
+            candidates += self._signless.propose(keyframe, teammates if has_any_closure else (), is_lost)
         near = None if has_any_closure else self._near_keyframe(keyframe)
         if near is not None:
             candidates.append(near)

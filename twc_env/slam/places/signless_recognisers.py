@@ -148,7 +148,8 @@ class WifiRecogniser:
 
 
 class SignlessRecogniser:
-    """Compares robots that have read no sign for long with all others by WiFi, until each has read one.
+    """Compares robots that have read no sign for long with all others by WiFi, until each has read one, and robots
+    that were carried, until each has found its place again.
 
     A missing cue is no evidence against a place. Algorithm 1 of TWC-SLAM would never compare such robots, since it
     requires similar texts first.
@@ -159,7 +160,7 @@ class SignlessRecogniser:
         self._unread, self._readers = set(range(robot_count)), list[int]()
         self._robot_count = robot_count
         self._kept: list[Keyframe] = []
-        """Keyframes stored until the first robot lacks signs."""
+        """Keyframes stored until a robot lacks signs."""
         self._is_needed = False
 
     def add_robot(self) -> None:
@@ -167,19 +168,22 @@ class SignlessRecogniser:
         self._unread.add(self._robot_count)
         self._robot_count += 1
 
-    def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
+    def propose(
+        self, keyframe: Keyframe, skipped_robots: Sequence[int] = (), is_lost: bool = False
+    ) -> list[LoopCandidate]:
         """Candidates between this keyframe and earlier ones of robots that are not skipped, of which one has read no
-        sign.
+        sign, or was carried and has a map of its own (`is_lost`): its signs do not count.
 
         When the first robot is found to read none, also those between all earlier keyframes.
         """
-        if keyframe.signs and keyframe.robot in self._unread:
+        if is_lost and not len(keyframe.fingerprint.macs):
+            return []  # the first since it was put down: the next one, at the same place, has heard something
+        if keyframe.signs and keyframe.robot in self._unread and not is_lost:
             self._unread.remove(keyframe.robot)
             self._readers.append(keyframe.robot)
-        if not self._unread:
-            self._kept.clear()
-            return []
         self._kept.append(keyframe)
+        if not self._unread:
+            return []
         self._is_needed |= keyframe.robot in self._unread and keyframe.time_s >= MISSING_AFTER_S
         if not self._is_needed:
             return []

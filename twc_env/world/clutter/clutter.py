@@ -49,8 +49,8 @@ _MARGIN_M = 0.1
 """Floor this close to a piece is not scored either: about a cell of the map."""
 _CLEAR_M = 0.5
 _EGRESS_M = 0.94
-"""An open leaf leaves this much of the way that it stands in: doors may take 0.18 m of the 1.12 m that a corridor has
-at least (International Building Code 2021, sections 1005.7.1 and 1020.3)."""
+"""An open leaf leaves this much of the way that it stands in, also if there is another leaf opposite: doors may take
+0.18 m of the 1.12 m that a corridor has at least (International Building Code 2021, sections 1005.7.1 and 1020.3)."""
 _NO_WALKERS = np.zeros((0, 2))
 
 
@@ -238,7 +238,9 @@ def _doors_of(
     means = np.tile([config.door_closed_mean_s, config.door_open_mean_s], _TIMES // 2)
     times = random.exponential(means, (len(doorways), _TIMES))
     share = config.door_open_mean_s / (config.door_open_mean_s + config.door_closed_mean_s)
-    is_open, buckets, found = random.random(len(doorways)) < share, home.wall_index.buckets(), []
+    is_open, buckets = random.random(len(doorways)) < share, home.wall_index.buckets()
+    found: list[tuple[Array, Array, Array]] = []
+    """Each door, its times, and its leaf when it is open."""
     for k in np.flatnonzero(has_door).tolist():
         ends = doorways[k] if is_turned[k] else doorways[k, [2, 3, 0, 1]]
         along = ends[2:] - ends[:2]
@@ -249,22 +251,24 @@ def _doors_of(
         door[ANGLE] = door[GOAL] = OPEN_RAD if is_open[k] else 0.0
         door[LEFT_S] = times[k, 1 if is_open[k] else 0]
         leaf, ways = np.zeros((1, 4)), []
+        others = np.array([other for *_, other in found]).reshape(-1, 4)
         for side in (1.0, -1.0) if sides[k] else (-1.0, 1.0):
             door[SIDE] = side
             place_leaf(door[None], 0, OPEN_RAD, leaf)
             along = (leaf[0, 2:] - leaf[0, :2]) / door[LENGTH]
             begin = leaf[0, :2] + 0.1 * along
             is_free = home.cells().is_free(leaf[0, 2:]) and not is_blocked(*buckets, *begin, *leaf[0, 2:])
-            ways.append((_way_m(buckets, leaf[0, 2:], along) if is_free else 0.0, side))
-        for way_m, side in ways:  # not into the way along a corridor
+            way_m = _way_m(buckets, leaf[0, 2:], along) if is_free else 0.0
+            ways.append((min(way_m, _apart_m(leaf, others)), side, leaf[0].copy()))
+        for way_m, side, opened in ways:  # not into the way along a corridor
             door[SIDE] = side
             if way_m < _EGRESS_M:
                 continue
             place_leaf(door[None], 0, door[ANGLE], leaf)
             if all(away_from(leaf, 0, x, y) > r for (x, y, _), r in zip(robots, radii_m, strict=True)):
-                found.append((door.copy(), times[k]))
+                found.append((door.copy(), times[k], opened))
                 break
-    doors, kept = np.array([door for door, _ in found]), np.array([own for _, own in found])
+    doors, kept = np.array([door for door, *_ in found]), np.array([own for _, own, _ in found])
     return doors.reshape(-1, COLUMNS), kept.reshape(-1, _TIMES)
 
 
@@ -280,6 +284,16 @@ def _way_m(buckets: tuple, tip: Array, along: Array) -> float:
                 break
             begin = begin + side
     return way_m
+
+
+def _apart_m(leaf: Array, others: Array) -> float:
+    """Distance [m] of an open leaf (1, 4) to the nearest of other open ones (k, 4) that point at it across the way."""
+    along, theirs = leaf[0, 2:] - leaf[0, :2], others[:, 2:] - others[:, :2]
+    points_back = theirs @ along < -0.5 * np.hypot(*theirs.T) * math.hypot(*along)
+    opposite = others[points_back & ((others[:, :2] - leaf[0, :2]) @ along > 0.1 * math.hypot(*along))]
+    apart = [away_from(leaf, 0, *end) for other in opposite for end in (other[:2], other[2:])]
+    apart += [away_from(opposite, k, *end) for k in range(len(opposite)) for end in (leaf[0, :2], leaf[0, 2:])]
+    return min(apart, default=math.inf)
 
 
 def _pieces_of(
