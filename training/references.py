@@ -31,7 +31,7 @@ def references(task: Task, folder: Path, buildings: int, show_progress: bool = T
         kept = json.loads(path.read_text())
         if kept.get("of") == origin and set(kept.get("mean_coverage", {})) == set(TEAMS):
             return {team: float(value) for team, value in kept["mean_coverage"].items()}
-    except (OSError, ValueError, TypeError, AttributeError):  # there is none, or a damaged one
+    except (OSError, AttributeError, ValueError, TypeError, RecursionError):  # there is none, or a damaged one
         pass
     played = [(team, number) for team in TEAMS for number in range(buildings)]
     found: dict[str, list[float]] = {team: [] for team in TEAMS}

@@ -32,7 +32,9 @@ class Kind(NamedTuple):
 KINDS = {
     "actions": Kind("action_fuzz.broken_steps", ActionError, "malformed actions; a rejected one has no side effects"),
     "maps": Kind("map_fuzz.mutated_maps", MapError, "mutated map files of all formats"),
-    "logs": Kind("log_fuzz.damaged_logs", TwcError, "damaged bags, tables and laser logs, which are replayed"),
+    "logs": Kind("log_fuzz.damaged_logs", TwcError, "damaged laser logs, which are replayed"),
+    "bags": Kind("log_fuzz.damaged_bags", TwcError, "damaged bags of ROS 1 and 2, which are replayed"),
+    "tables": Kind("log_fuzz.damaged_tables", TwcError, "damaged CSV tables of readings beside a sound log"),
     "settings": Kind("settings_fuzz.malformed_settings", TwcError, "malformed settings: TOML, JSON, run folders"),
     "graphs": Kind("graph_fuzz.mutated_graphs", TwcError, "mutated pose graphs, which are optimised"),
     "arrays": Kind("array_fuzz.malformed_arrays", TwcError, "malformed maps that last, frame logs and models"),

@@ -17,7 +17,9 @@ from twc_env.errors import MapError, TwcError
 COUNTS = {
     "actions": (900, 850, 3),
     "maps": (220, 130, 10),
-    "logs": (72, 16, 2),
+    "logs": (40, 10, 2),
+    "bags": (32, 8, 0),
+    "tables": (20, 3, 1),
     "settings": (240, 120, 10),
     "graphs": (40, 3, 10),
     "arrays": (90, 30, 5),
@@ -39,7 +41,7 @@ def attempted(kind, count, seed):
 )
 @pytest.mark.parametrize("kind", COUNTS)
 def test_malformed_input_of_every_kind_is_refused_in_one_line_or_valid(kind, tmp_path, monkeypatch):
-    if kind == "logs":
+    if kind == "bags":
         pytest.importorskip("rosbags")
     monkeypatch.chdir(tmp_path)
     count, refused, accepted = COUNTS[kind]

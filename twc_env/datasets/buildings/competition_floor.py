@@ -13,7 +13,7 @@ from twc_env.datasets.buildings.geojson_features import EXTENT_MAX_M, Area, dist
 from twc_env.datasets.buildings.house_expo import fill_ring
 from twc_env.datasets.buildings.outline import sides_of
 from twc_env.datasets.buildings.raster import WALL_LOSS_DB, deepest_cell, largest_part
-from twc_env.errors import MapError
+from twc_env.errors import UNFIT, MapError
 from twc_env.world.building.floor_cells import CELLS_MAX
 from twc_env.world.building.floorplan import Floorplan, Room, Sign
 from twc_env.world.building.floorplan_file import load_json
@@ -63,7 +63,7 @@ def _floor_size(path: Path) -> Array:
     info = load_json(info_path)
     try:
         size = np.array([float(info["map_info"][key]) for key in ("width", "height")])  # type: ignore[index]
-    except (KeyError, TypeError, ValueError, OverflowError):
+    except (KeyError, *UNFIT):
         raise MapError(f"{info_path.name} must hold map_info with width and height in metres; copy it again") from None
     if not ((size > 1) & (size < EXTENT_MAX_M)).all():
         raise MapError(f"{info_path.name}: width and height must be 1 to {EXTENT_MAX_M:g} m; got {size.tolist()}")

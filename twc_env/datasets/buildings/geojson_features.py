@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.buildings.outline import sides_of, simplified_ring, without_repeats
-from twc_env.errors import MapError
+from twc_env.errors import UNFIT, MapError
 
 SIMPLIFY_M = 0.05
 EXTENT_MAX_M = 2000.0
@@ -167,7 +167,7 @@ def lines_of(feature: dict, where: str) -> list[Array]:
         lines = [np.array(part, dtype=float)[:, :2] for part in parts]
         if not all(line.shape[1] == 2 and len(line) > 1 and np.isfinite(line).all() for line in lines):
             raise ValueError
-    except (KeyError, TypeError, ValueError, OverflowError, IndexError):
+    except (LookupError, *UNFIT):
         raise MapError(f"{where}: a line must hold two or more [longitude, latitude]; export it again") from None
     for line in lines:
         _check_degrees(line, where)
@@ -189,7 +189,7 @@ def polygons_of(feature: dict, where: str) -> list[list[Array]]:
         rings = [[np.array(ring, dtype=float) for ring in polygon] for polygon in polygons]
         if not all(_is_ring(ring) for polygon in rings for ring in polygon):
             raise ValueError
-    except (KeyError, TypeError, ValueError, OverflowError):
+    except (KeyError, *UNFIT):
         raise MapError(f"{where}: a {kind} must hold closed rings of [longitude, latitude]; export it again") from None
     opened = [[_opened(ring, k == 0, where) for k, ring in enumerate(polygon)] for polygon in rings]
     return [[ring for ring in polygon if len(ring) > 2] for polygon in opened if polygon and len(polygon[0]) > 2]
@@ -217,7 +217,7 @@ def point_of(feature: dict, where: str) -> Array:
         point = np.array(feature["geometry"]["coordinates"][:2], dtype=float)
         if point.shape != (2,):
             raise ValueError
-    except (KeyError, TypeError, ValueError, OverflowError):
+    except (KeyError, *UNFIT):
         raise MapError(
             f"{where}: a door must be a Point [longitude, latitude] or a LineString; export it again"
         ) from None

@@ -16,7 +16,7 @@ from numpy.typing import NDArray as Array
 from twc_env.datasets.buildings.furnish import furnish
 from twc_env.datasets.buildings.outline import sides_of, simplified_ring
 from twc_env.datasets.buildings.raster import WALL_LOSS_DB, deepest_cell, largest_part
-from twc_env.errors import MapError
+from twc_env.errors import UNFIT, MapError
 from twc_env.kernels.compiled import kernel
 from twc_env.world.building.floor_cells import CELLS_MAX, Cells
 from twc_env.world.building.floorplan import Floorplan, Room
@@ -61,7 +61,7 @@ def _contour(values: dict, where: str) -> Array:
             raise ValueError  # numpy takes true for 1.0
     except KeyError:
         raise MapError(f"{where} lacks the key 'verts', the contour of a HouseExpo plan; add it") from None
-    except (TypeError, ValueError, OverflowError):
+    except UNFIT:
         contour = np.zeros(0)
     if contour.ndim != 2 or contour.shape[1] != 2 or len(contour) < 3:
         raise MapError(f"{where}: verts must be three or more corners [x, y]; got {str(values['verts'])[:60]}")
@@ -115,7 +115,7 @@ def _boxes(boxes: object, where: str) -> list[tuple[float, ...]]:
             raise ValueError
         if table.size and (table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all()):
             raise ValueError
-    except (TypeError, ValueError, OverflowError):
+    except UNFIT:
         raise MapError(f"{where} must be a list of boxes [x1, y1, x2, y2] in metres; got {str(boxes)[:60]}") from None
     return [tuple(row) for row in table.reshape(-1, 4).tolist()]
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.logs.text_file import read_text
-from twc_env.errors import DataError
+from twc_env.errors import UNFIT, DataError
 from twc_env.records.geometry import between, compose, wrap_angle
 from twc_env.records.messages import UNSEEN_M, SensorFrame
 from twc_env.records.scanner import Scanner
@@ -132,7 +132,7 @@ def read_scan_log(path: str | Path) -> ScanLog:
         ranges_m = np.array([scans[t]["range"] for t in times], float)
         poses = [[scans[t][key] for key in ("x", "y", "theta")] for t in times]
         log = _log(np.array(times, float), np.array(poses, float), ranges_m)
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+    except (KeyError, AttributeError, *UNFIT) as error:
         raise DataError(
             f"{path} is not a scan log: {_short(error)}; expected map -> time -> range, x, y, theta"
         ) from error
