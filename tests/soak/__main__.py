@@ -40,6 +40,9 @@ KINDS = {
     "arrays": Kind("array_fuzz.malformed_arrays", TwcError, "malformed maps that last, frame logs and models"),
     "calls": Kind("call_fuzz.misused_calls", TwcError, "calls of public functions and methods with odd arguments"),
     "bombs": Kind("bombs.bombs", TwcError, "files that are huge once unpacked, nest deeply or name files elsewhere"),
+    "instructions": Kind(
+        "same_bytes.episodes", TwcError, "pairs of a task and a set of instructions, whose bytes must be equal", False
+    ),
     "accidents": Kind("accidents.accidents", TwcError, "commands that meet kills, full disks and the like", False),
 }
 
