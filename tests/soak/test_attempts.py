@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.soak import attempts, graph_fuzz, map_fuzz
+from tests.soak import attempts
 from tests.soak.__main__ import KINDS, main
 from tests.soak.attempts import attempt_all
+from tests.soak.malformed import graph_fuzz, map_fuzz
 from twc_env.errors import MapError, TwcError
 
 COUNTS = {
@@ -30,7 +31,7 @@ COUNTS = {
 
 
 def attempted(kind, count, seed):
-    module, _, function = KINDS[kind].generator.partition(".")
+    module, _, function = KINDS[kind].generator.rpartition(".")
     return attempt_all(
         getattr(importlib.import_module(f"tests.soak.{module}"), function)(count, seed), KINDS[kind].error
     )

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.soak.attempts import Attempt, workplace
-from tests.soak.mutations import OF_JSON, OF_TEXT, mutated
+from tests.soak.malformed.mutations import OF_JSON, OF_TEXT, mutated
 from twc_env.datasets.logs.carmen_writer import write_carmen_log
 from twc_env.datasets.logs.scan_log import ScanLog
 from twc_env.datasets.ros.bag_writer import RobotRecording, write_recording
