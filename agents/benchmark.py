@@ -101,7 +101,7 @@ def _report_with(job: Job) -> dict[str, Any] | None:
     """The report of an earlier run with the same settings and any code, or None."""
     try:
         report = json.loads((job.folder / "report.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     wanted = {"config_digest": digest(job.config), "agent": job.agent, "seed": job.seed}
     is_same = isinstance(report, dict) and all(report.get(key) == value for key, value in wanted.items())

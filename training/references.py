@@ -36,7 +36,7 @@ def references(
         kept = json.loads(path.read_text())
         if kept.get("of") == origin and set(kept.get("mean_coverage", {})) == set(TEAMS):
             return {team: float(value) for team, value in kept["mean_coverage"].items()}
-    except (OSError, ValueError, TypeError, AttributeError):  # there is none, or a damaged one
+    except (OSError, AttributeError, ValueError, TypeError, RecursionError):  # there is none, or a damaged one
         pass
     played = [(team, number) for team in TEAMS for number in range(buildings)]
     found: dict[tuple[str, int], float] = {}

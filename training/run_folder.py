@@ -123,7 +123,7 @@ def read_settings(folder: Path) -> dict:
         ) from None
     except OSError as error:
         raise DataError(f"cannot read {path}: {error.strerror}; train first or name another folder") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DataError(f"{path} is not valid JSON: {error}") from error
     missing = {"task", "settings", "config_digest"} - set(record if isinstance(record, dict) else ())
     if missing:

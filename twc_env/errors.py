@@ -6,6 +6,10 @@ from collections.abc import Iterable
 _LINE_MAX = 1200
 """Characters of a message; of longer ones, which name values without end, the middle is left out."""
 
+UNFIT = (TypeError, ValueError, OverflowError, RecursionError)
+"""What reading or converting a value from outside may raise: of another type, no number, beyond what a float holds, or
+nested too deeply."""
+
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """End of a message about an unknown name: the most similar known name, or "" if there is none."""

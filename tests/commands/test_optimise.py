@@ -3,7 +3,7 @@ import json
 
 import pytest
 
-from tests.soak.graph_fuzz import ring_graph
+from tests.soak.malformed.graph_fuzz import ring_graph
 from twc_env.__main__ import main
 from twc_env.datasets.logs.pose_graph_file import read_pose_graph
 from twc_env.datasets.logs.tum import read_tum

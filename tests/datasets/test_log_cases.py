@@ -77,6 +77,16 @@ def test_a_coarse_log_makes_a_map(tmp_path, capsys, settings):
     assert (pixels == 254).sum() > 2500
 
 
+def test_a_robot_that_was_put_down_elsewhere_is_found_again_and_it_is_said(tmp_path, capsys):
+    """It is lifted after scan 30 and put down 3.1 m away in a room that it has mapped, while odometry reads 0."""
+    log = CASES / "13-log-carried" / "carried.log.gz"
+    assert main(["replay", str(log), "--out", str(tmp_path)]) == 0
+    _, path = read_tum(tmp_path / "trajectories" / "robot_0_estimated.tum")
+    assert np.linalg.norm(path[31, :2] - path[30, :2]) == pytest.approx(3.1, abs=0.1)
+    told = capsys.readouterr().out
+    assert "robot 0 was put down elsewhere at" in told and "in the same map as its path before" in told
+
+
 @pytest.mark.parametrize(
     ("name", "field"), [("log_tb_frames_94", "step"), ("log_tb_frames_962", "step"), ("log_warn_frames_93", "")]
 )

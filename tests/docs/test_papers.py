@@ -1,5 +1,6 @@
 """docs/papers.md and the code agree: items, modules, settings, tables and maps that they name exist."""
 
+import argparse
 import re
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import pytest
 
 from twc_env.config import EnvConfig, override
 from twc_env.maps import map_names
-from twc_env.reproduce.runner import TABLES
+from twc_env.reproduce.runner import TABLES, table_module
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "papers.md").read_text()
@@ -46,6 +47,18 @@ def test_tables_and_maps_named_in_the_document_exist():
     tables = {q.split()[0] for q in QUOTED if re.match(r"(twc|sfw|radio|real)-(?!env)[a-z]", q)}
     known = {*TABLES, *map_names()}
     assert {name for name in tables if name not in known} == set()
+
+
+@pytest.mark.parametrize("row", [line for line in TEXT.splitlines() if re.match(r"\| [TKR]\d", line)])
+def test_every_item_names_a_table_that_prints_its_figure_and_has_the_options_named(row):
+    command = row.rstrip(" |").rpartition("|")[2].strip()
+    if command == "none: not built":
+        assert "omitted" in row
+        return
+    name, *options = command.strip("`").split()
+    parser = argparse.ArgumentParser()
+    table_module(name).add_arguments(parser)
+    parser.parse_args(options)
 
 
 def is_setting(name: str) -> bool:

@@ -10,7 +10,7 @@ from twc_env.__main__ import main
 from twc_env.config import EnvConfig, override
 from twc_env.datasets.logs.scan_log import ScanLog, read_any_log
 from twc_env.datasets.logs.tum import read_tum
-from twc_env.datasets.ros.bag_file import opened
+from twc_env.datasets.ros.bag_file import ODOMETRY, opened
 from twc_env.datasets.ros.bag_writer import RobotRecording, write_recording
 from twc_env.records.geometry import compose
 from twc_env.records.scanner import Scanner
@@ -90,7 +90,7 @@ def test_the_sample_is_replayed_and_its_results_come_back_from_a_bag(tmp_path, c
     times_s, poses = read_tum(out / "trajectories" / "robot_1_estimated.tum")
     with opened(bag) as found:
         topics = {topic.name: topic.count for topic in found.topics}
-        own = [m for name, _, m in found.messages(["/robot_1/slam/odometry"])]
+        own = [m for name, _, m in found.messages(["/robot_1/slam/odometry"], [ODOMETRY])]
     assert topics["/map"] == 1
     assert topics["/robot_0/slam/path"] == 1
     assert topics["/tf"] == 2 * sum(row["scans"] for row in figures["robots"])

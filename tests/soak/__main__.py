@@ -30,14 +30,29 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "actions": Kind("action_fuzz.broken_steps", ActionError, "malformed actions; a rejected one has no side effects"),
-    "maps": Kind("map_fuzz.mutated_maps", MapError, "mutated map files of all formats"),
-    "logs": Kind("log_fuzz.damaged_logs", TwcError, "damaged bags, tables and laser logs, which are replayed"),
-    "settings": Kind("settings_fuzz.malformed_settings", TwcError, "malformed settings: TOML, JSON, run folders"),
-    "graphs": Kind("graph_fuzz.mutated_graphs", TwcError, "mutated pose graphs, which are optimised"),
-    "arrays": Kind("array_fuzz.malformed_arrays", TwcError, "malformed maps that last, frame logs and models"),
-    "calls": Kind("call_fuzz.misused_calls", TwcError, "calls of public functions and methods with odd arguments"),
-    "bombs": Kind("bombs.bombs", TwcError, "files that are huge once unpacked, nest deeply or name files elsewhere"),
+    "actions": Kind(
+        "malformed.action_fuzz.broken_steps", ActionError, "malformed actions; a rejected one has no side effects"
+    ),
+    "maps": Kind("malformed.map_fuzz.mutated_maps", MapError, "mutated map files of all formats"),
+    "logs": Kind("malformed.log_fuzz.damaged_logs", TwcError, "damaged laser logs, which are replayed"),
+    "bags": Kind("malformed.log_fuzz.damaged_bags", TwcError, "damaged bags of ROS 1 and 2, which are replayed"),
+    "tables": Kind("malformed.log_fuzz.damaged_tables", TwcError, "damaged CSV tables of readings beside a sound log"),
+    "settings": Kind(
+        "malformed.settings_fuzz.malformed_settings", TwcError, "malformed settings: TOML, JSON, run folders"
+    ),
+    "graphs": Kind("malformed.graph_fuzz.mutated_graphs", TwcError, "mutated pose graphs, which are optimised"),
+    "arrays": Kind(
+        "malformed.array_fuzz.malformed_arrays", TwcError, "malformed maps that last, frame logs and models"
+    ),
+    "calls": Kind(
+        "malformed.call_fuzz.misused_calls", TwcError, "calls of public functions and methods with odd arguments"
+    ),
+    "bombs": Kind(
+        "malformed.bombs.bombs", TwcError, "files that are huge once unpacked, nest deeply or name files elsewhere"
+    ),
+    "instructions": Kind(
+        "same_bytes.episodes", TwcError, "pairs of a task and a set of instructions, whose bytes must be equal", False
+    ),
     "accidents": Kind("accidents.accidents", TwcError, "commands that meet kills, full disks and the like", False),
 }
 
@@ -92,7 +107,7 @@ def _soak(options: argparse.Namespace) -> None:
 def _tried(name: str, tries: int, seed: int) -> dict:
     from tests.soak.attempts import attempt_all
 
-    module, _, function = KINDS[name].generator.partition(".")
+    module, _, function = KINDS[name].generator.rpartition(".")
     generator: Callable[[int, int], Iterator] = getattr(import_module(f"tests.soak.{module}"), function)
     done = attempt_all(
         generator(tries, seed),

@@ -9,15 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from tests.soak import attempts, graph_fuzz, map_fuzz
+from tests.soak import attempts
 from tests.soak.__main__ import KINDS, main
 from tests.soak.attempts import attempt_all
+from tests.soak.malformed import graph_fuzz, map_fuzz
 from twc_env.errors import MapError, TwcError
 
 COUNTS = {
     "actions": (900, 850, 3),
     "maps": (220, 130, 10),
-    "logs": (72, 16, 2),
+    "logs": (40, 10, 2),
+    "bags": (32, 8, 0),
+    "tables": (20, 3, 1),
     "settings": (240, 120, 10),
     "graphs": (40, 3, 10),
     "arrays": (90, 30, 5),
@@ -28,7 +31,7 @@ COUNTS = {
 
 
 def attempted(kind, count, seed):
-    module, _, function = KINDS[kind].generator.partition(".")
+    module, _, function = KINDS[kind].generator.rpartition(".")
     return attempt_all(
         getattr(importlib.import_module(f"tests.soak.{module}"), function)(count, seed), KINDS[kind].error
     )
@@ -39,7 +42,7 @@ def attempted(kind, count, seed):
 )
 @pytest.mark.parametrize("kind", COUNTS)
 def test_malformed_input_of_every_kind_is_refused_in_one_line_or_valid(kind, tmp_path, monkeypatch):
-    if kind == "logs":
+    if kind == "bags":
         pytest.importorskip("rosbags")
     monkeypatch.chdir(tmp_path)
     count, refused, accepted = COUNTS[kind]

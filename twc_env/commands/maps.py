@@ -109,7 +109,7 @@ def _add_merge(merge: argparse.ArgumentParser) -> None:
         "maps", nargs="+", metavar="MAP", help="two or more, see below; turns and resolutions may differ"
     )
     merge.add_argument(
-        "--resolution", type=float, default=0.05, metavar="M", help="metres per pixel of a .png or .pgm without yaml"
+        "--resolution", type=float, metavar="M", help="metres per pixel of a .png or .pgm without yaml (default: 0.05)"
     )
     add_folder(merge, "--out", "merged", "folder of the merged map")
     add_json(merge)

@@ -282,8 +282,11 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
             print(f"{name:<16} {value}")
         print(f"{'duration':<16} {_pace(done, read_s, cpu_s)}")
         print("\n" + aligned(done.table(), terminal_width()))
-        if len(team.groups) > 1 and (lacked := done.engine.lacked()):
+        lacked = done.engine.lacked()
+        if len(team.groups) > 1 and lacked:
             print("\nwhy there is more than one map:", *lacked, sep="\n  ")
+        elif carried := [line for line in lacked if "put down elsewhere" in line]:
+            print("\nnoticed:", *carried, sep="\n  ")
     write_json(options.json, figures | {"robots": done.table()})
     if options.out:
         _write_folder(options.out, done, formats)

@@ -19,7 +19,7 @@ from twc_env.config.world import (
     RadioConfig,
     SignsConfig,
 )
-from twc_env.errors import ConfigError, did_you_mean
+from twc_env.errors import UNFIT, ConfigError, did_you_mean
 
 Overrides = tuple[tuple[str, Any], ...]
 """Dotted settings of one robot and their values, by name."""
@@ -95,7 +95,7 @@ def _read(text: str) -> Any:
         return [name.strip() for name in text.split(",")] if text.strip() else []
     try:
         return json.loads(text)
-    except ValueError as error:
+    except UNFIT as error:
         raise ConfigError(f"robot is no list in JSON: {error}; got {text!r}") from error
 
 
@@ -105,7 +105,7 @@ def _overrides(where: str, robot: Any) -> Overrides:
         robot = {"preset": robot}
     try:
         given = dict(_flat(dict(robot)))
-    except (TypeError, ValueError):
+    except UNFIT:
         raise ConfigError(
             f"{where} must be the name of a preset or a table of settings; got {robot!r}: name one of "
             f"{', '.join(ROBOT_PRESETS)}"

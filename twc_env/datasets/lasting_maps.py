@@ -14,7 +14,7 @@ from twc_env._version import __version__
 from twc_env.config import EnvConfig
 from twc_env.config.slam import EARLIER_SESSION
 from twc_env.datasets.logs.arrays_file import REAL, TEXT, TRUTH_VALUE, WHOLE, fault_of_types, read_arrays, write_arrays
-from twc_env.errors import DataError
+from twc_env.errors import UNFIT, DataError
 from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import Fingerprint, GridMap, SignObservation
 
@@ -103,7 +103,7 @@ def read_lasting_map(path: str | Path) -> LastingMap:
         header = json.loads(str(arrays["header"]))
         missing = [key for key in _NUMBERS if key not in header]
         fault = f"a header without {', '.join(missing)}" if missing else _fault(arrays, header)
-    except (AttributeError, TypeError, ValueError) as error:
+    except (AttributeError, *UNFIT) as error:
         fault = f"a header that is no JSON object ({error})"
     if fault is not None:
         raise DataError(f"{path} contradicts itself: {fault}; {REMEDY}")

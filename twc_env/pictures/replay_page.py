@@ -18,7 +18,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, from_dict, robot_configs
 from twc_env.datasets.logs.arrays_file import read_arrays
-from twc_env.errors import DataError, TwcError
+from twc_env.errors import UNFIT, DataError, TwcError
 from twc_env.exploration.assessment.result_table import FIGURES, remarks_of, value_of
 from twc_env.exploration.drawing import palette
 from twc_env.exploration.trace import FORMAT, TRACE_KEYS
@@ -133,7 +133,7 @@ def contradictions(run: Path) -> Iterator[None]:
         yield
     except TwcError:
         raise
-    except (LookupError, TypeError, ValueError, zlib.error) as error:
+    except (LookupError, zlib.error, *UNFIT) as error:
         what = f"{run / 'trace.npz'} contradicts itself or report.json"
         raise DataError(f"{what}: {error}; run the episode again".replace("\n", " ")) from error
 
@@ -149,7 +149,7 @@ def read_report(path: Path) -> dict[str, Any]:
         report = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise DataError(f"cannot read {path}: {error.strerror}; name a run folder that holds a report") from error
-    except ValueError as error:
+    except UNFIT as error:
         raise DataError(f"{path} is not valid JSON: {error}; run the episode again") from error
     needed = {"map", "seed", "config_digest", "version"}
     if not isinstance(report, dict) or not needed <= set(report):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from numpy.typing import NDArray as Array
 
-from twc_env.errors import DataError
+from twc_env.errors import UNFIT, DataError
 
 _FLOAT = np.dtype(np.float64)
 
@@ -22,7 +22,7 @@ def validated_rows(values: ArrayLike, shape: tuple[int, ...], name: str, kind: A
     try:
         given = np.asarray(values)
         made: Array = np.ascontiguousarray(given, kind)
-    except (TypeError, ValueError) as error:
+    except UNFIT as error:
         raise DataError(f"{name} must be numbers of shape {(rows, *shape)}: {error}") from None
     if made.shape == (0,):
         return made.reshape(0, *shape)
@@ -65,7 +65,7 @@ def validated_pose(values: ArrayLike, name: str) -> Array:
     else:
         try:
             pose = np.ascontiguousarray(values, float)
-        except (TypeError, ValueError):
+        except UNFIT:
             pose = np.full(3, np.nan)
     if pose.shape != (3,) or not all(map(math.isfinite, pose.tolist())):
         raise DataError(f"{name} must be a finite pose (x [m], y [m], heading [rad]); got {values!r}")

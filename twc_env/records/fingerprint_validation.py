@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from numpy.typing import NDArray as Array
 
-from twc_env.errors import DataError
+from twc_env.errors import UNFIT, DataError
 from twc_env.records.messages import Fingerprint
 
 _RSSI_MAX_DBM = 30.0
@@ -26,7 +26,7 @@ def validated_fingerprint(fingerprint: Fingerprint, name: str = "the fingerprint
         raise DataError(f"{name} is {fingerprint!r}: give an empty Fingerprint where nothing was heard")
     try:
         macs, rssi_dbm = np.asarray(fingerprint.macs), np.asarray(fingerprint.rssi_dbm, float)
-    except (TypeError, ValueError) as error:
+    except UNFIT as error:
         raise DataError(f"{name} must hold numbers: {error}") from None
     if fault := fault_of_readings(macs, rssi_dbm):
         raise DataError(f"{name} has {fault}")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from twc_env._version import __version__
-from twc_env.errors import DataError
+from twc_env.errors import UNFIT, DataError
 from twc_env.records.json_values import check_folder, plain
 
 SUFFIXES = (".py", ".json")
@@ -77,7 +77,7 @@ class FinishedParts:
         """The result of a part that is finished; the default if it is missing or incomplete."""
         try:
             return json.loads(self._path(key).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        except (OSError, *UNFIT):
             return default
 
     def keep(self, key: str, result: Any) -> Any:

@@ -18,7 +18,9 @@ from twc_env.slam.saved_maps.saved_map import SavedMap
 _GRID_SUFFIXES = {".yaml", ".yml", ".png", ".pgm"}
 
 
-def merge_files(names: Sequence[str], resolution_m: float, out: Path, json: Path | None = None) -> tuple[str, bool]:
+def merge_files(
+    names: Sequence[str], resolution_m: float | None, out: Path, json: Path | None = None
+) -> tuple[str, bool]:
     """Merge the maps of these files and write what was found to the folder `out`; json: another copy.
 
     Returns a text for the terminal, and whether any two maps were merged. Raises MapError for fewer than two maps and
@@ -26,7 +28,7 @@ def merge_files(names: Sequence[str], resolution_m: float, out: Path, json: Path
     """
     if len(names) < 2:
         raise MapError("merging takes two maps or more; name another")
-    if not 0.005 <= resolution_m <= 10:
+    if resolution_m is not None and not 0.005 <= resolution_m <= 10:
         raise MapError(f"--resolution must be 0.005 to 10 m per pixel; got {resolution_m:g}")
     check_folder(out)
     maps = read_saved_maps(names, resolution_m)
@@ -44,7 +46,7 @@ def merge_files(names: Sequence[str], resolution_m: float, out: Path, json: Path
     return "\n".join(lines), bool(written)
 
 
-def read_saved_maps(names: Sequence[str], resolution_m: float = 0.05) -> list[SavedMap]:
+def read_saved_maps(names: Sequence[str], resolution_m: float | None = None) -> list[SavedMap]:
     """The maps of these files or names; equal names are numbered. Raises MapError."""
     from twc_env.datasets.buildings.grid_file import grid_of_plan, read_grid
     from twc_env.maps import load_map

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.errors import UNFIT
 from twc_env.metrics import team_scores
 from twc_env.suite.entries import INFORMED, RANDOM, REFERENCES, Entry
 from twc_env.suite.standings import budget_areas
@@ -85,6 +86,6 @@ def _seed_of(model: str) -> int | None:
     folder = Path(model) if Path(model).is_dir() else Path(model).parent
     try:
         seed = json.loads((folder / "config.json").read_text())["settings"]["seed"]
-    except (OSError, ValueError, LookupError, TypeError):
+    except (OSError, LookupError, *UNFIT):
         return None
     return int(seed)

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.errors import ConfigError, MapError
+from twc_env.errors import UNFIT, ConfigError, MapError
 from twc_env.records.geometry import compose, inverse
 from twc_env.records.random_streams import random_stream
 from twc_env.world.building.floorplan import Floorplan
@@ -40,7 +40,7 @@ def start_poses(plan: Floorplan, robots: int, radius_m: float | Array, seed: int
     if not isinstance(starts, str):
         try:
             poses = np.array(starts, float)
-        except (TypeError, ValueError):
+        except UNFIT:
             wanted = f"'random', 'entrance', 'map' or {robots} poses"
             raise ConfigError(f"starts must be {wanted}; got {starts!r}") from None
         _check_poses(plan, robots, poses)

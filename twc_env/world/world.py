@@ -13,7 +13,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, has_one_scanner, robot_configs
 from twc_env.config.checks import whole_number
-from twc_env.errors import ActionError, TwcError
+from twc_env.errors import UNFIT, ActionError, TwcError
 from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of, rebound
 from twc_env.records.geometry import compose, transform_points
 from twc_env.records.messages import WifiScan
@@ -198,7 +198,7 @@ class World:
         try:
             commands = np.asarray(commands, _FLOAT)
             is_fit = commands.shape == (self.config.robots, 2) and math.isfinite(commands.sum())
-        except (TypeError, ValueError):
+        except UNFIT:
             is_fit = False
         if not is_fit:
             raise ActionError(f"commands must be finite and of shape ({self.config.robots}, 2); got {commands!r}")

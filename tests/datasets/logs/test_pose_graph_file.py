@@ -3,7 +3,7 @@ import gzip
 import numpy as np
 import pytest
 
-from tests.soak.graph_fuzz import ring_graph
+from tests.soak.malformed.graph_fuzz import ring_graph
 from twc_env.datasets.logs.pose_graph_file import read_pose_graph, write_pose_graph
 from twc_env.errors import DataError
 from twc_env.slam.graph_optimisation.whole_graph import optimise_graph

@@ -213,3 +213,21 @@ def test_a_dense_log_is_thinned_and_a_sparse_one_is_not():
     assert len(used) < 90
     sparse = ScanLog(log.times_s, 30 * poses, log.ranges_m, log.beam_angles_rad)
     assert len(spaced(sparse)) == count
+
+
+def test_metadata_that_nests_deeply_is_refused_at_once(tmp_path):
+    write_recording(tmp_path / "folder", [recording()])
+    metadata = tmp_path / "folder" / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("version:", "extra: " + "[" * 3000 + "\n  version:", 1))
+    with pytest.raises(DataError, match="nests its lists too deeply; run `ros2 bag reindex"):
+        read_bag(tmp_path / "folder")
+
+
+def test_a_topic_of_two_types_is_read_by_its_own(tmp_path):
+    write_recording(tmp_path / "folder", [recording("a", turn_rates=np.full(12, 0.1))])
+    metadata = tmp_path / "folder" / "metadata.yaml"
+    text = metadata.read_text()
+    assert "/tf_static" in text and "/a/imu" in text
+    metadata.write_text(text.replace("/a/imu", "/tf_static"))
+    (found,) = read_bag(tmp_path / "folder")
+    assert found.mount == pytest.approx(np.zeros(3)) and found.log.turned_rad is None

@@ -236,3 +236,17 @@ def test_relations_of_the_intel_log_are_the_119_documented_ones():
     log = read_scan_log(folder / "intel_gfs.json.gz")
     assert log.poses.shape == (910, 3)
     assert len(read_relations(folder / "intel.relations.gz", log).first) == 119
+
+
+def test_another_building_of_the_format_is_read_and_an_unknown_one_named(tmp_path):
+    header, row = "ECoord,NCoord,FloorID,SceneID,PhoneID,SampleTimes,aa\n", "1,2,4,1,1,1,-50\n"
+    (tmp_path / "Training_HCXY_AP_30.csv").write_text(header + row)
+    (tmp_path / "aps_HCXY.csv").write_text("ECoord,NCoord,FloorID,Attribute_2.4,Attribute_5\n1,2,4,aa,bb\n")
+    assert read_sod(tmp_path, "HCXY").rssi_dbm.shape == (1, 1)
+    with pytest.raises(DataError, match=r"has no Training_SYL\*\.csv\.gz of SODIndoorLoc; buildings there are HCXY"):
+        read_sod(tmp_path, "SYL")
+
+
+def test_a_walk_of_the_authors_may_have_any_number_of_readings(tmp_path):
+    (tmp_path / "Exp1_1router.csv").write_text("x,y,rssi\n1,2,-40\n3,4,-50\n")
+    assert read_authors_walk(tmp_path, 1).rssi_dbm.tolist() == [[-40.0], [-50.0]]

@@ -7,6 +7,7 @@ import pytest
 from tests.real_data import DATA, needs_data
 from twc_env.config import HighBandConfig, RadioConfig
 from twc_env.datasets.surveys.fingerprints import RadioSurvey
+from twc_env.errors import DataError
 from twc_env.reproduce import radio_places as places
 from twc_env.reproduce.radio import radio_likeness, radio_papers
 from twc_env.reproduce.radio.radio_hearing import device_hearing, hearing, missed_by_sweeps, missed_share
@@ -130,6 +131,10 @@ def test_points_beside_each_other_tell_what_a_receiver_misses():
     told = device_hearing(heard)
     assert told["miss_probability"] == missed_share(heard, False)
     assert told["high_band"]["miss_probability_offset"] == pytest.approx(-0.2, abs=0.04)
+    low_only = device_hearing(dataclasses.replace(heard, is_high_band=np.zeros(40, bool)))
+    assert set(low_only) == {"detection_floor_dbm", "detection_slope_db", "miss_probability"}
+    with pytest.raises(DataError, match=r"survey hall has no readings at 2\.4 GHz"):
+        device_hearing(dataclasses.replace(heard, is_high_band=np.ones(40, bool)))
 
 
 def test_sweeps_before_and_after_tell_what_the_one_between_missed():

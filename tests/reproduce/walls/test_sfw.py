@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from tests.real_data import DATA, needs_data
+from twc_env.config import radio_preset
 from twc_env.maps import load_map
 from twc_env.metrics import path_length_m
 from twc_env.metrics.k_visibility import score_structure
@@ -31,13 +32,13 @@ def test_the_table_has_a_row_per_experiment_and_method_and_ours_beats_the_paper(
     rows = rows_of(sfw_table1, "--seeds", "0", "--experiments", "1", "--out", str(tmp_path))
     methods = [row["method"] for row in rows]
     assert methods[:4] == ["paper", "paper, distance", "ours", "ours, SLAM"]
-    assert methods[4:] == list(sfw_table1.METHODS[4:]) and len(methods) == 11
+    assert methods[4:] == list(sfw_table1.METHODS[4:]) and len(methods) == 13
     assert rows[4]["k_accuracy"] <= rows[0]["k_accuracy"] == rows[5]["k_accuracy"]  # chosen in hindsight
     assert rows[6]["iou_wall"] > 0.9 > rows[5]["iou_free"] > 0.5
     assert rows[3]["iou_free"] > 0.9
     assert list(rows[0]) == [
         "experiment", "routers", "points", "method", "k_accuracy", "k_cells", "k_trivial", "iou_free", "iou_trivial",
-        "iou_wall", "coverage", "mse", "brier", "paper_k_accuracy", "paper_iou", "seeds", "sd",
+        "iou_wall", "coverage", "mse", "brier", "path_error_m", "paper_k_accuracy", "paper_iou", "seeds", "sd",
     ]  # fmt: skip
     row = {each["method"]: each for each in rows}
     literal, mixture = row["paper, probability by Eq. 4"], row["paper, probability by Gaussians"]
@@ -46,6 +47,7 @@ def test_the_table_has_a_row_per_experiment_and_method_and_ours_beats_the_paper(
     null = row["ours, strengths shuffled"]
     assert null["k_accuracy"] <= row["ours"]["k_trivial"] < row["ours"]["k_accuracy"]
     assert null["iou_wall"] < row["ours"]["iou_wall"]
+    assert row["ours, SLAM"]["path_error_m"] < 0.1 < row["ours, radio SLAM"]["path_error_m"]
     assert rows[2]["k_accuracy"] > 0.95 > rows[0]["k_accuracy"]
     assert rows[2]["iou_free"] > 0.97
     assert rows[2]["coverage"] > 0.8
@@ -122,9 +124,10 @@ def test_flats_are_drawn_by_seed_and_all_their_rooms_can_be_walked():
 def test_the_engine_drives_the_route_and_believes_it_was_there():
     plan = load_map("sfw-e1")
     way = wall_following_route(plan)
-    true, believed = slam_walk(plan, way, 200, seed=0)
-    assert np.linalg.norm(true[:, None] - way, axis=2).min(axis=1).max() < 0.1
-    assert 0.001 < np.linalg.norm(true - believed, axis=1).mean() < 0.1
+    drive = slam_walk(plan, way, 200, radio_preset("sfw"), seed=0)
+    assert np.linalg.norm(drive.true_m[:, None] - way, axis=2).min(axis=1).max() < 0.1
+    assert 0.001 < drive.error_m(drive.slam_m) < 0.1 < drive.error_m(drive.odometry_m)
+    assert drive.error_m(drive.radio_m) <= drive.error_m(drive.odometry_m) + 0.5
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tests.real_data import DATA, needs_data
-from tests.soak.graph_fuzz import ring_graph
+from tests.soak.malformed.graph_fuzz import ring_graph
 from twc_env.config import PoseGraphConfig
 from twc_env.datasets.logs.pose_graph_file import read_pose_graph
 from twc_env.metrics import absolute_trajectory_error_m

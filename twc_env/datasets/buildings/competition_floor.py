@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,8 @@ from twc_env.datasets.buildings.furnish import hung_sign
 from twc_env.datasets.buildings.geojson_features import EXTENT_MAX_M, Area, distinct, name_of, polygons_of, walls_of
 from twc_env.datasets.buildings.house_expo import fill_ring
 from twc_env.datasets.buildings.outline import sides_of
-from twc_env.datasets.buildings.raster import WALL_LOSS_DB, deepest_cell, largest_part
-from twc_env.errors import MapError
+from twc_env.datasets.buildings.raster import LEFT_OUT_MIN_M2, WALL_LOSS_DB, deepest_cell, largest_part
+from twc_env.errors import UNFIT, MapError
 from twc_env.world.building.floor_cells import CELLS_MAX
 from twc_env.world.building.floorplan import Floorplan, Room, Sign
 from twc_env.world.building.floorplan_file import load_json
@@ -21,6 +22,7 @@ from twc_env.world.building.floorplan_file import load_json
 DRAWING_CLASSES = frozenset({"fuzhumian", "feikaifangquyu", "xishoujianfuzhumian", "kongpu", "zhongkong"})
 """Names of drawing classes (auxiliary, closed, vacant, void), which are not texts of signs."""
 _RASTER_M = 0.2
+_LOG = logging.getLogger(__name__)
 
 
 def competition_floor(features: list[dict], path: Path, name: str) -> Floorplan:
@@ -63,7 +65,7 @@ def _floor_size(path: Path) -> Array:
     info = load_json(info_path)
     try:
         size = np.array([float(info["map_info"][key]) for key in ("width", "height")])  # type: ignore[index]
-    except (KeyError, TypeError, ValueError, OverflowError):
+    except (KeyError, *UNFIT):
         raise MapError(f"{info_path.name} must hold map_info with width and height in metres; copy it again") from None
     if not ((size > 1) & (size < EXTENT_MAX_M)).all():
         raise MapError(f"{info_path.name}: width and height must be 1 to {EXTENT_MAX_M:g} m; got {size.tolist()}")
@@ -89,6 +91,12 @@ def _point_between(floor: list[Array], blocks: list[Area], size_m: Array, where:
     part = largest_part(free)
     if not part.any():
         raise MapError(f"{where} leaves no floor between its places; check the outline and floor_info.json")
+    lost_m2 = float(free.sum() - part.sum()) * _RASTER_M**2
+    if lost_m2 >= LEFT_OUT_MIN_M2:
+        _LOG.warning(
+            "%s: %.0f of %.0f m2 between its places left out: they are closed in by places",
+            where, lost_m2, free.sum() * _RASTER_M**2,
+        )  # fmt: skip
     row, column = deepest_cell(part)
     return (np.array([column, row]) + 0.5) * _RASTER_M
 

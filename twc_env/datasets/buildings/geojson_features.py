@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.buildings.outline import sides_of, simplified_ring, without_repeats
-from twc_env.errors import MapError
+from twc_env.errors import UNFIT, MapError
 
 SIMPLIFY_M = 0.05
 EXTENT_MAX_M = 2000.0
@@ -154,7 +154,13 @@ def width_m_of(feature: dict) -> float:
             _LOG.warning("a door of width %r is taken as %g m wide; write metres as '1.5'", text[:40], _DOOR_WIDTH_M)
         return _DOOR_WIDTH_M
     width_m = float(told[1].replace(",", ".")) * _WIDTH_UNIT_M[told[2] or "m"]
-    return float(np.clip(width_m, *_DOOR_WIDTHS_M))
+    taken_m = float(np.clip(width_m, *_DOOR_WIDTHS_M))
+    if taken_m != width_m:
+        _LOG.warning(
+            "a door of width %r is taken as %g m wide; widths are %g to %g m, in metres if no unit is given",
+            text[:40], taken_m, *_DOOR_WIDTHS_M,
+        )  # fmt: skip
+    return taken_m
 
 
 def lines_of(feature: dict, where: str) -> list[Array]:
@@ -167,7 +173,7 @@ def lines_of(feature: dict, where: str) -> list[Array]:
         lines = [np.array(part, dtype=float)[:, :2] for part in parts]
         if not all(line.shape[1] == 2 and len(line) > 1 and np.isfinite(line).all() for line in lines):
             raise ValueError
-    except (KeyError, TypeError, ValueError, OverflowError, IndexError):
+    except (LookupError, *UNFIT):
         raise MapError(f"{where}: a line must hold two or more [longitude, latitude]; export it again") from None
     for line in lines:
         _check_degrees(line, where)
@@ -177,22 +183,29 @@ def lines_of(feature: dict, where: str) -> list[Array]:
 def polygons_of(feature: dict, where: str) -> list[list[Array]]:
     """Polygons of a feature, each as its rings (k, 2) [degrees]; [] for other shapes.
 
-    The outer ring comes first, counter-clockwise; the others are holes, clockwise. Rings of fewer than three corners
-    are left out, with their holes.
+    The outer ring comes first, counter-clockwise; the others are holes, clockwise. A line that ends where it begins is
+    a polygon, as exports of OpenStreetMap have them. Rings of fewer than three corners are left out, with their holes.
     """
     geometry = feature.get("geometry")
     kind = geometry.get("type") if isinstance(geometry, dict) else None
-    if not isinstance(geometry, dict) or kind not in ("Polygon", "MultiPolygon"):
+    if not isinstance(geometry, dict) or not (kind in ("Polygon", "MultiPolygon") or _is_closed_line(geometry)):
         return []
     try:
-        polygons = [geometry["coordinates"]] if kind == "Polygon" else list(geometry["coordinates"])
+        drawn = geometry["coordinates"]
+        polygons = list(drawn) if kind == "MultiPolygon" else [[drawn] if kind == "LineString" else drawn]
         rings = [[np.array(ring, dtype=float) for ring in polygon] for polygon in polygons]
         if not all(_is_ring(ring) for polygon in rings for ring in polygon):
             raise ValueError
-    except (KeyError, TypeError, ValueError, OverflowError):
+    except (KeyError, *UNFIT):
         raise MapError(f"{where}: a {kind} must hold closed rings of [longitude, latitude]; export it again") from None
     opened = [[_opened(ring, k == 0, where) for k, ring in enumerate(polygon)] for polygon in rings]
     return [[ring for ring in polygon if len(ring) > 2] for polygon in opened if polygon and len(polygon[0]) > 2]
+
+
+def _is_closed_line(geometry: dict) -> bool:
+    line = geometry.get("coordinates")
+    is_line = geometry.get("type") == "LineString" and isinstance(line, list)
+    return is_line and len(line) >= 4 and line[0] == line[-1]  # type: ignore[arg-type, index]
 
 
 def _is_ring(values: Array) -> bool:
@@ -217,7 +230,7 @@ def point_of(feature: dict, where: str) -> Array:
         point = np.array(feature["geometry"]["coordinates"][:2], dtype=float)
         if point.shape != (2,):
             raise ValueError
-    except (KeyError, TypeError, ValueError, OverflowError):
+    except (KeyError, *UNFIT):
         raise MapError(
             f"{where}: a door must be a Point [longitude, latitude] or a LineString; export it again"
         ) from None

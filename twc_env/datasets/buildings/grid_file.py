@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from twc_env.datasets.buildings.picture import FREE_ABOVE, PICTURE_RESOLUTION_M
+from twc_env.datasets.buildings.picture import FREE_ABOVE, assumed_resolution_m
 from twc_env.datasets.buildings.raster import read_grey
 from twc_env.datasets.buildings.ros_map import RosMap, read_ros_cells
 from twc_env.errors import MapError
@@ -22,8 +22,8 @@ _WALLS_MIN = 0.1
 _LOG = logging.getLogger(__name__)
 
 
-def read_grid(path: str | Path, resolution_m: float = PICTURE_RESOLUTION_M) -> RosMap:
-    """The grid of a map_server yaml, or of a .png or .pgm picture at `resolution_m` per pixel.
+def read_grid(path: str | Path, resolution_m: float | None = None) -> RosMap:
+    """The grid of a map_server yaml, or of a .png or .pgm picture at `resolution_m` per pixel (None: said and assumed).
 
     In a picture white is free, the grey of map_saver unknown, and the rim of all else beside free floor a wall.
     Raises MapError if the file cannot be read or shows no free floor.
@@ -35,6 +35,7 @@ def read_grid(path: str | Path, resolution_m: float = PICTURE_RESOLUTION_M) -> R
     else:
         grey = read_grey(path)[::-1]
         free = grey > FREE_ABOVE
+        resolution_m = resolution_m or assumed_resolution_m(path.name, free.shape, "--resolution")
         grid = RosMap(free, ~free & (grey != _UNKNOWN_GREY) & _rim(free), resolution_m, np.zeros(3))
     if not grid.free.any():
         raise MapError(f"{path.name} shows no free floor; check the thresholds, or that floor is white")

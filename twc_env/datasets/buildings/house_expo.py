@@ -7,6 +7,7 @@ boxes of rooms may be misplaced.
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,8 +16,8 @@ from numpy.typing import NDArray as Array
 
 from twc_env.datasets.buildings.furnish import furnish
 from twc_env.datasets.buildings.outline import sides_of, simplified_ring
-from twc_env.datasets.buildings.raster import WALL_LOSS_DB, deepest_cell, largest_part
-from twc_env.errors import MapError
+from twc_env.datasets.buildings.raster import LEFT_OUT_MIN_M2, WALL_LOSS_DB, deepest_cell, largest_part
+from twc_env.errors import UNFIT, MapError
 from twc_env.kernels.compiled import kernel
 from twc_env.world.building.floor_cells import CELLS_MAX, Cells
 from twc_env.world.building.floorplan import Floorplan, Room
@@ -28,6 +29,7 @@ SIMPLIFY_M = 0.01
 ROOM_FREE_SHARE_MIN = 0.3
 """A box with a smaller share of free space is misplaced and left out."""
 _FILL_RESOLUTION_M = 0.05
+_LOG = logging.getLogger(__name__)
 
 
 def read_house_expo(path: str | Path) -> Floorplan:
@@ -45,7 +47,7 @@ def house_expo_plan(values: object, where: str, seed: int = 0) -> Floorplan:
         raise MapError(f"{where} must be a JSON object with 'verts'; got {type(values).__name__}")
     contour = simplified_ring(_contour(values, where), SIMPLIFY_M)
     walls = sides_of(contour)
-    inside = interior_point([contour], where)
+    inside = interior_point([contour], where, is_named=True)
     if inside is None:
         raise MapError(f"{where} has no free space inside its contour; verts must go around the floor")
     name, losses_db = str(values.get("id", Path(where).stem)), np.full(len(walls), WALL_LOSS_DB / 2)
@@ -61,7 +63,7 @@ def _contour(values: dict, where: str) -> Array:
             raise ValueError  # numpy takes true for 1.0
     except KeyError:
         raise MapError(f"{where} lacks the key 'verts', the contour of a HouseExpo plan; add it") from None
-    except (TypeError, ValueError, OverflowError):
+    except UNFIT:
         contour = np.zeros(0)
     if contour.ndim != 2 or contour.shape[1] != 2 or len(contour) < 3:
         raise MapError(f"{where}: verts must be three or more corners [x, y]; got {str(values['verts'])[:60]}")
@@ -72,10 +74,10 @@ def _contour(values: dict, where: str) -> Array:
     return contour
 
 
-def interior_point(rings: Sequence[Array], where: str) -> Array | None:
+def interior_point(rings: Sequence[Array], where: str, is_named: bool = False) -> Array | None:
     """(2,) a point deep inside the largest part of the first ring (k, 2) [m] without the other rings, its holes.
 
-    The rings may touch themselves. None if nothing is inside.
+    The rings may touch themselves; is_named: other parts are named in a warning. None if nothing is inside.
     """
     low = rings[0].min(axis=0) - _FILL_RESOLUTION_M
     columns, rows = (np.ceil((rings[0].max(axis=0) - low) / _FILL_RESOLUTION_M).astype(int) + 2).tolist()
@@ -88,6 +90,12 @@ def interior_point(rings: Sequence[Array], where: str) -> Array | None:
     part = largest_part(inside)
     if not part.any():
         return None
+    lost_m2 = float(inside.sum() - part.sum()) * _FILL_RESOLUTION_M**2
+    if is_named and lost_m2 >= LEFT_OUT_MIN_M2:
+        _LOG.warning(
+            "%s: %.0f of %.0f m2 of floor left out: the contour touches itself, and nothing leads there",
+            where, lost_m2, inside.sum() * _FILL_RESOLUTION_M**2,
+        )  # fmt: skip
     row, column = deepest_cell(part)
     return low + (np.array([column, row]) + 0.5) * _FILL_RESOLUTION_M
 
@@ -105,6 +113,10 @@ def _rooms(categories: object, cells: Cells, where: str) -> tuple[Room, ...]:
         if _free_share(cells, x1, y1, x2, y2) >= ROOM_FREE_SHARE_MIN:
             corners = np.array([(x1, y1), (x2, y1), (x2, y2), (x1, y2)])
             rooms.append(Room(" / ".join(name.replace("_", " ") for name in names), corners))
+    if len(rooms) < len(labels):
+        _LOG.info(
+            "%s: %d of %d labelled boxes left out: they lie off the floor", where, len(labels) - len(rooms), len(labels)
+        )
     return tuple(rooms)
 
 
@@ -115,7 +127,7 @@ def _boxes(boxes: object, where: str) -> list[tuple[float, ...]]:
             raise ValueError
         if table.size and (table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all()):
             raise ValueError
-    except (TypeError, ValueError, OverflowError):
+    except UNFIT:
         raise MapError(f"{where} must be a list of boxes [x1, y1, x2, y2] in metres; got {str(boxes)[:60]}") from None
     return [tuple(row) for row in table.reshape(-1, 4).tolist()]
 

@@ -26,7 +26,7 @@ from twc_env.datasets.buildings.geojson_features import (
 )
 from twc_env.datasets.buildings.house_expo import interior_point
 from twc_env.datasets.buildings.outline import sides_of
-from twc_env.datasets.buildings.raster import WALL_LOSS_DB, deepest_cell, largest_part
+from twc_env.datasets.buildings.raster import LEFT_OUT_MIN_M2, WALL_LOSS_DB, deepest_cell, largest_part
 from twc_env.errors import MapError
 from twc_env.world.building.floorplan import Floorplan, Room
 
@@ -39,30 +39,31 @@ _WALL_THICKNESS_MAX_M = 0.6
 _PLATE_OFFSET_M = 0.3
 _SHARED_M, _PARALLEL = 0.1, 0.05
 """Sides of areas this near and (sine) this parallel are one border."""
-_LEFT_OUT_MIN_M2 = 1.0
 _LOG = logging.getLogger(__name__)
 
 
 def osm_level(features: list[dict], where: str, name: str, level: str | None = None) -> Floorplan:
-    """The floor plan of one level, by default "0" or the only one. Rooms without a level are on "0".
+    """The floor plan of one level, by default "0" or the only one, on which rooms without a level are too.
 
-    Doors lie on the outlines of rooms. Areas and corridors have no walls between them. What no door leads to is left
-    out, with a warning.
+    Doors lie on the outlines of rooms. Areas and corridors have no walls between them. What no door leads to, doors
+    that open no wall and rooms that are no polygon are left out, with a warning.
     """
     parts = [(number, feature) for number, feature in enumerate(features) if part_of(feature)]
     if not parts:
         raise MapError(f"{where} has no rooms: polygons tagged indoor=room or buildingpart=room; export these too")
     levels = sorted({lvl for _, feature in parts for lvl in levels_of(feature)})
+    usual = levels[0] if len(levels) == 1 else "0"
     if level is None:
-        level = levels[0] if len(levels) == 1 else "0"
+        level = usual
     name = f"{name}-{level}"
     level = f"{float(level):g}" if level not in levels and _is_number(level) else level
     polygons = [
         (tag_of(feature, "name"), is_open(feature), rings)
         for number, feature in parts
-        if level in (levels_of(feature) if levels else ("0",))
+        if level in (levels_of(feature) or (usual,))
         for rings in polygons_of(feature, f"{where}: feature {number}")
     ]
+    _name_guesses([feature for _, feature in parts], where, level, usual if levels else "")
     if not polygons:
         raise MapError(f"{where} has no level {level!r}; levels are {', '.join(levels) or '0'}: write FILE#LEVEL")
     origin = np.mean([rings[0].mean(axis=0) for *_, rings in polygons], axis=0)
@@ -87,6 +88,7 @@ def osm_level(features: list[dict], where: str, name: str, level: str | None = N
     jambs = []
     boxes = np.array([[*outline.ring_m.min(axis=0), *outline.ring_m.max(axis=0)] for outline in outlines])
     opened: set[tuple[float, ...]] = set()
+    unopened = 0
     for number, feature in enumerate(features):
         if is_door(feature) and level in (levels_of(feature) or [level]):
             place = (point_of(feature, f"{where}: feature {number}") - origin) * scale
@@ -96,8 +98,14 @@ def osm_level(features: list[dict], where: str, name: str, level: str | None = N
             reach_m = 2 * _WALL_THICKNESS_MAX_M
             is_near = (boxes[:, :2] <= place + reach_m).all(axis=1) & (boxes[:, 2:] >= place - reach_m).all(axis=1)
             near = np.flatnonzero(is_near).tolist()
-            if near:
-                jambs += _open_door([outlines[k] for k in near], near, walls, place, width_m_of(feature), plates)
+            made = _open_door([outlines[k] for k in near], near, walls, place, width_m_of(feature), plates)
+            jambs += made
+            unopened += not made
+    if unopened:
+        _LOG.warning(
+            "%s: %d of %d doors stay closed: they lead outside, lie further than %g m from the walls, or have less "
+            "than %g m of straight wall", where, unopened, len(opened), _WALL_THICKNESS_MAX_M, _DOOR_WIDTH_MIN_M,
+        )  # fmt: skip
     table = np.concatenate([*walls, np.array(jambs).reshape(-1, 2, 2)])
     # First all rooms are interior points, then only the largest connected part is kept.
     losses_db = np.full(len(table), WALL_LOSS_DB / 2)
@@ -107,7 +115,7 @@ def osm_level(features: list[dict], where: str, name: str, level: str | None = N
     kept = largest_part(cells.free)
     inside_m = cells.centre_of(np.array([deepest_cell(kept)]))
     all_m2, kept_m2 = (part.sum() * cells.resolution_m**2 for part in (cells.free, kept))
-    if all_m2 - kept_m2 >= _LEFT_OUT_MIN_M2:
+    if all_m2 - kept_m2 >= LEFT_OUT_MIN_M2:
         _LOG.warning(
             "%s: %.0f of %.0f m2 of floor left out: no door leads there; add points tagged door=yes on the walls",
             where, all_m2 - kept_m2, all_m2,
@@ -118,6 +126,15 @@ def osm_level(features: list[dict], where: str, name: str, level: str | None = N
     tries = [[hung_sign(plan, text, at, normal) for at in sides] for text, sides, normal in plates]
     signs = [sign for both in tries for sign in [s for s in both if s is not None][:1]]
     return dataclasses.replace(plan, rooms=tuple(rooms), signs=tuple(signs))
+
+
+def _name_guesses(parts: list[dict], where: str, level: str, usual: str) -> None:
+    """Warn of parts of this level that are no polygon, and of those whose level is assumed ("": none has any)."""
+    own = [feature for feature in parts if level in (levels_of(feature) or (usual or "0",))]
+    if odd := sum(not polygons_of(feature, where) for feature in own):
+        _LOG.warning("%s: %d rooms left out: their outlines are not closed; draw them as polygons", where, odd)
+    if usual and (assumed := sum(not levels_of(feature) for feature in parts)):
+        _LOG.warning("%s: %d rooms tell no level and are taken to be on %s; tag them", where, assumed, usual)
 
 
 def _is_number(text: str) -> bool:
@@ -194,6 +211,8 @@ def _open_door(
     areas: the outlines near the door, and their numbers in walls, the last of which are walls drawn as such. A hole of
     a room is a separate outline with the opposite direction.
     """
+    if not areas:
+        return []
     corner_gaps: list[float] = [np.linalg.norm(area.ring_m - place, axis=1).min() for area in areas]
     room = int(np.argmin(corner_gaps))
     if corner_gaps[room] > 0.05:  # a door within a side, or within the thickness of the wall

@@ -40,16 +40,21 @@ def read_picture(path: str | Path, seed: int = 0, resolution_m: float | None = N
     path = Path(path)
     free = read_grey(path)[::-1] > FREE_ABOVE
     if resolution_m is None:
-        resolution_m = PICTURE_RESOLUTION_M
-        _LOG.warning(
-            "%s: a picture tells no scale; %g m per pixel assumed, %.1f x %.1f m in all; if it is another, use `maps "
-            "import --resolution`", path.name, resolution_m, *np.array(free.shape[::-1]) * resolution_m,
-        )  # fmt: skip
+        resolution_m = assumed_resolution_m(path.name, free.shape, "`maps import --resolution`")
     check_closed(free, resolution_m, path.name)
     name_marks(free, resolution_m, path.name)
     plan = validate(plan_from_free(free, resolution_m, path.name.split(".")[0]))
     plan = dataclasses.replace(plan, rooms=_rooms_beside(path, plan, free.shape, resolution_m))
     return validate(furnish_picture(plan, seed, resolution_m, np.zeros(3)))
+
+
+def assumed_resolution_m(where: str, shape: tuple[int, ...], remedy: str) -> float:
+    """The scale of a picture of this shape that tells none, with a warning."""
+    _LOG.warning(
+        "%s: a picture tells no scale; %g m per pixel assumed, %.1f x %.1f m in all; if it is another, use %s",
+        where, PICTURE_RESOLUTION_M, *np.array(shape[::-1]) * PICTURE_RESOLUTION_M, remedy,
+    )  # fmt: skip
+    return PICTURE_RESOLUTION_M
 
 
 def _rooms_beside(path: Path, plan: Floorplan, shape: tuple[int, ...], resolution_m: float) -> tuple[Room, ...]:

@@ -40,10 +40,16 @@ _PGM_HEADER = re.compile(_GAP + rb"(P[25])" + 3 * (rb"\s" + _GAP + rb"(\d{1,9})"
 def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Sequence[float] = (0.0, 0.0)) -> Floorplan:
     """Free cells (rows, columns), row 0 the lowest y -> a plan without signs whose walls are the cells' edges.
 
-    Only the largest connected part is kept; specks and narrow strips are dropped. Raises MapError when nothing is free.
+    Only the largest connected part is kept; specks and narrow strips are dropped, and what is behind them, which is
+    said. Raises MapError when nothing is free.
     """
-    free = _without_specks(largest_part(free), resolution_m)
-    free = largest_part(_without_strips(free, resolution_m))
+    wide = _without_strips(_without_specks(largest_part(free), resolution_m), resolution_m)
+    free = largest_part(wide)
+    if (lost_m2 := (wide.sum() - free.sum()) * resolution_m**2) >= LEFT_OUT_MIN_M2:
+        _LOG.warning(
+            "%s: %.0f of %.0f m2 of floor left out: no passage wider than %g m leads there",
+            name, lost_m2, wide.sum() * resolution_m**2, STRIP_M,
+        )  # fmt: skip
     if not free.any():
         raise MapError(
             f"map {name!r} shows no free space wider than {STRIP_M} m; free cells must be white, "

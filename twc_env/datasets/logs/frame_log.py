@@ -22,7 +22,7 @@ from twc_env.datasets.logs.arrays_file import (
     read_arrays,
     write_arrays,
 )
-from twc_env.errors import DataError, TwcError
+from twc_env.errors import UNFIT, DataError, TwcError
 from twc_env.records.messages import Contacts, SensorFrame, SignReading, WifiScan
 from twc_env.records.scanner import Scanner
 
@@ -140,7 +140,7 @@ def read_frame_log(path: str | Path) -> tuple[EnvConfig, list[tuple[SensorFrame,
         config, steps = from_dict(json.loads(str(log["config"]))), _steps(log)
     except TwcError:
         raise
-    except (LookupError, TypeError, ValueError) as error:
+    except (LookupError, *UNFIT) as error:
         raise DataError(f"{path} contradicts itself: {error}; {REMEDY}") from error
     return config, steps
 
@@ -201,7 +201,7 @@ def read_truth_log(path: str | Path) -> tuple[int, str, Array]:
         raise DataError(f"{path} contradicts itself: {fault}; {REMEDY}")
     try:
         return int(log["seed"]), str(log["map"]), log["true_poses"].astype(float)
-    except (TypeError, ValueError) as error:
+    except UNFIT as error:
         raise DataError(f"{path} contradicts itself: {error}; {REMEDY}") from error
 
 

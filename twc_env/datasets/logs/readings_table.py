@@ -57,6 +57,8 @@ _EPOCHS = (("s", 1e8, 1e11), ("ms", 1e11, 1e14), ("us", 1e14, 1e17), ("ns", 1e17
 _READINGS_MIN = 20
 """So many bearings that all are within a turn of 2 pi are radians."""
 _ROWS_MAX = 20_000_000
+_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
+"""A time zone at the end of a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,10 +89,11 @@ def read_wifi(path: str | Path, span: Span) -> tuple[list[Readings], list[str]]:
     table = _Table(path, ("time", "address", "strength"))
     times_s, robots = table.times_s(span), table.robots(span)
     strengths = table.numbers("strength", missing=math.nan)
+    table.name_left_out(times_s, span)
     is_heard = (strengths > _RSSI_MIN_DBM) & (strengths <= _RSSI_MAX_DBM) & (strengths != 0.0)
     if len(strengths) and not (strengths[is_heard] < 0.0).any():
         raise DataError(f"{path}: no strength is below 0: give dBm, such as -67, not percent or bars")
-    notes = [f"{path}: {len(strengths)} readings"]
+    notes = [f"{path}: {len(strengths)} readings", *table.notes]
     if not is_heard.all():
         odd = int((~is_heard).sum())
         notes.append(f"{path}: {odd} readings without a strength, or of 0 or 100 dBm and the like, mean not heard")
@@ -110,7 +113,10 @@ def read_signs(path: str | Path, span: Span) -> tuple[list[Readings], list[str]]
     if (ranges_m < 0.0).any():
         raise DataError(f"{path}: a range is negative: give the distance to the sign")
     is_read = np.array([bool(text) for text in texts], bool)
-    notes = [f"{path}: {len(texts)} readings, bearings in {angle}, ranges in {length}"]
+    table.name_left_out(times_s, span)
+    notes = [f"{path}: {len(texts)} readings, bearings in {angle}, ranges in {length}", *table.notes]
+    if not is_read.all():
+        notes.append(f"{path}: {int((~is_read).sum())} readings without a text left out")
 
     def of_robot(rows: Array) -> tuple[Array, tuple]:
         rows = rows[np.argsort(times_s[rows], kind="stable")]
@@ -124,6 +130,8 @@ class _Table:
 
     def __init__(self, path: str | Path, needed: Sequence[str]):
         self._path = path
+        self.notes: list[str] = []
+        """What was assumed or left out, one line each."""
         text = read_text(path, errors="replace")
         if "\x00" in text:
             raise DataError(f"{path} is no table of text; give one with the columns {', '.join(needed)}")
@@ -149,6 +157,7 @@ class _Table:
             rows = rows[1:]
         elif _is_number(rows[0][0]) and len(rows[0]) >= len(needed):
             self._columns = {name: k for k, name in enumerate(needed)}
+            self.notes.append(f"{path}: without a header, the columns are taken for {', '.join(needed)}")
         else:
             missing = ", ".join(name for name in needed if not self._found(rows[0], name))
             raise DataError(
@@ -216,14 +225,22 @@ class _Table:
         """Times of the rows [s], on the clock of the log."""
         cells = self.column("time")
         if cells and not _is_number(cells[0].replace(",", ".")):
+            if not any(_ZONE.search(cell.strip()) for cell in cells):
+                self.notes.append(f"{self._path}: times without a time zone are taken for UTC")
             return np.array([self._clock(cell, k) for k, cell in enumerate(cells, 2)])
-        times_s, _ = self.in_unit("time", "time", span, lambda values: _time_unit(values, span))
+        times_s, unit = self.in_unit("time", "time", span, lambda values: _time_unit(values, span))
+        self.notes.append(f"{self._path}: times in {unit}")
         if len(times_s) and not (times_s.min() <= span.end_s + 1.0 and times_s.max() >= span.begin_s - 1.0):
             raise DataError(
                 f"{self._path}: times are {times_s.min():.1f} to {times_s.max():.1f} s, those of the log "
                 f"{span.begin_s:.1f} to {span.end_s:.1f} s; put both on one clock, or give --units time=ms or another"
             )
         return times_s
+
+    def name_left_out(self, times_s: Array, span: Span) -> None:
+        """Note how many rows are before or after the log."""
+        if odd := int((~_is_within(times_s, span)).sum()):
+            self.notes.append(f"{self._path}: {odd} readings before or after the log left out")
 
     def _clock(self, cell: str, row: int) -> float:
         """Unix time of ISO 8601 text; without a time zone it is UTC."""
@@ -342,8 +359,12 @@ def _per_robot(
     times_s: Array, robots: Array, is_used: Array, span: Span, of_robot: Callable[[Array], tuple[Array, tuple]]
 ) -> list[Readings]:
     """Readings within the time of the log, for each robot."""
-    inside = is_used & (times_s >= span.begin_s - 1.0) & (times_s <= span.end_s + 1.0)
+    inside = is_used & _is_within(times_s, span)
     return [Readings(*of_robot(np.flatnonzero(inside & (robots == robot)))) for robot in range(len(span.robots))]
+
+
+def _is_within(times_s: Array, span: Span) -> Array:
+    return (times_s >= span.begin_s - 1.0) & (times_s <= span.end_s + 1.0)
 
 
 def unit_choices(texts: Sequence[str]) -> dict[str, str]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.logs.text_file import read_text
-from twc_env.errors import DataError
+from twc_env.errors import UNFIT, DataError
 from twc_env.records.geometry import between, compose, wrap_angle
 from twc_env.records.messages import UNSEEN_M, SensorFrame
 from twc_env.records.scanner import Scanner
@@ -132,10 +133,11 @@ def read_scan_log(path: str | Path) -> ScanLog:
         ranges_m = np.array([scans[t]["range"] for t in times], float)
         poses = [[scans[t][key] for key in ("x", "y", "theta")] for t in times]
         log = _log(np.array(times, float), np.array(poses, float), ranges_m)
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+    except (KeyError, AttributeError, *UNFIT) as error:
         raise DataError(
             f"{path} is not a scan log: {_short(error)}; expected map -> time -> range, x, y, theta"
         ) from error
+    _name_half_circle(log.ranges_m.shape[1], path)
     return in_metres(log, path)
 
 
@@ -146,8 +148,12 @@ def _check_equal_counts(times: Sequence[str], scans: Sequence[Sequence[float]]) 
 
 
 def read_any_log(path: str | Path) -> ScanLog:
-    """Read a log of either format, JSON if its name says so. Raises the same errors."""
-    return read_scan_log(path) if ".json" in Path(path).suffixes else read_carmen_log(path)
+    """Read a log of either format, JSON if it begins like that. Raises the same errors."""
+    return (
+        read_scan_log(path)
+        if read_text(path, errors="replace").lstrip("\ufeff\n\r\t ")[:1] == "{"
+        else read_carmen_log(path)
+    )
 
 
 def read_carmen_log(path: str | Path) -> ScanLog:
@@ -158,8 +164,10 @@ def read_carmen_log(path: str | Path) -> ScanLog:
     kind, scans, params, odometry = "", [], {}, []
     lines = read_text(path, errors="replace").splitlines()
     known = _READERS if any(line.startswith(_WITH_POSES) for line in lines) else _READERS | {"RAWLASER1": _raw_laser}
+    first_words = []
     for k, line in enumerate(lines, 1):
         words = line.split()
+        first_words += words[:1]
         if len(words) > 2 and words[0] == "PARAM":
             params[words[1]] = words[2]
         if len(words) > 7 and words[0] == "ODOM" and kind not in _READERS:
@@ -177,6 +185,9 @@ def read_carmen_log(path: str | Path) -> ScanLog:
         except (ValueError, IndexError) as error:
             reason = "it is cut off" if isinstance(error, IndexError) else _short(error)
             raise DataError(f"{path}, line {k} is not a scan: {reason}; fix or delete it") from error
+    if others := {name: count for name, count in Counter(first_words).items() if name in _LASERS and name != kind}:
+        told = ", ".join(f"{count} {name}" for name, count in others.items())
+        _LOG.warning("%s: lines of other lasers left out, since %s come first: %s", path, kind, told)
     if not scans:
         raise DataError(
             f"{path} is not a CARMEN log: expected lines {', '.join(_READERS)}, or RAWLASER1 with ODOM; what else you "
@@ -231,13 +242,18 @@ def _flaser_directions(beams: int, params: dict[str, str], path: str | Path) -> 
         fov_deg = step_deg = 0.0
     if fov_deg and abs(fov_deg - 180.0) > 1.0 and 0.0 <= fov_deg - (beams - 1) * step_deg <= 1.5 * step_deg:
         return np.deg2rad(np.arange(beams) * step_deg - fov_deg / 2)
+    _name_half_circle(beams, path)
+    return _half_circle(beams)
+
+
+def _name_half_circle(beams: int, path: str | Path) -> None:
+    """Warn that beams without a direction are taken for a half circle, unless their number says so."""
     if beams - beams % 2 not in _HALF_CIRCLES:
         _LOG.warning(
-            "%s: the %d beams of a FLASER line are taken for a half circle; if they are not, tell in lines "
+            "%s: the %d beams of a scan are taken for a half circle; if they are not, write a CARMEN log with lines "
             "'PARAM laser_front_laser_fov 270' and 'PARAM laser_front_laser_resolution 1.0' [degrees]",
             path, beams,
         )  # fmt: skip
-    return _half_circle(beams)
 
 
 def in_metres(log: ScanLog, path: str | Path) -> ScanLog:
@@ -310,6 +326,11 @@ def _with_odometry(
         )
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     inside = [scan for scan in scans if rows[0, 0] <= scan.time_s <= rows[-1, 0]]
+    if inside and len(inside) < len(scans):
+        _LOG.warning(
+            "%s: %d of %d RAWLASER1 lines left out: they are before or after all ODOM lines",
+            path, len(scans) - len(inside), len(scans),
+        )  # fmt: skip
     if not inside:
         raise DataError(f"{path}: no RAWLASER1 line is within the time of the ODOM lines; record both together")
     columns = rows[:, 1], rows[:, 2], np.unwrap(rows[:, 3])
@@ -320,6 +341,7 @@ def _with_odometry(
 
 
 _READERS = {"FLASER": _flaser, "ROBOTLASER1": _robot_laser}
+_LASERS = {f"{name}{k}" for name in ("ROBOTLASER", "RAWLASER") for k in range(1, 6)} | {"FLASER", "RLASER", "LLASER"}
 _WITH_POSES = tuple(f"{kind} " for kind in _READERS)
 
 

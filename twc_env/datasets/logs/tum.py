@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from pathlib import Path
 
@@ -15,6 +16,9 @@ from twc_env.records.whole_file import whole_file
 
 FAR_M = 1000.0
 """Coordinates from here on (UTM) are written with fifteen digits instead of nine: to less than a micrometre."""
+LEVEL_M, LEVEL_DEG = 0.5, 15.0
+"""Poses within this height and tilt are taken for those of one floor: ramps and vibration stay below."""
+_LOG = logging.getLogger(__name__)
 
 
 def write_tum(path: str | Path, times_s: Array, poses: Array) -> None:
@@ -48,12 +52,26 @@ def read_tum(path: str | Path) -> tuple[Array, Array]:
         if words:
             rows.append(_row(words, path, number))
     values = np.array(rows).reshape(-1, 8)
+    _name_what_is_dropped(values, path)
     turns = values[:, 4:]
     qx, qy, qz, qw = (turns / np.abs(turns).max(axis=1, initial=0.0, keepdims=True)).T  # no product overflows
     heading = np.arctan2(
         2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz
     )  # the quaternion need not be normalised
     return values[:, 0], np.column_stack([values[:, 1:3], wrap_angle(heading)])
+
+
+def _name_what_is_dropped(values: Array, path: str | Path) -> None:
+    """Warn of poses (k, 8) that are not in one plane."""
+    heights_m = np.ptp(values[:, 3]) if len(values) else 0.0
+    x, y, z, w = (values[:, 4:] / np.abs(values[:, 4:]).max(axis=1, initial=0.0, keepdims=True)).T
+    tilts_rad = np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y) / (x * x + y * y + z * z + w * w), -1.0, 1.0))
+    tilt_deg = float(np.degrees(tilts_rad.max(initial=0.0)))
+    if heights_m > LEVEL_M or tilt_deg > LEVEL_DEG:
+        _LOG.warning(
+            "%s: heights over %.2f m and tilts up to %.0f degrees are dropped; positions are x and y of the file",
+            path, heights_m, tilt_deg,
+        )  # fmt: skip
 
 
 def _row(words: list[str], path: str | Path, number: int) -> list[float]:

@@ -22,6 +22,8 @@ READ_KINDS = (SCAN, ODOMETRY, IMU, *TRANSFORMS)
 """Types of messages that are decoded."""
 SUFFIXES = (".bag", ".db3", ".mcap")
 _NS_PER_S = 1e9
+_DEPTH_MAX = 100
+"""Depth of lists in metadata.yaml; bags have 4."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +67,10 @@ class Bag:
         """Time from the first message to the last."""
         return max(float(self._reader.duration) / _NS_PER_S, 0.0)
 
-    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, float, Any]]:
-        """Name of the topic, time of reception [s] and message, for all messages of these topics whose types are among
-        `READ_KINDS`. Raises DataError for a message that cannot be decoded."""
-        links = [link for link in self._reader.connections if link.topic in topics and link.msgtype in READ_KINDS]
+    def messages(self, topics: Collection[str], kinds: Collection[str]) -> Iterator[tuple[str, float, Any]]:
+        """Name of the topic, time of reception [s] and message, for all messages of these topics and types, which are
+        among `READ_KINDS`; a topic may have several. Raises DataError for a message that cannot be decoded."""
+        links = [link for link in self._reader.connections if link.topic in topics and link.msgtype in kinds]
         if not links:
             return
         decode = self._store.deserialize_cdr if self._reader.is2 else self._store.deserialize_ros1
@@ -102,12 +104,25 @@ def opened(path: str | Path) -> Iterator[Bag]:
 
 def _place(path: Path) -> Path:
     """What to give to the reader: the path itself or, for a folder without metadata.yaml, the one file in it."""
-    if not path.is_dir() or (path / "metadata.yaml").is_file():
+    if path.is_dir() and (path / "metadata.yaml").is_file():
+        _check_depth(path / "metadata.yaml")
+        return path
+    if not path.is_dir():
         return path
     files = sorted([*path.glob("*.db3"), *path.glob("*.mcap")])
     if len(files) == 1:
         return files[0]
     raise DataError(f"{path} has {len(files)} bag files and no metadata.yaml: run `ros2 bag reindex {path}`")
+
+
+def _check_depth(metadata: Path) -> None:
+    """Raise DataError for lists within lists, whose reading takes a time that grows with the square of their depth."""
+    depth = deepest = 0
+    for byte in metadata.read_bytes():
+        depth += (byte in b"[{") - (byte in b"]}")
+        deepest = max(deepest, depth)
+    if deepest > _DEPTH_MAX:
+        raise DataError(f"{metadata} nests its lists too deeply; run `ros2 bag reindex {metadata.parent}`")
 
 
 @contextmanager

@@ -13,7 +13,10 @@ from numpy.typing import NDArray as Array
 
 from twc_env.datasets.logs.scan_log import SAME_DIRECTION_RAD, ScanLog, in_metres
 from twc_env.datasets.ros.bag_file import (
+    IMU,
     ODOMETRY,
+    READ_KINDS,
+    SCAN,
     TRANSFORMS,
     Bag,
     Topic,
@@ -72,7 +75,13 @@ def read_bag(path: str | Path, wishes: Wishes | None = None) -> list[RobotLog]:
     """One log for each robot of a bag. Raises DataError if there is no scan or no odometry, or the bag is damaged."""
     with opened(path) as bag:
         robots = choose_topics(bag.topics, wishes or Wishes(), _Transforms(bag, None).moving_frames, path)
-        return [_read_robot(bag, robot, wishes or Wishes(), path) for robot in robots]
+        logs = [_read_robot(bag, robot, wishes or Wishes(), path) for robot in robots]
+        used = {robot.scan for robot in robots}
+        if others := [
+            topic.name for topic in bag.topics if topic.kind == SCAN and topic.count and topic.name not in used
+        ]:
+            logs[0].notes.append(f"scans of {', '.join(others)} are not used; choose them by --scan-topic")
+        return logs
 
 
 def list_topics(path: str | Path, wishes: Wishes | None = None) -> list[TopicRow]:
@@ -97,7 +106,8 @@ def list_topics(path: str | Path, wishes: Wishes | None = None) -> list[TopicRow
 
 
 def _frame_of(bag: Bag, topic: Topic) -> str:
-    first = next(iter(bag.messages([topic.name])), None) if topic.count else None
+    is_read = topic.count and topic.kind in READ_KINDS
+    first = next(iter(bag.messages([topic.name], [topic.kind])), None) if is_read else None
     if first is None:
         return ""
     if topic.kind in TRANSFORMS:
@@ -117,12 +127,12 @@ class _Transforms:
             topics = [t for t in topics if not t.namespace or t.namespace == robot.namespace]
         fixed = [topic.name for topic in topics if topic.name.endswith("tf_static")]
         moving = [topic.name for topic in topics if topic.name not in fixed]
-        for _, _, message in bag.messages(fixed):
+        for _, _, message in bag.messages(fixed, TRANSFORMS):
             for each in message.transforms:
                 self.fixed.add(each.header.frame_id, each.child_frame_id, each.transform)
         first: dict[tuple[str, str], tuple] = {}
         changed: set[tuple[str, str]] = set()
-        for count, (_, received_s, message) in enumerate(bag.messages(moving)):
+        for count, (_, received_s, message) in enumerate(bag.messages(moving, TRANSFORMS)):
             if count >= TF_READ_MAX and has_odometry:
                 break
             for each in message.transforms:
@@ -157,6 +167,12 @@ def _read_robot(bag: Bag, robot: RobotTopics, wishes: Wishes, path: str | Path) 
             raise DataError(f"{label}: scans and odometry are of different times; record them together")
         times_s, moving_s = scans.received_s, track.received_s
         notes.append("stamps of scans and odometry do not belong together or are missing: times of reception are used")
+    if scans.slow:
+        notes.append(
+            f"{scans.slow} scans last longer than {SWEEP_MAX_S:g} s by their header: taken as measured at once"
+        )
+    if track.dropped:
+        notes.append(f"{track.dropped} poses of odometry are not finite, or have the time of another: left out")
     gyro = _read_gyro(bag, robot, tf, base, times_s, notes)
     order = np.argsort(times_s, kind="stable")
     if not np.array_equal(order, np.arange(len(order))):
@@ -202,6 +218,8 @@ class _Scans:
     angles: Array
     """(scans, 2) direction of the first beam, and step [deg]."""
     are_received: bool
+    slow: int
+    """Number of scans whose sweep is longer than SWEEP_MAX_S, or not finite."""
 
     def beams(self, chosen: Array, is_flipped: bool) -> tuple[Array, Array]:
         """Ranges (scans, beams), and directions (beams,) or (scans, beams) in the frame of the mount's pose."""
@@ -217,8 +235,8 @@ class _Scans:
 
 
 def _read_scans(bag: Bag, topic: str, label: str) -> _Scans:
-    rows, numbers, frame, reason = [], [], "", ""
-    for _, received_s, scan in bag.messages([topic]):
+    rows, numbers, frame, reason, slow = [], [], "", "", 0
+    for _, received_s, scan in bag.messages([topic], [SCAN]):
         values = (scan.angle_min, scan.angle_increment, scan.time_increment, scan.range_min, scan.range_max)
         first, step, between_s, least, most = map(float, values)
         ranges_m = np.asarray(scan.ranges, np.float32)
@@ -230,7 +248,8 @@ def _read_scans(bag: Bag, topic: str, label: str) -> _Scans:
             reason = f"{len(ranges_m)} beams from {first:g} in steps of {step:g} rad, which are on no circle"
         else:
             sweep_s = abs(between_s) * (len(ranges_m) - 1)
-            sweep_s = sweep_s if math.isfinite(sweep_s) and sweep_s <= SWEEP_MAX_S else 0.0
+            is_slow = not (math.isfinite(sweep_s) and sweep_s <= SWEEP_MAX_S)
+            sweep_s, slow = 0.0 if is_slow else sweep_s, slow + is_slow
             most = most if math.isfinite(most) and most > 0.0 else math.inf
             least = least if math.isfinite(least) else 0.0
             with np.errstate(invalid="ignore"):
@@ -243,7 +262,7 @@ def _read_scans(bag: Bag, topic: str, label: str) -> _Scans:
         raise DataError(f"{label}: no message of {topic} can be read; record the bag again")
     table = np.array(numbers)
     are_received = not table[:, 0].any()
-    return _Scans(frame, table[:, 0], table[:, 1], table[:, 2], rows, _decimal_deg(table[:, 3:]), are_received)
+    return _Scans(frame, table[:, 0], table[:, 1], table[:, 2], rows, _decimal_deg(table[:, 3:]), are_received, slow)
 
 
 def _decimal_deg(angles_rad: Array) -> Array:
@@ -261,6 +280,8 @@ class _Track:
     received_s: Array
     poses: Array
     """(k, 3), heading not wrapped."""
+    dropped: int
+    """Number of poses left out."""
 
     def at(self, times_s: Array, own_s: Array) -> Array:
         """(scans, 3) interpolated poses; own_s: the times of this track on the clock of the others."""
@@ -272,7 +293,7 @@ def _read_odometry(bag: Bag, robot: RobotTopics, tf: _Transforms, label: str, wi
     rows: list[tuple[float, ...]] = []
     base = ""
     if robot.odometry is not None:
-        for _, received_s, message in bag.messages([robot.odometry]):
+        for _, received_s, message in bag.messages([robot.odometry], [ODOMETRY]):
             pose = message.pose.pose
             heading = heading_of(pose.orientation)
             rows.append((_stamp_s(message.header, received_s), received_s, pose.position.x, pose.position.y, heading))
@@ -293,7 +314,7 @@ def _read_odometry(bag: Bag, robot: RobotTopics, tf: _Transforms, label: str, wi
     table = table[np.argsort(table[:, 0], kind="stable")]
     table = table[np.concatenate([[True], np.diff(table[:, 0]) > 0.0])]
     table[:, 4] = np.unwrap(table[:, 4])
-    return _Track(table[:, 0], table[:, 1], table[:, 2:]), base
+    return _Track(table[:, 0], table[:, 1], table[:, 2:], len(rows) - len(table)), base
 
 
 def _mount(tf: _Transforms, base: str, frame: str, notes: list[str]) -> Mount:
@@ -323,7 +344,7 @@ def _read_gyro(
         return None
     samples: list[tuple[float, float]] = []
     upward, frame = np.array([0.0, 0.0, 1.0]), None
-    for _, received_s, message in bag.messages([robot.imu]):
+    for _, received_s, message in bag.messages([robot.imu], [IMU]):
         if frame is None:
             frame = clean(message.header.frame_id)
             known = tf.fixed.between(base, frame) if base else None

@@ -9,20 +9,25 @@ import numpy as np
 from twc_env.datasets.surveys.fingerprints import RadioSurvey, heard_only, numbers, read_table
 from twc_env.errors import DataError
 
-_TRAINING = {"CETC331": "Training_CETC331.csv.gz", "SYL": "Training_SYL_AP_30.csv.gz"}
 _PLACE = ("ECoord", "NCoord", "FloorID", "SceneID", "PhoneID", "SampleTimes")
 _ACCESS_POINT = ("ECoord", "NCoord", "FloorID", "Attribute_2.4", "Attribute_5")
 
 
 def read_sod(folder: str | Path, building: str) -> RadioSurvey:
-    """One building, "CETC331" or "SYL": the first sample of every point and all access points of known position.
+    """One building, such as "CETC331": the first sample of every point and all access points of known position.
 
-    Other samples of a point are mostly repeated scans. Scans of one phone count as one walk. Raises DataError for
-    unknown names and invalid files.
+    Read are `Training_BUILDING*.csv` (also .gz) and `aps_BUILDING.csv`. Other samples of a point are mostly repeated
+    scans. Scans of one phone count as one walk. Raises DataError for unknown names and invalid files.
     """
-    if building not in _TRAINING:
-        raise DataError(f"SODIndoorLoc has no building {building!r} here; known are {', '.join(_TRAINING)}")
-    path, aps_path = Path(folder) / _TRAINING[building], Path(folder) / f"aps_{building}.csv"
+    files = sorted(Path(folder).glob("Training_*.csv*"))
+    mine = [file for file in files if file.name.split(".")[0].removeprefix("Training_").split("_")[0] == building]
+    if not mine:
+        known = sorted({file.name.split(".")[0].split("_")[1] for file in files})
+        raise DataError(
+            f"{folder} has no Training_{building}*.csv.gz of SODIndoorLoc; buildings there are "
+            f"{', '.join(known) or 'none'}"
+        )
+    path, aps_path = mine[0], Path(folder) / f"aps_{building}.csv"
     header, rows, lines = read_table(path, _PLACE)
     at = {name: i for i, name in enumerate(header)}
     table = numbers(rows, lines, path, [at[name] for name in _PLACE])

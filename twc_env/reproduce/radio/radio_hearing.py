@@ -69,17 +69,20 @@ def missed_by_sweeps(survey: RadioSurvey, is_high: bool) -> float:
 
 
 def device_hearing(survey: RadioSurvey) -> dict:
-    """Settings of the detection curves of the receiver of a survey, by band."""
-    bands = [survey.rssi_dbm[:, survey.transmitters[2] == is_high] for is_high in (False, True)]
-    (low_dbm, low_db), (high_dbm, high_db) = map(hearing, bands)
-    low_missed, high_missed = (missed_share(survey, is_high) for is_high in (False, True))
-    return {
-        "detection_floor_dbm": low_dbm,
-        "detection_slope_db": low_db,
-        "miss_probability": low_missed,
-        "high_band": {
-            "detection_offset_db": high_dbm - low_dbm,
-            "detection_slope_factor": high_db / low_db,
-            "miss_probability_offset": high_missed - low_missed,
-        },
+    """Settings of the detection curves of the receiver of a survey, by band; without readings at 5 GHz those of 2.4
+    alone. Raises DataError without any at 2.4 GHz."""
+    low, high = (survey.rssi_dbm[:, survey.transmitters[2] == is_high] for is_high in (False, True))
+    if not np.isfinite(low).any():
+        raise DataError(f"survey {survey.name} has no readings at 2.4 GHz; use one that does")
+    floor_dbm, slope_db = hearing(low)
+    missed = missed_share(survey, False)
+    found = {"detection_floor_dbm": floor_dbm, "detection_slope_db": slope_db, "miss_probability": missed}
+    if not np.isfinite(high).any():
+        return found
+    high_dbm, high_db = hearing(high)
+    band = {
+        "detection_offset_db": high_dbm - floor_dbm,
+        "detection_slope_factor": high_db / slope_db,
+        "miss_probability_offset": missed_share(survey, True) - missed,
     }
+    return {**found, "high_band": band}

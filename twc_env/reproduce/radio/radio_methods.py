@@ -79,27 +79,30 @@ def odometry(_place: Place, walk: RecordedWalk, _seed: int) -> Outcome:
     return Outcome(walk.true_poses, walk.odometry)
 
 
-def radio(weighting: str, false_share: float = 0.0) -> Callable[[Place, RecordedWalk, int], Outcome]:
-    """Radio SLAM with this weighting, and this share of false closures."""
+def radio(
+    weighting: str, false_share: float = 0.0, similarity: str = "shifted"
+) -> Callable[[Place, RecordedWalk, int], Outcome]:
+    """Radio SLAM with this weighting, share of false closures, and representation of strengths (papers.md R4)."""
+    config = RadioSlamConfig(weighting=weighting, similarity=similarity)
 
     def run(_place: Place, walk: RecordedWalk, seed: int) -> Outcome:
-        clean = _clean(walk, weighting)
+        clean = _clean(walk, config)
         if not false_share:
             return clean
         count = round(clean.closures * false_share / (1 - false_share))
-        return _solved(walk, weighting, _false_closures(walk, count, seed))
+        return _solved(walk, config, _false_closures(walk, count, seed))
 
     return run
 
 
 @functools.lru_cache(maxsize=2)
-def _clean(walk: RecordedWalk, weighting: str) -> Outcome:
-    return _solved(walk, weighting)
+def _clean(walk: RecordedWalk, config: RadioSlamConfig) -> Outcome:
+    return _solved(walk, config)
 
 
-def _solved(walk: RecordedWalk, weighting: str, false_closures: Distances | None = None) -> Outcome:
+def _solved(walk: RecordedWalk, config: RadioSlamConfig, false_closures: Distances | None = None) -> Outcome:
     log = radio_slam.RadioLog(walk.motions, walk.turned_rad, walk.fingerprints)
-    result = radio_slam.solve(log, RadioSlamConfig(weighting=weighting), false_closures=false_closures)
+    result = radio_slam.solve(log, config, false_closures=false_closures)
     model = next(iter(result.models.values()), None)
     poses = compose(walk.true_poses[0], result.poses)
     return Outcome(walk.true_poses, poses, model, len(result.closures), fingerprints=walk.fingerprints)
@@ -180,6 +183,8 @@ METHODS: dict[str, tuple[str, Callable[[Place, RecordedWalk, int], Outcome]]] = 
     "odometry": ("", odometry),
     "wifi": ("wifi", radio("ours")),
     "wifi paper": ("wifi", radio("paper")),
+    "wifi raw dBm": ("wifi", radio("ours", similarity="raw")),
+    "wifi linear": ("wifi", radio("ours", similarity="linear")),
     "wifi false 2 %": ("wifi", radio("ours", 0.02)),
     "wifi false 20 %": ("wifi", radio("ours", 0.2)),
     ONE_BAND: (ONE_BAND, radio("ours")),

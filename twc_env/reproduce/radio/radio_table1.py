@@ -23,15 +23,13 @@ from pathlib import Path
 import numpy as np
 
 from twc_env.reproduce.drawing import new_figure
-from twc_env.reproduce.radio import radio_figures, radio_sweep
+from twc_env.reproduce.radio import radio_figures, radio_survey, radio_sweep
 from twc_env.reproduce.radio.radio_methods import METHODS, location_errors_m, means, outcomes
 from twc_env.reproduce.radio.radio_twins import PLACES
 from twc_env.reproduce.runner import Runner, add_seeds, add_some
 from twc_env.running.options import count, number, picture_options
 
 CHOOSES = ("seeds", "places")
-SURVEY_PRINTED_S = 8619.2
-"""Published duration of a laser survey in small loops (Fig. 5)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,6 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sweep", action="store_true", help="instead: error by number of access points, drift and distance"
     )
     parser.add_argument(
+        "--survey", action="store_true", help="instead: duration of a survey in large loops, and in small ones (Fig. 5)"
+    )
+    parser.add_argument(
         "--out", type=Path, metavar="FOLDER", help="folder for pictures: models, trajectories, map (Fig. 3, 4)"
     )
 
@@ -55,6 +56,8 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per environment and method; means over seeds."""
     if options.sweep:
         return radio_sweep.rows(options.seeds, runner, options.share, options.jobs)
+    if options.survey:
+        return radio_survey.rows(options.seeds, runner, options.share, options.jobs)
     if options.out:
         new_figure(1, 1)  # without matplotlib this fails before the first walk
     table = []
@@ -69,7 +72,6 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
             )
         if options.out and (kind := picture_options(options)):
             runner.notes += map(str, radio_figures.draw(options.out, name, PLACES[name].twin, found[0]["drawn"], kind))
-    _note_survey(runner, table)
     runner.notes.append("gmapping and wifi+lidar run semi-indoor only, as in print")
     runner.notes.append("settings were chosen on other walks: seeds 0 to 3 of all places, 100 to 105 semi-indoor")
     return table
@@ -77,7 +79,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path]:
     """Draw the first walk of each place into the folder of the rows, unless --out names another."""
-    if options.out or options.sweep:
+    if options.out or options.sweep or options.survey:
         return []
     first = _walks(options, runner, options.seeds[:1])
     return [
@@ -123,14 +125,4 @@ def _note_worse(runner: Runner, name: str, walks: list[dict]) -> None:
         runner.notes.append(
             f"{name}, {method}: seeds {errors_m.min():.2f} to {errors_m.max():.2f} m, sd {errors_m.std():.2f} m; "
             f"worse than its odometry in {worse} of {len(walks)}"
-        )
-
-
-def _note_survey(runner: Runner, table: list[dict]) -> None:
-    known = {(row["environment"], row["method"]) for row in table}
-    if ("indoor", "wifi") in known:
-        duration_s = PLACES["indoor"].duration_s
-        runner.notes.append(
-            f"survey effort: the indoor walk takes {duration_s:.0f} s in large loops; the printed laser survey of "
-            f"small loops took {SURVEY_PRINTED_S:.0f} s, {SURVEY_PRINTED_S / duration_s:.1f} times as long"
         )

@@ -75,10 +75,11 @@ def planner(name: str, resolution_m: float) -> RoutePlanner:
 def drive(name: str, length_m: float, speed_m_s: float, seed: int, resolution_m: float = 0.1) -> Array:
     """(steps, 3) true poses every ODOMETRY_STEP_S along a path of this length between random places."""
     way = planner(name, resolution_m).wander(length_m + 1.0, random_stream(seed, f"radio walk {name}"))
-    return _poses_along(way, length_m, speed_m_s)
+    return poses_along_way(way, length_m, speed_m_s)
 
 
-def _poses_along(way: Array, length_m: float, speed_m_s: float) -> Array:
+def poses_along_way(way: Array, length_m: float, speed_m_s: float) -> Array:
+    """(steps, 3) poses every ODOMETRY_STEP_S along a path (points, 2), its corners rounded."""
     fine = points_along(way, np.arange(0.0, path_length_m(way), 0.1))
     fine = gaussian_filter1d(fine, ROUNDING_M / 0.1, axis=0, mode="nearest")
     step_m = speed_m_s * ODOMETRY_STEP_S

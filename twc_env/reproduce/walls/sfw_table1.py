@@ -2,7 +2,9 @@
 
 Plans, routers, numbers of readings and areas follow the paper (papers.md K20); the radio preset is `sfw`. `paper` uses
 the number of clusters that is best in hindsight; `paper, distance` does the same on readings compensated for distance.
-`ours, SLAM` uses the robot positions estimated by the engine from odometry and scans. Five rows are of parts of the
+`ours, SLAM` uses the robot positions estimated by the engine from odometry and scans, `ours, radio SLAM` those by
+radio SLAM from odometry and the same strengths, without laser (papers.md K24b), and `ours, odometry` those of odometry,
+which is what radio SLAM must beat; `path_error_m` is the error of these paths. Five rows are of parts of the
 paper: `paper, K by silhouette` chooses the number of clusters without the truth, `paper, Algorithm 1` draws by
 Algorithm 1 instead of the rules, `paper, k given everywhere` is the dense inverse of true numbers of walls, an oracle
 that is given the free cells, and two take mu for the probability of a wall, by Eq. 4 as printed and with a Gaussian per
@@ -36,10 +38,10 @@ from twc_env.world.building.floorplan import Floorplan
 
 _UPDATE_SIGNAL = (-29.0, 1.25, 8.0, 4.0)
 """Power [dBm], exponent, wall loss [dB] and noise [dB]."""
-WITH_SLAM = "ours, SLAM"
+WITH_SLAM, BY_ODOMETRY, BY_RADIO = "ours, SLAM", "ours, odometry", "ours, radio SLAM"
 DRAWN = ("paper", scoring.COMPENSATED, "ours", WITH_SLAM)
 PARTS = (scoring.BY_SILHOUETTE, scoring.ALGORITHM_1, scoring.DENSE, scoring.LITERAL_MU, scoring.MIXTURE_MU)
-METHODS = (*DRAWN, *PARTS, scoring.SHUFFLED, scoring.OURS_SHUFFLED)
+METHODS = (*DRAWN, *PARTS, scoring.SHUFFLED, scoring.OURS_SHUFFLED, BY_ODOMETRY, BY_RADIO)
 CHOOSES = ("seeds", "experiments", "flats")
 POINTS = {1: 3159, 2: 4713, 3: 6001, 4: 1803, 5: 492, 6: 393}
 _PRINTED_ACCURACY = {1: 84.93, 2: 82.79, 3: 85.32, 4: 94.18, 5: 95.73, 6: 96.44}
@@ -169,9 +171,11 @@ def _measured(plan: Floorplan, points: int, seed: int, picture: Path | None, kin
         scoring.COMPENSATED: scoring.by_paper(walk, cells, is_compensated=True),
         "ours": scoring.by_ours(walk, cells, seed),
     }
-    true_m, believed_m = slam_walk(plan, route, points, seed)
-    driven = dataclasses.replace(read_walk(plan, radio_preset("sfw"), true_m, seed), position_m=believed_m)
-    maps[WITH_SLAM] = scoring.by_ours(driven, cells, seed)
+    drive = slam_walk(plan, route, points, radio_preset("sfw"), seed)
+    driven = read_walk(plan, radio_preset("sfw"), drive.true_m, seed)
+    paths_m = {WITH_SLAM: drive.slam_m, BY_ODOMETRY: drive.odometry_m, BY_RADIO: drive.radio_m}
+    for method, path_m in paths_m.items():
+        maps[method] = scoring.by_ours(dataclasses.replace(driven, position_m=path_m), cells, seed)
     if picture is not None:
         scoring.draw_maps(picture, kind, picture.name, walk, cells, {name: maps[name] for name in DRAWN})
     maps[scoring.BY_SILHOUETTE] = scoring.by_paper(walk, cells, k_by_silhouette=True)
@@ -182,7 +186,8 @@ def _measured(plan: Floorplan, points: int, seed: int, picture: Path | None, kin
     null = scoring.shuffled(walk, seed)
     maps[scoring.SHUFFLED] = scoring.by_paper(null, cells)
     maps[scoring.OURS_SHUFFLED] = scoring.by_ours(null, cells, seed)
-    return {name: made.figures for name, made in maps.items()}
+    errors_m = {method: drive.error_m(path_m) for method, path_m in paths_m.items()}
+    return {name: {**made.figures, "path_error_m": errors_m.get(name, 0.0)} for name, made in maps.items()}
 
 
 def _row(
@@ -194,7 +199,7 @@ def _row(
         "routers": routers,
         "points": points,
         "method": method,
-        **{key: float(np.mean([run[key] for run in runs])) for key in scoring.FIGURES},
+        **{key: float(np.mean([run[key] for run in runs])) for key in (*scoring.FIGURES, "path_error_m")},
         "paper_k_accuracy": printed[0],
         "paper_iou": printed[1],
         "seeds": len(runs),

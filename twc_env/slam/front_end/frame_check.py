@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.errors import DataError
+from twc_env.errors import UNFIT, DataError
 from twc_env.records.fingerprint_validation import fault_of_readings
 from twc_env.records.messages import SensorFrame, SignReading, WifiScan
 from twc_env.records.scanner import Scanner
@@ -37,7 +37,7 @@ def check_frames(frames: Sequence[SensorFrame], times_s: Array, beam_count: int)
     for frame in frames:
         try:
             fault = _fault(frame, beam_count) or _fault_of_time(frame, float(times_s[frame.robot]))
-        except (TypeError, ValueError) as error:
+        except UNFIT as error:
             fault = f"holds values of another kind: {error}"
         if fault:
             raise DataError(f"the frame of robot {frame.robot} in step {frame.step} {fault}")

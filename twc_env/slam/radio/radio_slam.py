@@ -21,7 +21,7 @@ from numpy.typing import NDArray as Array
 from scipy.stats import spearmanr
 
 from twc_env.config import RadioSlamConfig
-from twc_env.errors import DataError
+from twc_env.errors import UNFIT, DataError
 from twc_env.records.fingerprint_validation import validated_fingerprints
 from twc_env.records.geometry import between, compose, inverse, poses_along, wrap_angle
 from twc_env.records.messages import Fingerprint, Keyframe
@@ -67,7 +67,7 @@ class RadioLog:
         steps = max(len(self.fingerprints) - 1, len(self.turned_rad))
         try:
             motions, turned_rad = np.asarray(self.motions, float), np.asarray(self.turned_rad, float)
-        except (TypeError, ValueError) as error:
+        except UNFIT as error:
             raise DataError(f"motions and turns must be numbers: {error}") from None
         shapes = motions.shape, turned_rad.shape, len(self.fingerprints)
         if shapes != ((steps, 3), (steps,), steps + 1):

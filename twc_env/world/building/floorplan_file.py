@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.errors import MapError, did_you_mean
+from twc_env.errors import UNFIT, MapError, did_you_mean
 from twc_env.records.json_values import table_of
 from twc_env.records.whole_file import whole_file
 from twc_env.world.building.floorplan import FORMAT, AccessPoint, Floorplan, Room, Sign, to_values
@@ -124,7 +124,7 @@ def _numbers(value: object, shape: tuple[int, ...], where: str, meaning: str) ->
         array = np.array(value, dtype=float)
         if np.array(value).dtype.kind not in "iuf" and array.size:
             raise ValueError  # numpy converts strings and booleans
-    except (TypeError, ValueError, OverflowError, RecursionError):
+    except UNFIT:
         raise MapError(f"{where} must be {size}; got {_short(value)}") from None
     if array.size == 0 and shape[0] == -1:
         return np.zeros((0, *shape[1:]))

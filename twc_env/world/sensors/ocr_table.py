@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.errors import DataError
+from twc_env.errors import UNFIT, DataError
 
 FORMAT = "twc_env/ocr-table-1"
 SHIPPED = Path(__file__).with_name("ocr_table.json")
@@ -92,7 +92,7 @@ def load_table(path: Path = SHIPPED) -> OcrTable:
         return table_of(values)
     except OSError as error:
         raise DataError(f"cannot read the OCR table {path}: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (KeyError, *UNFIT) as error:
         raise DataError(f"{path} is not an OCR table ({error!r}); make one with: twc-env ocr measure") from error
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from tests.soak.attempts import Attempt, workplace
-from tests.soak.mutations import OF_JSON, mutated
+from tests.soak.malformed.mutations import OF_JSON, mutated
 from twc_env.bench.rates import wander
 from twc_env.config import EnvConfig, override
 from twc_env.datasets.lasting_maps import read_lasting_map, save_map

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 import twc_env
-from tests.soak.action_fuzz import ODD_ACTIONS
 from tests.soak.attempts import Attempt, workplace
+from tests.soak.malformed.action_fuzz import ODD_ACTIONS
 from twc_env import config as settings
 from twc_env import metrics
 from twc_env.datasets.lasting_maps import read_lasting_map

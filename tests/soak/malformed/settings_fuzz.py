@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.soak.attempts import Attempt, workplace
-from tests.soak.mutations import ODD_VALUES, OF_JSON, OF_TEXT, mutated
+from tests.soak.malformed.mutations import ODD_VALUES, OF_JSON, OF_TEXT, mutated
 from twc_env.config import EnvConfig, digest, from_dict, load, override, to_dict
 from twc_env.config.manual import as_toml
 from twc_env.errors import ConfigError

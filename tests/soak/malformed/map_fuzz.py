@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from tests.soak.attempts import Attempt, workplace
-from tests.soak.mutations import OF_JSON, OF_TEXT, mutated
+from tests.soak.malformed.mutations import OF_JSON, OF_TEXT, mutated
 from twc_env.datasets.buildings.map_export import export_map
 from twc_env.maps import load_map
 from twc_env.records.random_streams import random_stream

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.soak.attempts import Attempt, workplace
-from tests.soak.mutations import OF_TEXT, mutated
+from tests.soak.malformed.mutations import OF_TEXT, mutated
 from twc_env.datasets.logs.pose_graph_file import read_pose_graph, write_pose_graph
 from twc_env.records.geometry import between
 from twc_env.records.random_streams import random_stream

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 import twc_env
-from tests.soak import action_fuzz
-from tests.soak.action_fuzz import broken_steps
 from tests.soak.attempts import attempt_all
+from tests.soak.malformed import action_fuzz
+from tests.soak.malformed.action_fuzz import broken_steps
 from twc_env.errors import ActionError
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration.environment import ExplorationEnv

@@ -1,0 +1,97 @@
+"""The same bytes with other instruction sets: whole episodes of every task, in processes that may not use newer ones.
+
+Compiled kernels, NumPy and OpenBLAS choose their instructions by the processor. Each attempt plays one task in a
+process in which one of `SWITCHES` takes that choice away, and compares the digest of all observations, rewards, paths
+and maps with that of a process without a switch.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+from twc_env.agents import make_policy
+
+import twc_env
+from tests.soak.attempts import Attempt
+from twc_env.tasks import TASKS, task_config
+
+_WIDE = "AVX2 FMA3 AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR"
+SWITCHES = {
+    "kernels for any x86-64": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
+    "kernels for Haswell": {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma,+bmi,+bmi2"},
+    "OpenBLAS for Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
+    "OpenBLAS for SSE3": {"OPENBLAS_CORETYPE": "Prescott"},
+    "NumPy without AVX2 and AVX-512": {"NPY_DISABLE_CPU_FEATURES": _WIDE},
+}
+SWITCHES["all for any x86-64"] = {
+    **SWITCHES["kernels for any x86-64"],
+    **SWITCHES["OpenBLAS for SSE3"],
+    **SWITCHES["NumPy without AVX2 and AVX-512"],
+}
+TEAM = "nearest-frontier"
+
+
+def episodes(count: int, seed: int = 0) -> Iterator[Attempt]:
+    """`count` pairs of a task and a switch, each task with every switch before the next; equal seeds play equal
+    episodes."""
+    pairs = [(switch, task) for task in TASKS for switch in SWITCHES][:count]
+    plain = _digests({}, list(dict.fromkeys(task for _, task in pairs)), seed)
+    for switch in SWITCHES:
+        own = [task for name, task in pairs if name == switch]
+        found = _digests(SWITCHES[switch], own, seed) if own else {}
+        for task in own:
+            yield f"{switch}, {task}", partial(_compare, plain[task], found[task])
+
+
+def _compare(plain: str, found: str) -> None:
+    assert plain == found, f"other bytes: {found} where a process without a switch has {plain}"
+
+
+def _digests(switch: dict[str, str], tasks: list[str], seed: int) -> dict[str, str]:
+    """Digest of one episode of each task, in a process with these environment variables."""
+    call = [sys.executable, "-W", "ignore", "-m", "tests.soak.same_bytes", str(seed), *tasks]
+    done = subprocess.run(call, env={**os.environ, **switch}, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{switch}: {done.stderr[-400:]}"
+    found: dict[str, str] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def digest_of_episode(task: str, seed: int) -> str:
+    """Number of steps and digest of a whole episode, played by `TEAM`."""
+    config = task_config(task)
+    env = twc_env.parallel_env(config=config)
+    digest, steps = hashlib.sha256(), 0
+    observations, _ = env.reset(seed=seed)
+    policy = make_policy(TEAM, config)
+    policy.reset(seed, env.possible_agents)
+    _take(digest, observations)
+    while env.agents:
+        actions = policy.act({name: env.belief(name) for name in env.agents})
+        for part in env.step(actions)[:4]:
+            _take(digest, part)
+        steps += 1
+    result = env.result()
+    for part in (result.true_poses, result.estimated_poses, *(grid.log_odds for grid in result.grids)):
+        _take(digest, part)
+    env.close()
+    return f"{steps} steps {digest.hexdigest()[:16]}"
+
+
+def _take(digest, value) -> None:
+    if isinstance(value, dict):
+        for key in sorted(value):
+            digest.update(str(key).encode())
+            _take(digest, value[key])
+    else:
+        digest.update(np.ascontiguousarray(value).tobytes())
+
+
+if __name__ == "__main__":
+    print(json.dumps({task: digest_of_episode(task, int(sys.argv[1])) for task in sys.argv[2:]}))

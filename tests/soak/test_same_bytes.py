@@ -1,0 +1,31 @@
+"""Other bytes with another set of instructions are found; `make soak` plays every task."""
+
+from tests.soak import same_bytes
+from tests.soak.attempts import attempt_all
+from twc_env.tasks import TASKS
+
+
+def test_a_task_that_has_other_bytes_is_named(monkeypatch):
+    def digests(switch, tasks, seed):
+        odd = "NPY_DISABLE_CPU_FEATURES" in switch and "NUMBA_CPU_NAME" not in switch
+        return {task: f"{task} {odd and task == 'twc/ExploreTwin01-v0'}" for task in tasks}
+
+    monkeypatch.setattr(same_bytes, "_digests", digests)
+    pairs = len(TASKS) * len(same_bytes.SWITCHES)
+    done = attempt_all(same_bytes.episodes(pairs + 10))
+    assert (done.tried, done.accepted) == (pairs, pairs - 1)
+    (fault,) = done.wrong
+    assert fault.startswith("NumPy without AVX2 and AVX-512, twc/ExploreTwin01-v0: AssertionError: other bytes")
+
+
+def test_the_digest_covers_what_is_played(monkeypatch):
+    monkeypatch.setattr(same_bytes, "task_config", lambda task: small(task))
+    first, again, other = (same_bytes.digest_of_episode("twc/Explore-v0", seed) for seed in (0, 0, 1))
+    assert first == again != other and first.startswith("30 steps")
+
+
+def small(task):
+    from twc_env.config import override
+    from twc_env.tasks import task_config
+
+    return override(task_config(task), {"max_cycles": 30, "robots": 2})
