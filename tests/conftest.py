@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from tests.chromium import browser  # noqa: F401  a fixture
 from twc_env.errors import ConfigError
 from twc_env.records.geometry import wrap_angle
 from twc_env.world.sensors import ocr

@@ -32,7 +32,8 @@ BESIDE = {
 SAME = {"README.md": "docs/index.md"}
 """A link to the first leads to the second."""
 PACKAGES = {
-    "twc_env.config": "settings: reading, writing, digests",
+    "twc_env.config": "settings: reading, writing, digests. In signatures, `number(default, least, most)` is a number "
+    "with its range, `choice(default, others)` one of some names. [Settings](../reference/settings.md) explains each",
     "twc_env.errors": "what can be raised",
     "twc_env.records": "messages, frames, poses: what crosses borders",
     "twc_env.vector": "many environments at once",
@@ -45,6 +46,20 @@ PACKAGES = {
     "twc_env.training": "learning",
 }
 """Public packages, each with a page of its own."""
+FIRST = (
+    "twc_env.config.environment", "twc_env.config.values", "twc_env.records.messages", "twc_env.records.team_messages",
+    "twc_env.records.scanner", "twc_env.records.geometry", "agents.policy", "agents.explore", "agents.roster",
+    "training.ppo", "training.mappo", "training.trained_policy", "training.evaluate", "twc_env.pictures.style",
+    "twc_env.pictures.video", "twc_env.datasets.logs.frame_log", "twc_env.datasets.logs.scan_log",
+)  # fmt: skip
+"""Modules that stand at the top of their page."""
+PARTS = (
+    "world.world", "world.building.floorplan", "world.building.floorplan_file", "slam.matching.scan_matching",
+    "slam.matching.global_matching", "slam.pose_graph.robust_back_end", "slam.graph_optimisation.whole_graph",
+    "slam.radio.radio_slam", "slam.radio.radio_map", "slam.walls.k_visibility", "slam.saved_maps.saved_map",
+    "slam.saved_maps.placement", "reproduce.walls.sfw_flats",
+)  # fmt: skip
+"""Modules that recipes and notebooks use alone: they are one page."""
 OUTSIDE = {"twc_env.agents": "agents", "twc_env.training": "training"}
 """Packages that stand beside twc_env in a clone."""
 
@@ -74,7 +89,7 @@ def on_files(files: Any, config: Any) -> Any:
     """Add the pages that are made, and leave out what the navigation names in vain."""
     made = {inside: (ROOT / outside).read_text(encoding="utf-8") for outside, inside in BESIDE.items()}
     made |= {f"api/{name.partition('.')[2]}.md": _package_page(name, text) for name, text in PACKAGES.items()}
-    made |= {"reference/settings.md": _settings()}
+    made |= {"api/parts.md": _parts_page(), "reference/settings.md": _settings()}
     for path, content in {**made, **_notebooks(), **_sources(config)}.items():
         _add(files, config, path, content)
     known = {file.src_uri for file in files}
@@ -234,19 +249,49 @@ def _first_line(file: Path) -> str:
 
 
 def _package_page(name: str, text: str) -> str:
-    """The reference of a public package: each module, with what is public in it."""
+    """The reference of a public package: of modules from which it exports names these, and all other modules."""
     inside = OUTSIDE.get(name, name)
     home = ROOT / inside.replace(".", "/")
-    files = [home.with_suffix(".py")] if home.with_suffix(".py").exists() else sorted(home.rglob("*.py"))
-    lines = [f"# {name}", "", f"{text[0].upper()}{text[1:]}.", ""]
-    for file in files:
-        parts = file.relative_to(ROOT).with_suffix("").parts
-        module = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-        shown = name + module.removeprefix(inside)
-        if _is_worth_showing(file):
-            lines += [f"## {shown}", "", f"::: {module}", "    options:", "      show_root_heading: false"]
-            lines += ["      heading_level: 3", ""]
-    return "\n".join(lines)
+    if home.with_suffix(".py").exists():
+        return f"# {name}\n\n{text[0].upper()}{text[1:]}.\n\n{_module(name, name)}"
+    exported = _exported(home / "__init__.py")
+    files = (file.relative_to(ROOT).with_suffix("") for file in sorted(home.rglob("*.py")) if _is_worth_showing(file))
+    others = (".".join(path.parts) for path in files if path.name != "__init__")
+    modules = sorted([*exported, *(module for module in others if module not in exported)], key=_rank)
+    shown = (_module(module, name + module.removeprefix(inside), exported.get(module)) for module in modules)
+    return "\n".join([f"# {name}", "", f"{text[0].upper()}{text[1:]}.", "", *shown])
+
+
+def _rank(module: str) -> int:
+    return FIRST.index(module) if module in FIRST else len(FIRST)
+
+
+def _parts_page() -> str:
+    """The reference of parts that are used alone."""
+    lead = (
+        "Parts of the world, the engine and the tables that [recipes](../library.md) and notebooks use by themselves."
+    )
+    modules = [_module(f"twc_env.{part}", f"twc_env.{part}") for part in PARTS]
+    return "\n".join(["# twc_env.world, slam, reproduce", "", lead, "", *modules])
+
+
+def _exported(init: Path) -> dict[str, list[str]]:
+    """The modules from which a package takes its public names, with these."""
+    found: dict[str, list[str]] = {}
+    for node in ast.walk(ast.parse(init.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module != "__future__":
+            package = ".".join(init.parent.relative_to(ROOT).parts)
+            module = f"{package}.{node.module}" if node.level else node.module
+            if module.startswith(f"{package}."):
+                found.setdefault(module, []).extend(alias.name for alias in node.names)
+    return found
+
+
+def _module(module: str, shown: str, names: list[str] | None = None) -> str:
+    """The reference of a module under a heading: these names, or all that is public but for constants."""
+    which = f"members: {json.dumps(names)}" if names else 'filters: ["!^_", "!^[A-Z][A-Z0-9_]*$"]'
+    options = ["show_root_heading: false", "show_root_toc_entry: false", "heading_level: 3", which]
+    return "\n".join([f"## {shown}", "", f"::: {module}", "    options:", *(f"      {o}" for o in options), ""])
 
 
 def _is_worth_showing(file: Path) -> bool:

@@ -1,6 +1,7 @@
 """`twc-env watch` on a display that is not there."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -106,6 +107,16 @@ def test_closing_the_window_ends_the_command(pygame, driven):
     finally:
         pygame.display.flip = original
     assert len(driven) < 8
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
+def test_without_a_display_there_is_one_line_and_none_of_a_library(monkeypatch, capfd):
+    pytest.importorskip("pygame", reason="needs the extra 'viz'")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "XDG_RUNTIME_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    assert main(SMALL) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith("error: no window can be opened here") and "twc-env explore" in line
 
 
 def test_only_robots_that_there_are_can_be_driven(capsys, pygame):

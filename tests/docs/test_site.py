@@ -5,7 +5,6 @@ import http.server
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import threading
@@ -16,6 +15,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import twc_env
+from tests.chromium import screen
 from twc_env.__main__ import COMMANDS
 
 ROOT = Path(__file__).parents[2]
@@ -103,10 +103,38 @@ def test_the_site_names_every_task_setting_command_and_public_name(site):
     assert [name for name in names if f".{name}" not in reference and f">{name}<" not in reference] == []
 
 
-def test_the_reference_shows_the_arguments_of_parallel_env(site):
+@pytest.mark.parametrize("name", ["parallel_env", "env", "raw_env"])
+def test_the_reference_shows_the_arguments_of_what_makes_environments(site, name):
     page = (site / "api" / "index.html").read_text(encoding="utf-8")
-    signature = page[page.index('id="twc_env.parallel_env"') :][:6000]
+    signature = page[page.index(f'id="twc_env.{name}"') :][:6000]
     assert all(f">{name}<" in signature for name in ("map", "robots", "max_cycles", "config", "render_mode", "task"))
+
+
+def test_what_pages_and_notebooks_import_stands_in_the_reference(site, pages):
+    known = set().union(*(page.anchors for path, page in pages.items() if path.parent.name == "api"))
+    texts = [*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("*/*.md"), *(ROOT / "notebooks").glob("*.ipynb")]
+    found = [
+        (path.name, module, name.split(" as ")[0].strip())
+        for path in texts
+        for module, names in re.findall(r"from (twc_env[\w.]*) import ([\w, ]+)", path.read_text(encoding="utf-8"))
+        for name in names.split(",")
+    ]
+    assert len(found) > 30
+    lost = [each for each in found if not any(_shows(place, *each[1:]) for place in known)]
+    assert lost == []
+
+
+def _shows(anchor: str, module: str, name: str) -> bool:
+    """Whether an anchor is that of a name, which its package may have from any of its modules, or of a module."""
+    beside = re.sub(r"^twc_env\.(agents|training)", r"\1", module)
+    is_module = anchor == f"{module}.{name}".replace(".", "")
+    return is_module or (anchor.startswith(f"{beside}.") and anchor.endswith(f".{name}"))
+
+
+def test_records_show_the_types_of_their_fields(site):
+    page = (site / "api" / "records.html").read_text(encoding="utf-8")
+    signature = page[page.index('id="twc_env.records.messages.SensorFrame"') :][:3000]
+    assert ">ranges_m<" in signature and ">Array<" in signature
 
 
 def test_every_page_has_one_title_so_that_its_contents_list_all_of_it(site, pages):
@@ -169,43 +197,26 @@ def address(site):
     server.server_close()
 
 
-@pytest.fixture(scope="module")
-def browser():
-    webdriver = pytest.importorskip("selenium.webdriver", reason="needs the extra 'dev'")
-    binary, driver = shutil.which("chromium") or shutil.which("google-chrome"), shutil.which("chromedriver")
-    if not binary or not driver:
-        pytest.skip("needs Chromium and chromedriver")
-    options = webdriver.ChromeOptions()
-    options.binary_location = binary
-    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--hide-scrollbars"):
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    with webdriver.Chrome(options=options, service=webdriver.ChromeService(driver)) as browser:
-        yield browser
-
-
-SHOWN = ("index.html", "gallery.html", "explained/twc_slam.html", "api/index.html", "results.html")
+SHOWN = ("index.html", "gallery.html", "explained/twc_slam.html", "api/index.html", "api/records.html", "results.html")
 
 
 @pytest.mark.parametrize("size", [PHONE, DESKTOP], ids=["phone", "desktop"])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_pages_fit_a_browser_without_errors(site, address, browser, size, scheme):
-    screen = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": size is PHONE}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
-    preferred = [{"name": "prefers-color-scheme", "value": scheme}]
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": preferred})
-    for name in [*SHOWN, *(path.relative_to(site).as_posix() for path in sorted(site.glob("notebooks/02*.html")))]:
-        browser.get(f"{address}/{name}")
-        inner, wide = browser.execute_script("return [window.innerWidth, document.documentElement.scrollWidth]")
-        assert wide <= inner == size[0], f"{name} is {wide} px wide"
-        colour = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
-        red, green, blue = (float(part) for part in colour.strip("rgba()").split(",")[:3])
-        assert ((red + green + blue) / 3 > 128) == (scheme == "light"), colour
-        broken = "return [...document.images].filter(i => i.complete && !i.naturalWidth).map(i => i.src)"
-        assert browser.execute_script(broken) == []
-        errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
-        assert errors == [], json.dumps(errors)
-        if folder := os.environ.get("TWC_SCREENSHOTS"):
-            Path(folder).mkdir(exist_ok=True)
-            shot = f"{name.replace('/', '-').removesuffix('.html')}-{scheme}-{size[0]}.png"
-            browser.save_screenshot(str(Path(folder) / shot))
+    names = [*SHOWN, *(path.relative_to(site).as_posix() for path in sorted(site.glob("notebooks/02*.html")))]
+    with screen(browser, scheme, size) as script:
+        for name in names:
+            browser.get(f"{address}/{name}")
+            inner, wide = script("return [window.innerWidth, document.documentElement.scrollWidth]")
+            assert wide <= inner == size[0], f"{name} is {wide} px wide"
+            colour = script("return getComputedStyle(document.body).backgroundColor")
+            red, green, blue = (float(part) for part in colour.strip("rgba()").split(",")[:3])
+            assert ((red + green + blue) / 3 > 128) == (scheme == "light"), colour
+            broken = "return [...document.images].filter(i => i.complete && !i.naturalWidth).map(i => i.src)"
+            assert script(broken) == []
+            errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+            assert errors == [], json.dumps(errors)
+            if folder := os.environ.get("TWC_SCREENSHOTS"):
+                Path(folder).mkdir(exist_ok=True)
+                shot = f"{name.replace('/', '-').removesuffix('.html')}-{scheme}-{size[0]}.png"
+                browser.save_screenshot(str(Path(folder) / shot))

@@ -275,7 +275,8 @@ def test_rendering_does_not_change_the_episode(explore, same):
     for step in range(30):
         actions = {agent: np.array([0.8, 0.3 * (step % 3)], np.float32) for agent in plain.env.agents}
         picture = drawn.env.render()
-        assert plain.env.render() is None
+        with pytest.warns(UserWarning, match="render_mode='rgb_array' or 'human'"):
+            assert plain.env.render() is None
         assert picture.dtype == np.uint8
         a, b = plain.env.step(actions), drawn.env.step(actions)
         assert all(same(a[0][agent], b[0][agent]) for agent in a[0])

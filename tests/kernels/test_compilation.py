@@ -27,8 +27,17 @@ def test_the_first_compilation_of_a_kernel_of_this_package_is_logged_once(caplog
             announcer.on_start(event)
             announcer.on_end(event)
             assert len(caplog.records) == count
-    assert "first use" in caplog.records[0].message
+    assert "compiling" in caplog.records[0].message
     assert announcer.count == 3
+
+
+@pytest.mark.parametrize("is_empty", [True, False])
+def test_half_a_minute_is_announced_only_where_nothing_is_compiled_yet(monkeypatch, caplog, is_empty):
+    monkeypatch.setattr(compilation, "is_empty", lambda: is_empty)
+    announcer = Announcer()
+    announcer.on_start(OURS)
+    announcer.on_end(OURS)
+    assert ("half a minute" in caplog.records[0].message) == is_empty
 
 
 @pytest.mark.parametrize("kept", [True, False])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import twc_env
+from tests.chromium import CONTRASTS, screen
 from tests.conftest import wander_by_scan
 from twc_env.__main__ import main
 from twc_env.bench.rates import wander
@@ -163,21 +164,6 @@ def test_names_are_escaped_in_the_page(run, tmp_path):
     assert "<title>&lt;i&gt; on __DATA__ &lt;b&gt;.json" in odd.read_text(encoding="utf-8")
 
 
-@pytest.fixture(scope="module")
-def browser():
-    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium (extra 'dev')")
-    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not (chromium and driver):
-        pytest.skip("needs Debian's packages chromium and chromium-driver")
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for argument in ("headless", "no-sandbox", "disable-gpu", "no-first-run", "disable-background-networking"):
-        options.add_argument(f"--{argument}")
-    options.add_argument("--window-size=1300,900")
-    with webdriver.Chrome(options=options, service=webdriver.ChromeService(driver)) as page:
-        yield page
-
-
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_a_browser_loads_and_plays_the_page_and_shows_the_figures_of_the_report(run, browser):
     from selenium.webdriver.support.ui import WebDriverWait
@@ -213,24 +199,6 @@ def test_a_browser_loads_and_plays_the_page_and_shows_the_figures_of_the_report(
     assert errors == []
 
 
-CONTRASTS = """
-const luminance = colour => {
-  const linear = v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
-  const [r, g, b] = colour.match(/[0-9.]+/g).map(v => linear(v / 255));
-  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
-};
-const ground = e => {
-  while (e && getComputedStyle(e).backgroundColor === "rgba(0, 0, 0, 0)") e = e.parentElement;
-  return getComputedStyle(e || document.body).backgroundColor;
-};
-return [...document.querySelectorAll("h1,h2,p,span,b,label,summary,button")]
-  .filter(e => e.offsetParent && e.textContent.trim())
-  .map(e => {
-    const [a, b] = [getComputedStyle(e).color, ground(e)].map(luminance).sort((p, q) => p - q);
-    return [e.textContent.trim().slice(0, 30), (b + 0.05) / (a + 0.05)];
-  });
-"""
-"""WCAG contrast of every text that is shown."""
 INKS = """
 const c = document.querySelector(".curve canvas"), g = c.getContext("2d");
 const drawn = (x, y, w, h) => g.getImageData(x, y, w, h).data.filter((v, k) => k % 4 === 3 && v > 100).length;
@@ -239,25 +207,15 @@ return [drawn(0, 0, LEFT_PX - 3, c.height), drawn(0, c.height - BOTTOM_PX + 1, c
 """Drawn pixels left of a curve and below it."""
 
 
-def seen(browser, page, scheme, width, height):
-    """The page in a colour scheme and a window of this size; returns a function that runs a script in it."""
-    from selenium.webdriver.support.ui import WebDriverWait
-
-    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
-    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-    browser.get(page.as_uri())
-    WebDriverWait(browser, 30).until(lambda b: b.find_element("tag name", "body").get_attribute("data-ready") == "yes")
-    return browser.execute_script
-
-
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize(("width", "height"), [(1300, 900), (390, 800)], ids=["desktop", "phone"])
 def test_the_page_is_readable_light_and_dark_on_a_desktop_and_a_phone(run, browser, scheme, width, height):
-    script = seen(browser, write_page(run, run / "page.html"), scheme, width, height)
-    try:
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    with screen(browser, scheme, (width, height)) as script:
+        browser.get(write_page(run, run / "page.html").as_uri())
+        WebDriverWait(browser, 30).until(lambda b: b.find_element("tag name", "body").get_attribute("data-ready"))
         contrasts = script(CONTRASTS)
         assert len(contrasts) > 30
         assert [(text, round(ratio, 2)) for text, ratio in contrasts if ratio < 4.5] == []
@@ -269,9 +227,6 @@ def test_the_page_is_readable_light_and_dark_on_a_desktop_and_a_phone(run, brows
         assert (boxes[1]["top"] >= boxes[0]["bottom"]) == (width < 900)  # a phone has one column
         inks = script(INKS)
         assert min(inks) > 20  # numbers at both axes
-    finally:
-        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")

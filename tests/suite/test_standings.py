@@ -9,10 +9,12 @@ from html.parser import HTMLParser
 
 import pytest
 
+from tests.chromium import CONTRASTS, screen
 from twc_env.config import EnvConfig
 from twc_env.suite import leaderboard, tables
 from twc_env.suite.entries import Entry
 from twc_env.suite.leaderboard import Origin, rows_as_json
+from twc_env.suite.page import page_of
 from twc_env.suite.standings import ALL, THRESHOLDS, standings_of
 
 TASKS = ("twc/ExploreQuick-v1", "twc/ExploreOffice-v1")
@@ -173,8 +175,28 @@ def test_every_file_shows_the_same_rows_and_the_page_needs_no_other_file(tmp_pat
     page = Cells()
     page.feed((tmp_path / "leaderboard.html").read_text())
     assert (page.counts["table"], page.counts["tr"], page.counts["img"]) == (3, 3 * 5, 2)
-    assert all(address.startswith("data:image/png;base64,") for address in page.addresses)
+    assert all(address.startswith(("data:image/png;base64,", "#")) for address in page.addresses)
     assert not re.search(r"https?://(?!www\.w3\.org)", (tmp_path / "leaderboard.html").read_text())
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [(1300, 900), (390, 800)], ids=["desktop", "phone"])
+def test_the_page_is_readable_light_and_dark_on_a_desktop_and_a_phone_and_sorts(tmp_path, browser, scheme, size):
+    _, _, standings = played()
+    page = tmp_path / "leaderboard.html"
+    page.write_text(page_of(standings, "Leaderboard", "lead", []), encoding="utf-8")
+    with screen(browser, scheme, size) as script:
+        browser.get(page.as_uri())
+        assert [(text, ratio) for text, ratio in script(CONTRASTS) if ratio < 4.5] == []
+        assert script("return document.documentElement.scrollWidth") <= size[0]
+        names = "return [...document.querySelector('tbody').rows].map(row => row.cells[0].textContent)"
+        best_first = script(names)
+        assert best_first[0] == "informed (oracle)" and best_first[-1] == "random"
+        assert all(script("return [...document.querySelectorAll('.axis text')].map(e => e.getBBox().width > 0)"))
+        for _ in range(2):  # the second click turns the order around
+            script("document.querySelectorAll('thead button')[1].click()")
+        assert script(names) == best_first[::-1]
 
 
 def test_names_of_teams_are_escaped_in_pages_and_in_latex(tmp_path):
@@ -182,6 +204,4 @@ def test_names_of_teams_are_escaped_in_pages_and_in_latex(tmp_path):
     odd = [Entry(e.task, e.config, e.team.replace("mine", "<b>my_team&co.py:Mine"), e.number) for e in entries]
     standings = standings_of(odd, values)
     assert r"<b>my\_team\&co.py:Mine" in tables.latex_of(standings)
-    from twc_env.suite.page import page_of
-
     assert "<b>" not in page_of(standings, "t", "l", [])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
@@ -42,6 +43,9 @@ if TYPE_CHECKING:
     from twc_env.exploration.viewer import Viewer
 
 STATE_LIMIT = 1e4
+NO_RENDER_MODE = (
+    "render() shows nothing without a render_mode: make the environment with render_mode='rgb_array' or 'human'"
+)
 
 
 class ExplorationEnv(ParallelEnv, EzPickle):
@@ -292,7 +296,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     @property
     def frames(self) -> Sequence[SensorFrame]:
-        """What each robot sensed in the last time step; `twc_env.datasets.write_frame_log` records them.
+        """What each robot sensed in the last time step; `twc_env.datasets.logs.frame_log.write_frame_log` records
+        them.
 
         While no robot has failed this is a `TeamFrames`, with arrays over robots. A failed robot has no frame.
         """
@@ -330,8 +335,11 @@ class ExplorationEnv(ParallelEnv, EzPickle):
 
     def render(self) -> Array | None:
         """(height, 960, 3) uint8 image of truth and estimate, with caption and legend (they need Pillow, extra `viz`);
-        None without a render_mode or with a window."""
-        return None if self._viewer is None else self._viewer.draw(self.episode)
+        None with a window, and, with a warning, without a render_mode."""
+        if self._viewer is None:
+            warnings.warn(NO_RENDER_MODE, UserWarning, stacklevel=2)
+            return None
+        return self._viewer.draw(self.episode)
 
     @property
     def window(self) -> Window | None:

@@ -72,6 +72,11 @@ def is_kept() -> bool:
     return cache_folder().name.startswith(_NAME)
 
 
+def is_empty() -> bool:
+    """Whether nothing that was compiled is kept yet."""
+    return next(cache_folder().rglob("*.nbi"), None) is None
+
+
 @contextlib.contextmanager
 def caching_there(function: Callable[..., Any]) -> Iterator[None]:
     """Numba keeps this function, if decorated in this block, in the folder of its module; others are not affected."""

@@ -17,7 +17,7 @@ from typing import Any
 from numba.core import event
 from tqdm import tqdm
 
-from twc_env.kernels.cache_folder import cache_folder, check_folders, is_kept, write_checksums
+from twc_env.kernels.cache_folder import cache_folder, check_folders, is_empty, is_kept, write_checksums
 from twc_env.running.file_lock import FileLock
 
 _LOG = logging.getLogger("twc_env")
@@ -98,7 +98,10 @@ class Announcer(event.Listener):
         module = event.data["dispatcher"].py_func.__module__ or ""  # None for functions that numba generates
         if not self._is_said and module.startswith("twc_env."):
             self._is_said = True
-            _LOG.warning("compiling kernels for first use, half a minute or more; %s", _of_later_starts())
+            what = (
+                "compiling kernels for first use, half a minute or more" if is_empty() else "compiling further kernels"
+            )
+            _LOG.warning("%s; %s", what, _of_later_starts())
             self._begin_s = time.time()
         if self._is_said and self._bar is None and sys.stderr.isatty():
             self._bar = tqdm(total=self.total, initial=self.count, desc="compiling", unit="kernel", leave=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import sys
 from typing import Any
 
 import numpy as np
@@ -104,9 +105,12 @@ class Window:
         os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
         import pygame
 
+        named = {name for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER") if os.environ.get(name)}
         try:
+            if sys.platform == "linux" and not named:  # where it looks for one, SDL itself prints a line
+                raise pygame.error("there is no display, so nobody would see it")
             pygame.display.init()
-            if pygame.display.get_driver() == "offscreen" and "SDL_VIDEODRIVER" not in os.environ:
+            if pygame.display.get_driver() == "offscreen" and "SDL_VIDEODRIVER" not in named:
                 raise pygame.error("there is no display, so nobody would see it")
             self._screen = pygame.display.set_mode((width, height))
         except pygame.error as error:
