@@ -12,7 +12,7 @@ from pathlib import Path
 
 from twc_env.suite.entries import REFERENCES
 from twc_env.suite.standings import Row, Standings
-from twc_env.suite.tables import COLUMNS, cells_of, groups_of, interval_of, title_of
+from twc_env.suite.tables import COLUMNS, TWINS_TITLE, cells_of, groups_of, interval_of, title_of, twin_cells
 
 BAR_PX = (160, 14)
 """Width and height of a drawn interval."""
@@ -38,6 +38,8 @@ def page_of(standings: Standings, title: str, lead: str, pictures: Sequence[tupl
         for caption, path in pictures
     ]
     tables = [_table(standings, group) for group in groups_of(standings)]
+    if twins := twin_cells(standings):
+        tables.append(_framed(TWINS_TITLE, twins[0], [_row(cells) for cells in twins[1:]]))
     body = "\n".join([f"<p>{escape(lead)}</p>", _definitions(standings), tables[0], *drawn, *tables[1:]])
     template = files("twc_env.suite").joinpath("leaderboard_page.html").read_text(encoding="utf-8")
     return re.sub("__(TITLE|BODY)__", lambda gap: {"TITLE": escape(title), "BODY": body}[gap[1]], template)
@@ -54,7 +56,6 @@ def _table(standings: Standings, group: str) -> str:
     rows = standings.rows_of(group)
     values = [v for row in rows for v in (row.low, row.high, row.score) if math.isfinite(v)]
     low, high = min(0.0, *values), max(1.0, *values)
-    head = "".join(f"<th>{escape(long)}</th>" for long, _, _ in COLUMNS)
     body = []
     for row, cells in zip(rows, cells_of(rows), strict=True):
         shown = [
@@ -65,8 +66,18 @@ def _table(standings: Standings, group: str) -> str:
         ]
         kind = ' class="reference"' if row.team in REFERENCES else ""
         body.append(f"<tr{kind}>{''.join(shown)}</tr>")
-    table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
-    return f'<h2>{escape(title_of(group))}</h2>\n<div class="scroll">{table}</div>'
+    return _framed(title_of(group), [long for long, _, _ in COLUMNS], body)
+
+
+def _row(cells: Sequence[str]) -> str:
+    return f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
+
+
+def _framed(title: str, head: Sequence[str], rows: Sequence[str]) -> str:
+    """A heading, and below it a table that scrolls by itself; rows: HTML."""
+    cells = "".join(f"<th>{escape(cell)}</th>" for cell in head)
+    table = f"<table><thead><tr>{cells}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    return f'<h2>{escape(title)}</h2>\n<div class="scroll">{table}</div>'
 
 
 def _bar(row: Row, low: float, high: float) -> str:
