@@ -96,9 +96,9 @@ TEAMS: dict[str, Team] = {
     ),
     "sign-seeker": Team(
         "slam_aware.sign_seeker", "SignSeeker",
-        "a view is worth what it shows, and what the maps that it is expected to merge show",
-        "Fox, Ko, Konolige, Limketkai, Schulz and Stewart 2006",
-        twin="information-gain",
+        "explores towards where another map begins, by the access points that both heard and by pending closures",
+        "Fox, Ko, Konolige, Limketkai, Schulz and Stewart 2006; by radio: our own",
+        twin="minpos",
     ),
     "closure-seeker": Team(
         "slam_aware.closure_seeker", "ClosureSeeker",

@@ -1,100 +1,80 @@
-"""Sign seeker: goes where signs that two maps have floor in common can be confirmed, if that is worth the way.
+"""Sign seeker: explores towards where another map begins, so that signs and scans can settle who is where.
 
-A view is worth the floor that it shows, and that of the maps which it is expected to merge.
+Robots that share no map know of each other what their mapper was sent: which access points the others heard
+(`Belief.radio_trails`), and pending loop closures (`Belief.hypotheses`). Both say where the others' paths are likely to
+be in one's own map. A frontier costs its way and a share of the expected distance from there to the other path, as in
+Fox, Ko, Konolige, Limketkai, Schulz and Stewart ("Distributed multirobot exploration and mapping", Proc. IEEE 94(7),
+2006) the value of meeting is weighed against that of exploring on; that radio tells the way is our own. Old paths are
+as good to reach as robots: maps merge where paths overlap. Of two groups, the one whose lowest number is greater goes
+to the other: if both went, all would explore on from one place.
 
-Robots that share no map decide as in Fox, Ko, Konolige, Limketkai, Schulz and Stewart ("Distributed multirobot
-exploration and mapping", Proc. IEEE 94(7), 2006): the value of confirming a hypothesis about where another robot is, is
-weighed against that of exploring on, in the same unit, as floor. A hypothesis is what pending loop closures say
-(`Belief.hypotheses`). Going from a to b is expected to add p A (exp(-mu d_b) - exp(-mu d_a)): A is the floor of the
-other group's map, d the distance to that part of it to which the robot has not been, and p = n / (n + 1) with n
-closures that agree (Laplace's rule of succession). What robots in contact tell each other of their maps suffices.
-
-All else is the team `information-gain`, its blind twin. Choosing views by what signs say was tried and left out: to
-know from room numbers how far the rooms are that another robot has read did not bring the maps together sooner.
+With n closures that agree, their hypothesis has the probability n / (n + 1) (Laplace's rule of succession). All else is
+MinPos, its blind twin.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig
-from twc_env.planning import ViewGain
+from twc_env.planning import Whereabouts, whereabouts
 from twc_env.records.geometry import transform_points
-from twc_env.records.messages import Belief
+from twc_env.records.messages import Belief, RadioTrail
 
-from ..teams.information_gain import InformationGain
+from ..shared.frontier_team import Frontiers
+from ..teams.minpos import MinPos
 
-DECAY_PER_M = 0.1
-"""mu."""
-LISTEN_S = 1.0
-"""Period of asking those in contact."""
-SAMPLE_M = 1.0
-"""Spacing of points that stand for another map's floor."""
+WEIGHT = 0.5
+"""A frontier may be this much further for each metre that it is nearer to the other path."""
+PERIOD_S = 3.0
+"""Period of locating the others."""
 PASSED_M = 2.0
-"""Floor within this distance of the robot's path has been tried."""
+"""Places within this distance of the robot's path have been tried."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Told:
-    """What a robot told of its group's map when last in contact."""
-
-    area_m2: float
-    floor_m: Array
-    """(k, 2) points on it, in its own frame."""
-
-
-class SignSeeker(InformationGain):
-    """Decides anew as soon as it has a new hypothesis."""
-
-    def __init__(self, config: EnvConfig):
-        super().__init__(config)
-        self._period_steps = max(1, round(LISTEN_S / config.dynamics.time_step_s))
+class SignSeeker(MinPos):
+    """Without what is known of other maps it is MinPos, its blind twin."""
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Discard all state."""
         super().reset(seed, agents)
-        self._others: dict[str, dict[int, Told]] = {agent: {} for agent in agents}
-        self._supports: dict[str, dict[tuple[int, ...], int]] = {agent: {} for agent in agents}
+        self._located: dict[str, tuple[float, tuple[int, int], list[Whereabouts | None]]] = {}
 
-    def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
-        """One command per robot; replans where necessary."""
-        if next(iter(beliefs.values())).step % self._period_steps == 0:
-            maps: dict[tuple[int, ...], Told] = {}
-            for agent, belief in beliefs.items():
-                for theirs in beliefs.values():
-                    is_heard = belief.contact_steps.get(theirs.robot, -1) == belief.step
-                    if is_heard and theirs.robot not in belief.teammates:
-                        group = (min([theirs.robot, *theirs.teammates]), id(theirs.grid))
-                        maps[group] = maps[group] if group in maps else _told(theirs)
-                        self._others[agent][theirs.robot] = maps[group]
-                supports = {each.robots: each.support for each in belief.hypotheses}
-                if supports != self._supports[agent]:
-                    self._supports[agent] = supports
-                    self.robots[agent].drop_goal()
-        return super().act(beliefs)
+    def choose(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> int | None:
+        """The frontier of the lowest rank; of those, the one of the least way and distance to another path."""
+        away_m = self._away_m(agent, beliefs[agent], frontiers.places_m)
+        rank = (frontiers.teammate_lengths_m < frontiers.lengths_m).sum(axis=0)
+        return int(np.lexsort((frontiers.lengths_m + WEIGHT * away_m, rank))[0])
 
-    def gains_m2(self, agent: str, beliefs: dict[str, Belief], views: ViewGain) -> Callable[[Array], Array]:
-        """What a view shows, and what it brings of the map of the group that promises most there."""
-        belief, here_m = beliefs[agent], self.robots[agent].pose[None, :2].copy()
-        others = []
-        for hypothesis in belief.hypotheses:
-            told = [self._others[agent][number] for number in hypothesis.robots if number in self._others[agent]]
-            if told:
-                floor_m = self._untried(agent, transform_points(hypothesis.pose_map_other, told[0].floor_m))
-                others.append((hypothesis.support / (hypothesis.support + 1.0) * told[0].area_m2, floor_m))
+    def _away_m(self, agent: str, belief: Belief, places_m: Array) -> Array:
+        """(k,) expected distance from places (k, 2) to the path of the group that is nearest by this measure."""
+        others = _sought(belief)
+        if not others:
+            return np.zeros(len(places_m))
+        hypotheses = {each.robots: each for each in belief.hypotheses}
+        distances_m = []
+        for other, where in zip(others, self._locate(agent, belief, others), strict=True):
+            away_m = np.zeros(len(places_m)) if where is None else where.distance_m(places_m)
+            if other.robots in hypotheses:
+                said = hypotheses[other.robots]
+                there = self._untried(agent, transform_points(said.pose_map_other, other.places_m))
+                if len(there):
+                    nearest_m = np.hypot(*(places_m[:, None] - there[None]).T).min(axis=0)
+                    away_m += said.support / (said.support + 1.0) * (nearest_m - away_m)
+            distances_m.append(away_m)
+        least_m: Array = np.min(distances_m, axis=0)
+        return least_m
 
-        def expected_m2(places_m: Array) -> Array:
-            brought_m2 = np.zeros(len(places_m))
-            for area_m2, floor_m in others:
-                near = _nearness(np.vstack([here_m, places_m]), floor_m)
-                brought_m2 = np.maximum(brought_m2, area_m2 * (near[1:] - near[0]))
-            return views.area_m2(places_m) + brought_m2
-
-        return expected_m2
+    def _locate(self, agent: str, belief: Belief, others: list[RadioTrail]) -> list[Whereabouts | None]:
+        """Where each of the others is, as of some seconds ago."""
+        state = belief.map_version, len(others)
+        step, known, found = self._located.get(agent, (-np.inf, state, []))
+        if known != state or (belief.step - step) * self.dynamics.time_step_s >= PERIOD_S:
+            found = [whereabouts(belief.radio_trails[0], other) for other in others]
+            self._located[agent] = belief.step, state, found
+        return found
 
     def _untried(self, agent: str, points_m: Array) -> Array:
         """Those of points (k, 2) to which the robot has not been."""
@@ -103,17 +83,7 @@ class SignSeeker(InformationGain):
         return points_m[near_m > PASSED_M]
 
 
-def _nearness(places_m: Array, points_m: Array) -> Array:
-    """(places,) exp(-mu d), where d is the distance to the nearest of the points."""
-    apart_m = np.hypot(*(places_m[:, None] - points_m[None]).T)  # (points, places)
-    near: Array = np.exp(-DECAY_PER_M * apart_m.min(axis=0, initial=np.inf))
-    return near
-
-
-def _told(belief: Belief) -> Told:
-    """What a robot tells of its map."""
-    grid = belief.grid
-    is_free = grid.log_odds < 0
-    stride = max(1, round(SAMPLE_M / grid.resolution_m))
-    cells = np.argwhere(is_free[stride // 2 :: stride, stride // 2 :: stride]) * stride + stride // 2
-    return Told(float(is_free.sum()) * grid.resolution_m**2, grid.centre_of(cells))
+def _sought(belief: Belief) -> list[RadioTrail]:
+    """The trails of groups with a lower number, and of the map of an earlier session."""
+    first = min([belief.robot, *belief.teammates])
+    return [other for other in belief.radio_trails[1:] if min(other.robots, default=-1) < first]

@@ -9,6 +9,7 @@ from twc_env.planning.follow import Follower, as_action, drive_to, room_around_m
 from twc_env.planning.latency_tours import LatencyTours, TeamState
 from twc_env.planning.moving_obstacles import MovingObstacles
 from twc_env.planning.path_finder import Disc, PathFinder, Plan
+from twc_env.planning.radio_whereabouts import Whereabouts, whereabouts
 from twc_env.planning.terrain import FREE, UNKNOWN, WALL, Terrain, is_frontier, path_is_blocked
 from twc_env.planning.views import RandomTree, ViewGain
 
@@ -31,6 +32,7 @@ __all__ = [
     "Terrain",
     "ViewGain",
     "WalkGraph",
+    "Whereabouts",
     "as_action",
     "covering_walk",
     "drive_to",
@@ -41,4 +43,5 @@ __all__ = [
     "room_around_m",
     "shown",
     "walk_graph",
+    "whereabouts",
 ]

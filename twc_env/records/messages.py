@@ -277,6 +277,18 @@ class MergeHypothesis:
 
 
 @_record
+class RadioTrail:
+    """What the robots of one map have heard of access points, and where: known of others before maps are merged."""
+
+    robots: tuple[int, ...]
+    """() for the map of an earlier session, and for what a robot mapped before it was carried away."""
+    places_m: Array
+    """(k, 2) of their keyframes, in the frame of their own map."""
+    fingerprints: tuple[Fingerprint, ...]
+    """(k,)."""
+
+
+@_record
 class Belief:
     """What one robot knows: the merged map of its group and its pose in it. Estimates only."""
 
@@ -318,3 +330,6 @@ class Belief:
 
     hypotheses: tuple[MergeHypothesis, ...] = ()
     """The best supported one for each group with which this robot's map is not merged, if there is any."""
+    radio_trails: tuple[RadioTrail, ...] = ()
+    """While there are other maps: that of this robot's own group, then that of each other group whose keyframes its
+    mapper has received; with one mapper per robot that is what robots in contact passed on."""

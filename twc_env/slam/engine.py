@@ -350,8 +350,11 @@ class CooperativeSlam(CopiedWhole):
         """Current belief of one robot. Raises TwcError for an unknown robot."""
         self._check_robot(robot)
         belief, mapper = self.beliefs()[robot], self.mapper_of(robot)
-        hypotheses = mapper.hypotheses_of(mapper.group_index(robot)) if len(mapper.groups) > 1 else ()
-        return dataclasses.replace(belief, hypotheses=hypotheses) if hypotheses else belief
+        if len(mapper.groups) == 1:
+            return belief
+        group = mapper.group_index(robot)
+        hypotheses, trails = mapper.hypotheses_of(group), mapper.radio_trails_of(group)
+        return dataclasses.replace(belief, hypotheses=hypotheses, radio_trails=trails)
 
     def _check_robot(self, robot: int) -> None:
         if not (isinstance(robot, (int, np.integer)) and 0 <= robot < len(self.robots)):

@@ -11,7 +11,15 @@ from twc_env.config import EnvConfig
 from twc_env.errors import DataError
 from twc_env.records.geometry import between
 from twc_env.records.lasting_map import LastingMap
-from twc_env.records.messages import LOOSE_M, GridMap, Keyframe, LoopCandidate, LoopClosure, MergeHypothesis
+from twc_env.records.messages import (
+    LOOSE_M,
+    GridMap,
+    Keyframe,
+    LoopCandidate,
+    LoopClosure,
+    MergeHypothesis,
+    RadioTrail,
+)
 from twc_env.records.team_messages import KnownSigns
 from twc_env.slam.mapping.closure_search import ClosureSearch
 from twc_env.slam.mapping.group_maps import Group, GroupMaps
@@ -102,7 +110,9 @@ class TeamMapper:
         """Without new messages there is nothing to do before `_due_step` while `TeamGraph.changes` has this value."""
         self._signs: dict[tuple[int, ...], tuple[tuple[int, int], KnownSigns]] = {}
         self._hypotheses: tuple[tuple[int, ...], dict[int, tuple[MergeHypothesis, ...]]] = (), {}
-        """Cache of `hypotheses_of` for one state of graph and groups."""
+        """Cache of `hypotheses_of` for one state of graph and groups ..."""
+        self._radio_trails: tuple[tuple[int, ...], list[RadioTrail]] = (), []
+        """... and of `radio_trails_of`: one for each group."""
         if prior is not None:
             self._lasting, self.prior = prior, self._take_in(prior)
 
@@ -320,6 +330,20 @@ class TeamMapper:
         if group not in held:
             held[group] = merge_hypotheses(self._graph, self.groups, group)
         return held[group]
+
+    def radio_trails_of(self, group: int) -> tuple[RadioTrail, ...]:
+        """What this group and then the others have heard of access points; without groups that have no keyframes."""
+        key = self._graph.changes, self._maps.regroupings
+        if self._radio_trails[0] != key:
+            self._radio_trails = key, [self._radio_trail(each.robots) for each in self.groups]
+        trails = self._radio_trails[1]
+        return trails[group], *(one for k, one in enumerate(trails) if k != group and len(one.fingerprints))
+
+    def _radio_trail(self, segments: tuple[int, ...]) -> RadioTrail:
+        keyframes = [keyframe for segment in segments for keyframe in self._graph.keyframes[segment]]
+        nodes = [self._graph.path_of(segment) for segment in segments]
+        fingerprints = tuple([keyframe.fingerprint for keyframe in keyframes])
+        return RadioTrail(self.segments.robots_in(segments), self._graph.poses[np.concatenate(nodes), :2], fingerprints)
 
     def graph(self) -> dict[str, Array | list[str]]:
         """The pose graph as arrays: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""

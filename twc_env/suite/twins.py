@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.agents.roster import TEAMS
 from twc_env.metrics import team_scores
 
 
@@ -42,8 +43,6 @@ def twin_rows(
 
     areas: (task, team) -> (buildings,) area under the curve. values: the same -> its episodes.
     """
-    from twc_env.agents.roster import TEAMS
-
     rows = []
     for task, team in areas:
         twin = TEAMS[team].twin if team in TEAMS else ""
