@@ -53,18 +53,11 @@ def page_of(standings: Standings, title: str, lead: str, pictures: Sequence[tupl
         f'src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode("ascii")}"></figure>'
         for (heading, path), caption in zip(pictures, PICTURES, strict=False)
     ]
-<<<<<<< HEAD
     groups = groups_of(standings)
     tables = [_table(standings, group) for group in groups]
     links = "".join(f'<a href="#{_anchor(group)}">{escape(title_of(group))}</a>' for group in groups)
     parts = [f"<p>{escape(lead)}</p>", f"<nav>{links}</nav>", tables[0], *drawn, *tables[1:]]
     body = "\n".join([*parts, *_twins(standings), _definitions(standings)])
-=======
-    tables = [_table(standings, group) for group in groups_of(standings)]
-    if twins := twin_cells(standings):
-        tables.append(_framed(TWINS_TITLE, twins[0], [_row(cells) for cells in twins[1:]]))
-    body = "\n".join([f"<p>{escape(lead)}</p>", _definitions(standings), tables[0], *drawn, *tables[1:]])
->>>>>>> aware
     template = files("twc_env.suite").joinpath("leaderboard_page.html").read_text(encoding="utf-8")
     return re.sub("__(TITLE|BODY)__", lambda gap: {"TITLE": escape(title), "BODY": body}[gap[1]], template)
 
@@ -84,12 +77,9 @@ def _table(standings: Standings, group: str) -> str:
     rows = standings.rows_of(group)
     values = [v for row in rows for v in (row.low, row.high, row.score) if math.isfinite(v)]
     low, high = min(0.0, *values), max(1.0, *values)
-<<<<<<< HEAD
     heads = [_button(long) for long, _, _ in COLUMNS]
     heads[INTERVAL] += _axis(low, high)
     best = next((row for row in rows if row.team not in REFERENCES), None)
-=======
->>>>>>> aware
     body = []
     for row, cells in zip(rows, cells_of(rows), strict=True):
         shown = [
@@ -98,7 +88,6 @@ def _table(standings: Standings, group: str) -> str:
             else f"<td>{escape(cell)}</td>"
             for cell in cells[1:]
         ]
-<<<<<<< HEAD
         kind = ' class="reference"' if row.team in REFERENCES else ' class="best"' if row is best else ""
         body.append(f'<tr{kind}><th scope="row">{escape(cells[0])}</th>{"".join(shown)}</tr>')
     return _titled(group, _CAPTION, heads, body)
@@ -126,22 +115,6 @@ def _twins(standings: Standings) -> list[str]:
         for task, *cells in lines[1:]
     ]
     return [_titled(TWINS_TITLE, _TWINS_CAPTION, [_button(head) for head in lines[0]], body)]
-=======
-        kind = ' class="reference"' if row.team in REFERENCES else ""
-        body.append(f"<tr{kind}>{''.join(shown)}</tr>")
-    return _framed(title_of(group), [long for long, _, _ in COLUMNS], body)
-
-
-def _row(cells: Sequence[str]) -> str:
-    return f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
-
-
-def _framed(title: str, head: Sequence[str], rows: Sequence[str]) -> str:
-    """A heading, and below it a table that scrolls by itself; rows: HTML."""
-    cells = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-    table = f"<table><thead><tr>{cells}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
-    return f'<h2>{escape(title)}</h2>\n<div class="scroll">{table}</div>'
->>>>>>> aware
 
 
 def _bar(row: Row, low: float, high: float) -> str:
