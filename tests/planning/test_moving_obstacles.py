@@ -1,4 +1,5 @@
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -6,6 +7,7 @@ import pytest
 from twc_env.config import DynamicsConfig
 from twc_env.planning import MovingObstacles
 from twc_env.planning.moving_obstacles import LEG_M, PERSON_M_S, REACTION_S
+from twc_env.records.messages import GridMap
 
 BEAMS, NOBODY = 180, np.zeros((0, 2))
 
@@ -89,6 +91,25 @@ def test_a_robot_stands_beside_legs_while_somebody_else_walks_by():
     assert limit_m_s([scan_with([place]) for place in walks]) > 0.0
     assert limit_m_s([scan_with([place, beside]) for place in walks]) == 0.0
     assert limit_m_s([scan_with([beside])] * 8) == math.inf
+    gone = [scan_with([beside])] * 30  # for two seconds after
+    found = [limit_m_s([*(scan_with([place, beside]) for place in walks), *gone[:k]]) for k in (10, 19, 30)]
+    assert found == [0.0, 0.0, math.inf]
+
+
+def test_the_frame_of_a_door_is_nobody_beside_the_robot():
+    cell = np.zeros((40, 40), np.int16)
+    cell[24, 21] = 50  # a wall at (0.1 to 0.2, 0.4 to 0.5)
+    limits = []
+    for log_odds in (cell, 0 * cell):
+        obstacles = MovingObstacles(DynamicsConfig())
+        for k in range(8):
+            belief = SimpleNamespace(
+                pose_odom=np.zeros(3), pose_map_robot=np.zeros(3), teammates={},
+                ranges_m=scan_with([(1.2, 0.6 - 0.15 * k), (0.15, 0.43)]),
+                grid=GridMap(log_odds, np.array([-2.0, -2.0]), 0.1),
+            )  # fmt: skip
+            limits.append(obstacles.limited(belief, 0.5))
+    assert limits[7] > 0.0 and limits[-1] == 0.0
 
 
 def test_a_robot_that_people_have_come_close_to_drives_to_where_they_are_not():

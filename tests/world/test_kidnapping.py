@@ -46,3 +46,14 @@ def test_robots_are_carried_at_the_rate_given_at_the_same_times_for_the_same_see
 
 def test_nobody_is_carried_by_default():
     assert jumps_m(played()[0]).max() == 0.0
+
+
+def test_nobody_puts_a_robot_down_on_a_person():
+    settings = {"map": "twin-01", "robots": 3, "people.count": 40, "people.walking_share": 0.0}
+    for seed in range(6):
+        world = World(override(EnvConfig(), {**settings, "failure.kidnap_step": 5}), load_map("twin-01"))
+        world.reset(seed)
+        world.sense()
+        for _ in range(5):
+            world.tick(STILL)
+        assert np.hypot(*(world.people_m - world.poses[2, :2]).T).min() > 0.9

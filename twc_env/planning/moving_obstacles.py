@@ -13,6 +13,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig
 from twc_env.kernels.compiled import kernel
+from twc_env.records.geometry import transform_points
 from twc_env.records.messages import Belief
 
 LAG_S = 0.3
@@ -32,15 +33,22 @@ WIDTH_M = 0.6
 STEP_M = 0.15
 """Greatest difference of neighbouring ranges on one thing."""
 BESIDE_COS = 0.2
-"""Of them, those further to the side than this are passed."""
+"""What is further to the side than this is passed."""
 HOLD_S = 0.4
-"""Something that stops stays a moving obstacle for this long."""
+"""Something that stops stays a moving obstacle for this long ..."""
+BESIDE_HOLD_S = 2.0
+"""... and narrow things beside the robot for this long."""
+_AROUND_M = 0.1 * np.array([[x, y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
+"""A wall of the map this near to an end point is what it met."""
 
 
 @kernel
-def _limit(ranges, pose, old_ranges, old_pose, radius, reach, beside, forward, teammates, teammate_radius, braking):
+def _limit(
+    ranges, is_wall, pose, old_ranges, old_pose, radius, reach, beside, forward, teammates, teammate_radius, braking
+):
     """Greatest speed towards end points within `reach` on something narrow that lies well inside the free space of the
-    old scan, infinite if there are none; and whether something narrow, moved or not, is nearer than `beside`.
+    old scan, infinite if there are none; and whether something narrow, moved or not, is nearer than `beside`, except
+    at beams that meet a wall of the map, is_wall (beams,).
 
     The beams beside its bearing must have been free as well: along a grazing wall, ranges of neighbours differ. Points
     behind a robot that drives forward (1) or back (-1), or within teammate_radius of teammates (k, 2), do not count.
@@ -56,10 +64,10 @@ def _limit(ranges, pose, old_ranges, old_pose, radius, reach, beside, forward, t
             continue
         ax, ay = ranges[i] * math.cos(i / per_beam), ranges[i] * math.sin(i / per_beam)
         towards = forward * ax / ranges[i]
-        if towards <= 0.0:
+        if towards <= BESIDE_COS:
             continue
         speed = _stops_within(ranges[i] - radius - LEG_M, braking) / towards
-        is_near = not is_beside and ranges[i] < beside and towards > BESIDE_COS
+        is_near = not is_beside and ranges[i] < beside and not is_wall[i]
         if not (speed < limit or is_near):
             continue
         is_teammate = False
@@ -116,25 +124,47 @@ def _teammates_of(belief: Belief) -> Array:
     return np.stack([c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0]], axis=1)
 
 
+def _meets_walls(belief: Belief, reach_m: float) -> Array:
+    """(beams,) whether each beam up to a range meets a wall of the robot's map: the frame of a door is narrow, too."""
+    ranges_m = np.asarray(belief.ranges_m)
+    is_wall, near = np.zeros(len(ranges_m), bool), np.flatnonzero((ranges_m > 0.0) & (ranges_m < reach_m))
+    if len(near):
+        angles = 2.0 * np.pi / len(ranges_m) * near
+        ends = ranges_m[near, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+        ends = transform_points(np.asarray(belief.pose_map_robot, float), ends)
+        is_wall[near] = (belief.grid.level_at(ends[:, None] + _AROUND_M) > 0).any(axis=1)
+    return is_wall
+
+
 class MovingObstacles:
     """Remembers the recent scans of one robot."""
 
     def __init__(self, dynamics: DynamicsConfig):
         self._dynamics = dynamics
         self._earlier: deque[tuple[Array, Array]] = deque(maxlen=max(1, round(LAG_S / dynamics.time_step_s)) + 1)
-        self._hold_steps, self._held_m_s, self._forward = 0, math.inf, 1.0
+        self._hold_steps, self._beside_steps, self._held_m_s, self._forward = 0, 0, math.inf, 1.0
 
     def limited(self, belief: Belief, speed_m_s: float) -> float:
         """The speed [m/s] of a robot that wants this one; call once per step."""
-        limit_m_s = self.limit_m_s(belief.pose_odom, belief.ranges_m, speed_m_s, _teammates_of(belief))
+        is_wall = None
+        if belief.ranges_m is not None and len(belief.ranges_m):
+            is_wall = _meets_walls(belief, self._dynamics.robot_radius_m + BESIDE_M)
+        limit_m_s = self.limit_m_s(belief.pose_odom, belief.ranges_m, speed_m_s, _teammates_of(belief), is_wall)
         return math.copysign(min(abs(speed_m_s), limit_m_s), speed_m_s)
 
-    def limit_m_s(self, pose_odom: Array, ranges_m: Array | None, speed_m_s: float, teammates_m: Array) -> float:
+    def limit_m_s(
+        self,
+        pose_odom: Array,
+        ranges_m: Array | None,
+        speed_m_s: float,
+        teammates_m: Array,
+        is_wall: Array | None = None,
+    ) -> float:
         """Greatest speed [m/s] while something moves nearby, not behind a robot of this speed, or did shortly before;
         call once per step.
 
         pose_odom (3,): in a frame that does not jump; teammates_m (k, 2): positions of teammates in the robot frame,
-        which do not count.
+        which do not count; is_wall (beams,): those that meet a wall of the map, which nobody beside the robot is.
         """
         if ranges_m is None or len(ranges_m) == 0:
             return math.inf
@@ -143,16 +173,19 @@ class MovingObstacles:
         old_pose, old_ranges = self._earlier[0]
         forward, radius_m = 1.0 if speed_m_s >= 0.0 else -1.0, self._dynamics.robot_radius_m
         found_m_s, is_beside = _limit(
-            ranges, self._earlier[-1][0], old_ranges, old_pose, radius_m, radius_m + REACH_M, radius_m + BESIDE_M,
-            forward, np.ascontiguousarray(teammates_m, float), 2.0 * radius_m, self._dynamics.acceleration_max_m_s2,
+            ranges, np.zeros(len(ranges), bool) if is_wall is None else is_wall, self._earlier[-1][0], old_ranges,
+            old_pose, radius_m, radius_m + REACH_M, radius_m + BESIDE_M, forward,
+            np.ascontiguousarray(teammates_m, float), 2.0 * radius_m, self._dynamics.acceleration_max_m_s2,
         )  # fmt: skip
+        tick_s = self._dynamics.time_step_s
         if found_m_s < math.inf:
-            self._hold_steps, self._held_m_s = round(HOLD_S / self._dynamics.time_step_s), found_m_s
+            self._hold_steps, self._beside_steps = round(HOLD_S / tick_s), round(BESIDE_HOLD_S / tick_s)
+            self._held_m_s = found_m_s
         elif forward != self._forward:
-            self._hold_steps = 0
-        elif self._hold_steps > 0:
-            self._hold_steps -= 1
+            self._hold_steps = self._beside_steps = 0
+        else:
+            self._hold_steps, self._beside_steps = max(self._hold_steps - 1, 0), max(self._beside_steps - 1, 0)
         self._forward = forward
-        if self._hold_steps == 0:
-            return math.inf
-        return 0.0 if is_beside else self._held_m_s
+        if is_beside and self._beside_steps > 0:
+            return 0.0
+        return self._held_m_s if self._hold_steps > 0 else math.inf

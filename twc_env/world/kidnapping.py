@@ -16,7 +16,7 @@ from twc_env.world.starts import start_places
 _AWAY_M = 3.0
 """Least distance of the new place to the old one, if the building has such a place ..."""
 _APART_M = 1.0
-"""... and to other robots."""
+"""... and to other robots and people."""
 
 
 class Kidnapping:
@@ -35,8 +35,11 @@ class Kidnapping:
         if len(self._places):
             self._places = self._places[is_clear(self._places)]
 
-    def carried(self, step: int, poses: Array) -> list[tuple[int, Array]]:
-        """Robots carried before this step, and their new poses (3,); poses (n, 3) of all robots. Once per step."""
+    def carried(self, step: int, poses: Array, people_m: Array) -> list[tuple[int, Array]]:
+        """Robots carried before this step, and their new poses (3,); poses (n, 3) of all robots, people_m (k, 2).
+
+        Once per step.
+        """
         drawn = self._random.random(len(poses)) < self._chance if self._chance else np.zeros(len(poses), bool)
         if step == self._step > 0:
             drawn[self._last_robot] = True
@@ -45,7 +48,8 @@ class Kidnapping:
         now, moved = poses.copy(), []
         for robot in np.flatnonzero(drawn).tolist():
             own_m = np.hypot(*(self._places - now[robot, :2]).T)
-            others_m = [np.hypot(*(self._places - place).T) for place in np.delete(now, robot, axis=0)[:, :2]]
+            others = np.concatenate([np.delete(now, robot, axis=0)[:, :2], people_m])
+            others_m = [np.hypot(*(self._places - place).T) for place in others]
             is_free = np.min([np.full(len(own_m), np.inf), *others_m], axis=0) >= _APART_M
             chosen = np.flatnonzero(is_free & (own_m >= min(_AWAY_M, own_m[is_free].max(initial=0.0))))
             if len(chosen):

@@ -285,7 +285,8 @@ class World:
     def _carry(self) -> None:
         """Put down elsewhere the robots that are carried before this step; their odometry does not see it."""
         dynamics = self._dynamics or _raise_not_reset()
-        for robot, pose in self._kidnapping.carried(self._step, dynamics.poses):
+        people_m = np.zeros((0, 2)) if self.crowd is None else self.crowd.bodies
+        for robot, pose in self._kidnapping.carried(self._step, dynamics.poses, people_m):
             dynamics.put(robot, pose)
             self._sensed_poses[robot] = dynamics.poses[robot]
 

@@ -1,12 +1,14 @@
 import numpy as np
 import pytest
 
+from twc_env.config import EnvConfig, override
 from twc_env.config.people import PeopleConfig
 from twc_env.errors import MapError
 from twc_env.maps import load_map
 from twc_env.world.clutter.doorways import doorways_of
 from twc_env.world.people.crowd import Crowd
 from twc_env.world.people.walking import BODY_RADIUS_M, SITTING, WALKING
+from twc_env.world.world import World
 
 RADIUS_M, DT_S = 0.2, 0.1
 HOME = load_map("twin-01").home
@@ -96,3 +98,14 @@ def test_nobody_sits_or_stands_in_a_doorway_for_good():
     doorways = doorways_of(home)
     middles = 0.5 * (doorways[:, :2] + doorways[:, 2:])
     assert np.hypot(*(crowd.bodies[:, None] - middles).transpose(2, 0, 1)).min() >= 0.8
+
+
+def test_nobody_sits_where_an_open_door_leaves_too_little_of_the_way():
+    plan = load_map("gen:office:400:530")
+    config = {"clutter.door_share": 0.8, "people.count": 20, "people.walking_share": 0.0, "people.sitting_share": 1.0}
+    world = World(override(EnvConfig(map=plan.name, robots=1), config), plan)
+    for seed in range(5):
+        world.reset(seed)
+        leaves, bodies = world.clutter.open_leaves, world.crowd.bodies
+        along = np.linspace(0.0, 1.0, 30)[:, None, None] * (leaves[:, 2:] - leaves[:, :2]) + leaves[:, :2]
+        assert len(leaves) > 5 and np.hypot(*np.moveaxis(along[:, :, None] - bodies, -1, 0)).min() >= 0.94 + 0.2

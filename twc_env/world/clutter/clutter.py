@@ -33,7 +33,7 @@ from twc_env.world.clutter.contact import (
     shorten,
     swing,
 )
-from twc_env.world.clutter.doorways import doorways_of
+from twc_env.world.clutter.doorways import EGRESS_M, doorways_of
 from twc_env.world.clutter.furniture import KINDS, LOW, Kind, Places, at, legs_of, sides_of
 from twc_env.world.sensors.noise import NormalPools
 
@@ -48,9 +48,6 @@ _GAP_M = 0.02
 _MARGIN_M = 0.1
 """Floor this close to a piece is not scored either: about a cell of the map."""
 _CLEAR_M = 0.5
-_EGRESS_M = 0.94
-"""An open leaf leaves this much of the way that it stands in, also if there is another leaf opposite: doors may take
-0.18 m of the 1.12 m that a corridor has at least (International Building Code 2021, sections 1005.7.1 and 1020.3)."""
 _NO_WALKERS = np.zeros((0, 2))
 
 
@@ -262,7 +259,7 @@ def _doors_of(
             ways.append((min(way_m, _apart_m(leaf, others)), side, leaf[0].copy()))
         for way_m, side, opened in ways:  # not into the way along a corridor
             door[SIDE] = side
-            if way_m < _EGRESS_M:
+            if way_m < EGRESS_M:
                 continue
             place_leaf(door[None], 0, door[ANGLE], leaf)
             if all(away_from(leaf, 0, x, y) > r for (x, y, _), r in zip(robots, radii_m, strict=True)):

@@ -12,6 +12,9 @@ from twc_env.world.building.wall_index import is_blocked
 
 WIDTH_MIN_M, WIDTH_MAX_M = 0.75, 1.6
 """Gaps that can have a door (ours): narrower ones let no robot pass, and a leaf as long as a wider one is rare."""
+EGRESS_M = 0.94
+"""An open leaf leaves this much of the way that it stands in, also to a leaf opposite, or to somebody who sits: doors
+may take 0.18 m of the 1.12 m that a corridor has at least (International Building Code 2021, 1005.7.1 and 1020.3)."""
 _COS_MIN = 0.99
 """The gap continues both walls."""
 _BESIDE_M = 0.35

@@ -13,7 +13,7 @@ from twc_env.errors import MapError
 from twc_env.kernels.compiled import BindsAnew, Lent, bound
 from twc_env.records.random_streams import random_stream
 from twc_env.world.building.floorplan import Floorplan
-from twc_env.world.clutter.doorways import doorways_of
+from twc_env.world.clutter.doorways import EGRESS_M, doorways_of
 from twc_env.world.people.destinations import destinations_of
 from twc_env.world.people.sight import shorten
 from twc_env.world.people.walking import (
@@ -55,7 +55,9 @@ _GROUP_RADIUS_M = 0.6
 _SEAT_CLEARANCE_M = 0.9
 """People sit no further from a wall than this."""
 _FROM_DOORWAYS_M = 0.8
-"""Nobody sits or stands nearer to the middle of a doorway for the whole episode."""
+"""Nobody sits or stands nearer to the middle of a doorway for the whole episode ..."""
+_FROM_LEAVES_M = EGRESS_M + BODY_RADIUS_M
+"""... or to an open leaf."""
 _SPEED_MIN_M_S = 0.3
 
 
@@ -81,7 +83,7 @@ class Crowd(BindsAnew):
         random, count = random_stream(seed, "people"), config.count
         radii_m = np.full(len(robots), robot_radius_m, float)
         ways = destinations_of(home, () if leaves is None else tuple(map(tuple, leaves.tolist())))
-        self._state, self._kinds = _placed(config, home, robots, radii_m, random)
+        self._state, self._kinds = _placed(config, home, robots, radii_m, random, leaves)
         trips = random.integers(0, max(len(ways.places_m), 1), (count, _TRIPS))
         pauses = random.exponential(config.pause_mean_s, (count, _TRIPS))
         # Some are on their way when the episode begins, the others still pause.
@@ -157,7 +159,12 @@ class Crowd(BindsAnew):
 
 
 def _placed(
-    config: PeopleConfig, home: Floorplan, robots: Array, radii_m: Array, random: np.random.Generator
+    config: PeopleConfig,
+    home: Floorplan,
+    robots: Array,
+    radii_m: Array,
+    random: np.random.Generator,
+    leaves: Array | None,
 ) -> tuple[Array, Array]:
     """State (people, columns) and kind (people,) of the people at the start of an episode."""
     count = config.count
@@ -170,6 +177,10 @@ def _placed(
     doorways = doorways_of(home)
     apart_m = np.hypot(*(places[:, None] - 0.5 * (doorways[:, :2] + doorways[:, 2:])).transpose(2, 0, 1))
     is_beside = apart_m.min(axis=1, initial=np.inf) >= _FROM_DOORWAYS_M
+    for x, y, end_x, end_y in () if leaves is None else leaves.tolist():
+        along, offset = np.array([end_x - x, end_y - y]), places - (x, y)
+        share = np.clip(offset @ along / max(along @ along, 1e-9), 0.0, 1.0)
+        is_beside &= np.hypot(*(offset - share[:, None] * along).T) >= _FROM_LEAVES_M
     away = np.full(len(places), np.inf)
     """Distance of each place to what is already there."""
     for robot, radius_m in zip(robots, radii_m.tolist(), strict=True):
