@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
 from .references import TEAMS
 
-COLOURS = {"random": "0.6", "information-gain": "tab:orange", "informed": "tab:green"}
+SIZE_IN = (6.4, 4.2)
 
 
 def draw_curve(folder: Path, means: Mapping[str, float], title: str) -> Path | None:
@@ -18,25 +19,26 @@ def draw_curve(folder: Path, means: Mapping[str, float], title: str) -> Path | N
 
     means: of `references`.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
+    if find_spec("matplotlib") is None:
         return None
     with (folder / "metrics.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["mean_coverage"] != "nan"]
     if not rows:
         return None
+    from twc_env.pictures import style as pictures
+
     decisions, values = (np.array([float(row[key]) for row in rows]) for key in ("decisions", "mean_coverage"))
-    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.plot(decisions, values, color="tab:blue", label="in training (last 100 episodes)")
-    for team, mean in means.items():
-        axes.axhline(mean, color=COLOURS[team], linestyle="--", label=f"{TEAMS[team]}, validation: {mean:.3f}")
-    axes.set(xlabel="decisions", ylabel="mapped floor, mean over time", title=title)
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, loc="lower right")
-    path = folder / "curve.png"
-    figure.savefig(path, dpi=110)
-    return path
+    lines = {"random": (pictures.TRUE_WALL, ":"), "information-gain": (pictures.TEAMS[1], "--")}
+    with pictures.style():
+        figure = pictures.new_figure(SIZE_IN)
+        axes = figure.add_subplot(xlabel="decisions", ylabel="floor mapped, mean over time [%]")
+        axes.plot(decisions, 100 * values, color=pictures.TEAMS[0], lw=1.8, label="in training, last 100 episodes")
+        for team, mean in means.items():
+            colour, line = lines.get(team, (pictures.INK, "--"))
+            axes.axhline(100 * mean, color=colour, ls=line, lw=1.4, label=f"{TEAMS[team]}: {100 * mean:.1f} %")
+        axes.set(ylim=(0, 102), xlim=(0, decisions[-1]))
+        axes.grid(alpha=0.3, lw=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        pictures.set_title(figure, [title, "lines: scripted teams in validation buildings"])
+        pictures.legend_below(figure, *axes.get_legend_handles_labels())
+    return pictures.save_figure(figure, folder / "curve.png")

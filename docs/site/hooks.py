@@ -42,8 +42,8 @@ PACKAGES = {
     "twc_env.datasets": "readers and writers of maps, logs and surveys",
     "twc_env.pictures": "films and pages",
     "twc_env.running": "what commands share",
-    "twc_env.agents": "scripted teams",
-    "twc_env.training": "learning",
+    "twc_env.agents": "scripted teams: `Policy` to derive your own from, `explore` to play an episode",
+    "twc_env.training": "learning: what `twc-env train` and `evaluate` run, and how a trained policy is played",
 }
 """Public packages, each with a page of its own."""
 FIRST = (

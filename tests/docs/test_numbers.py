@@ -31,6 +31,11 @@ def radio(method: str) -> dict:
     return row("radio-table1", method=method)
 
 
+def waiting(name: str) -> str:
+    """Number of closures that wait for others, of a run that says so."""
+    return re.search(r"(\d+) closures wait", " ".join(read(name)["lacked"]))[1]
+
+
 NUMBERS = [
     ("index.md", "After {} steps", lambda: str(read("demo")["steps"])),
     ("index.md", "{} s of simulated time", lambda: f"{read('demo')['sim_time_s']:.0f}"),
@@ -61,6 +66,13 @@ NUMBERS = [
     ("explained/k_visibility.md", "has an IoU of {} for floor", lambda: f"{sfw('ours')['iou_free']:.3f}"),
     ("explained/radio_slam.md", "odometry is off by {} m", lambda: f"{radio('odometry')['error_mean_m']:.1f}"),
     ("explained/radio_slam.md", "radio SLAM by {} m", lambda: f"{radio('wifi')['error_mean_m']:.2f}"),
+    ("first_hours/lecturer.md", "hardly changes ({} and", lambda: f"{read('demo')['team_ate_m']:.3f}"),
+    ("first_hours/lecturer.md", "and {} m), odometry leaves", lambda: f"{read('drift')['team_ate_m']:.3f}"),
+    ("first_hours/lecturer.md", "leaves the building ({} and", lambda: f"{read('demo')['odometry_ate_m']:.1f}"),
+    ("first_hours/lecturer.md", "4.4 and {} m).", lambda: f"{read('drift')['odometry_ate_m']:.1f}"),
+    ("first_hours/lecturer.md", "an error of {} m where", lambda: f"{read('gullible')['team_ate_m']:.0f}"),
+    ("first_hours/lecturer.md", "would have had {} m", lambda: f"{read('gullible')['odometry_ate_m']:.0f}"),
+    ("first_hours/researcher.md", "{} closures that wait", lambda: waiting("blind")),
 ]
 """Page, the words around the number, and the number as the file has it."""
 
@@ -83,7 +95,23 @@ def test_the_means_of_a_tutorial_are_those_of_its_curve_which_rises(name):
     assert later - first > 2 * (curve["standard_errors"][0] + error)
 
 
+def test_words_of_a_first_hour_are_those_of_its_run():
+    assert read("blind")["merged_robots"] == 2 and any("cannot be trusted" in why for why in read("blind")["lacked"])
+    assert read("gullible")["wrong_merges"] == 3
+
+
+def test_every_number_that_the_readme_claims_stands_in_the_brief_table_of_the_results():
+    readme = (DOCS.parent / "README.md").read_text()
+    claims = re.search(r"^## Results.*?(?=^## )", readme, re.DOTALL | re.MULTILINE)[0]
+    brief = re.search(r"^## In brief.*?(?=^## )", (DOCS / "results.md").read_text(), re.DOTALL | re.MULTILINE)[0]
+    numbers = re.findall(r"\d[\d,]*\.?\d*(?<![.,])", re.sub(r"95 % interval", "", claims))
+    assert len(numbers) >= 8
+    assert [number for number in numbers if not re.search(rf"(?<![\d.,]){re.escape(number)}(?![\d])", brief)] == []
+
+
 def test_every_kept_file_is_checked():
     kept = {path.stem for path in (DOCS / "data").glob("*.json")}
-    checked = {"demo", "twc-table2", "sfw-table1", "radio-table1"} | {f"tutorial-{name}" for name in TUTORIALS}
+    checked = {"demo", "drift", "blind", "gullible", "twc-table2", "sfw-table1", "radio-table1"} | {
+        f"tutorial-{name}" for name in TUTORIALS
+    }
     assert kept <= checked

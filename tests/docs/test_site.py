@@ -134,7 +134,7 @@ def _shows(anchor: str, module: str, name: str) -> bool:
 def test_records_show_the_types_of_their_fields(site):
     page = (site / "api" / "records.html").read_text(encoding="utf-8")
     signature = page[page.index('id="twc_env.records.messages.SensorFrame"') :][:3000]
-    assert ">ranges_m<" in signature and ">Array<" in signature
+    assert ">ranges_m<" in signature and ">NDArray<" in signature
 
 
 def test_every_page_has_one_title_so_that_its_contents_list_all_of_it(site, pages):

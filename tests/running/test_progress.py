@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from twc_env.__main__ import main
+from twc_env.kernels import compilation
 from twc_env.running import terminal
 from twc_env.running.terminal import Bar, bar_line, logging_to_terminal, show_line, tell
 
@@ -92,6 +93,9 @@ def test_quiet_drops_progress_and_remarks_but_not_warnings(on_terminal, capsys):
         show_line("half")
         tell("something")
         logging.getLogger("twc_env.slam").warning("careful")
+        compilation._LOG.handle(
+            compilation._LOG.makeRecord("twc_env", 30, compilation.__file__, 1, "a while", (), None)
+        )
     assert capsys.readouterr().err == "careful\n"
     with logging_to_terminal(is_verbose=True):
         logging.getLogger("twc_env.slam").debug("inside")

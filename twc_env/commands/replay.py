@@ -297,7 +297,13 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     if is_told:
         for place in (options.out, page_path if has_page and not options.out else None, options.bag):
             if place is not None:
-                print(f"\nwritten: {place}")
+                print(f"\nwritten: {_named(place, formats) if place is options.out else place}")
+
+
+def _named(folder: Path, formats: Sequence[str]) -> str:
+    """A folder, and what in it one looks at first."""
+    shown = [name for name in (*(f"map.{each}" for each in formats), "replay.html") if (folder / name).exists()]
+    return f"{folder}: {', '.join([*shown, 'table.csv'])} and more"
 
 
 def _told(figures: dict[str, Any]) -> list[tuple[str, str]]:

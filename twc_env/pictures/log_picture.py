@@ -79,13 +79,18 @@ def _figure(replay: Replay) -> Any:
         "signs, as read": Line2D([], [], ls="", marker="s", color=TRUE_TEXT, ms=3.5),
     }
     accepted = sum(closure.status == "accepted" for closure in team.closures)
-    counts = f"{len(replay.paths())} robot(s) in {len(groups)} map(s), {accepted} loop closures accepted"
+    robots, maps = _counted(len(replay.paths()), "robot"), _counted(len(groups), "map")
+    counts = f"{robots} in {maps}, {_counted(accepted, 'loop closure')} accepted"
     set_title(figure, [counts])
     legend_below(figure, list(handles.values()), list(handles))
     settle(figure)
     for axes, group in zip(panels, drawn, strict=True):
         _name_signs(axes, [(sign.text, sign.position_m) for sign in team.signs_of(group)])
     return figure
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count:,} {what}{'s' * (count != 1)}"
 
 
 def _draw_paths(axes: Any, replay: Replay, group: int) -> dict[str, Any]:

@@ -134,6 +134,8 @@ def logging_to_terminal(is_quiet: bool = False, is_verbose: bool = False) -> Ite
     """Messages of the package appear on stderr while a command runs: remarks and warnings; with --quiet only warnings,
     with --verbose also what happens inside."""
     package, handler, level = logging.getLogger("twc_env"), _ToTerminal(), logging.getLogger("twc_env").level
+    if is_quiet:
+        handler.addFilter(lambda record: record.module != "compilation")  # that it takes a while is a remark
     package.addHandler(handler)
     package.setLevel(logging.WARNING if is_quiet else logging.DEBUG if is_verbose else logging.INFO)
     _progress["is_quiet"] = is_quiet

@@ -58,7 +58,8 @@ def told(scores: Sequence[GroupScore], cells: Cells, robots: int, time_s: float)
     best = scores[0]
     wrong = ", merged wrongly" if any(score.wrong_pairs for score in scores) else ""
     share = best.correct_area_m2 / floor_m2(cells)
-    merged = f"{len(best.robots)} of {robots} robots in one map{wrong}"
+    apart = robots > 1 and len(best.robots) == 1
+    merged = f"{'no two' if apart else f'{len(best.robots)} of {robots}'} robots in one map{wrong}"
     return f"{time_s:.1f} s   {merged}   {100 * share:.1f} % of the floor mapped correctly"
 
 

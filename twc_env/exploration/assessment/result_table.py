@@ -71,7 +71,8 @@ def remarks_of(figures: Mapping[str, Any]) -> list[str]:
 def heading_of(figures: Mapping[str, Any]) -> str:
     """Map, seed, robots and steps."""
     who = f"{figures['agent']} on " if "agent" in figures else ""
-    return f"{who}{figures['map']}, seed {figures['seed']}, {figures['robots']} robots, {figures['steps']} steps"
+    team = "1 robot" if figures["robots"] == 1 else f"{figures['robots']} robots"
+    return f"{who}{figures['map']}, seed {figures['seed']}, {team}, {figures['steps']} steps"
 
 
 def text_of(figures: Mapping[str, Any]) -> str:
