@@ -12,7 +12,7 @@ from importlib import import_module
 import argcomplete
 
 from twc_env.running.argument_parser import Parser, add_version
-from twc_env.running.command_line import run_command
+from twc_env.running.command_line import is_without_memory, run_command
 
 COMMANDS = {
     "explore": "run one episode and write a run folder",
@@ -46,11 +46,19 @@ examples:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; the exit status is 0 when done, 2 after bad input (one line on stderr), 130 when interrupted by
-    Ctrl-C and 143 by SIGTERM."""
-    parser = _parser()
-    argcomplete.autocomplete(parser)
-    return run_command(parser, arguments)
+    """Run one command; the exit status is 0 when done, 2 after bad input or without memory (one line on stderr), 130
+    when interrupted by Ctrl-C and 143 by SIGTERM."""
+    try:
+        parser = _parser()
+        argcomplete.autocomplete(parser)
+        return run_command(parser, arguments)
+    except (MemoryError, ImportError, OSError) as error:
+        if not is_without_memory(error):
+            raise
+        sys.stderr.write(
+            f"error: there is too little memory ({str(error)[:120] or 'none left'}); give the process more\n"
+        )
+        return 2
 
 
 def _parser() -> argparse.ArgumentParser:

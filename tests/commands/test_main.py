@@ -55,6 +55,28 @@ def test_bad_input_ends_with_one_line_and_status_2(arguments, message, refusal):
     assert message in refusal(main, arguments)
 
 
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        OSError("Could not find/load shared object file 'libllvmlite.so' from resource location"),
+        ImportError("libopenblas.so: failed to map segment from shared object"),
+        OSError(12, "Cannot allocate memory"),
+    ],
+)
+def test_too_little_memory_is_told_in_one_line(error, monkeypatch, capsys):
+    def without_memory(*_):
+        raise error
+
+    monkeypatch.setattr("twc_env.__main__.run_command", without_memory)
+    assert main(["maps", "list"]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("error: there is too little memory") and told.count("\n") == 1
+    monkeypatch.setattr("twc_env.__main__.run_command", lambda *_: (_ for _ in ()).throw(OSError(5, "broken disk")))
+    with pytest.raises(OSError, match="broken disk"):
+        main(["maps", "list"])
+
+
 def test_a_folder_without_a_run_is_named(tmp_path, refusal):
     assert f"{tmp_path} is no run folder (no frames.npz): `twc-env" in refusal(main, ["replay", str(tmp_path)])
 

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 
 from twc_env.__main__ import main
+from twc_env.config import EnvConfig
 from twc_env.datasets.buildings.house_expo import house_expo_plan
 from twc_env.datasets.logs import arrays_file, text_file
 from twc_env.datasets.logs.arrays_file import read_arrays, write_arrays
-from twc_env.datasets.logs.frame_log import read_frame_log
+from twc_env.datasets.logs.frame_log import read_frame_log, write_frame_log
 from twc_env.datasets.logs.scan_log import beam_count_of, read_any_log, sensor_frames
 from twc_env.datasets.logs.text_file import read_text
 from twc_env.datasets.logs.tum import read_tum
 from twc_env.errors import DataError, MapError
+from twc_env.records.messages import SensorFrame
 
 CASES = Path(__file__).parent / "cases"
 
@@ -93,6 +95,18 @@ def test_a_robot_that_was_put_down_elsewhere_is_found_again_and_it_is_said(tmp_p
 def test_a_column_of_the_wrong_type_is_named(name, field):
     with pytest.raises(DataError, match=f"contradicts itself: {field}.* of type .* numbers are possible"):
         read_frame_log(CASES / "19-malformed" / f"{name}_frames.npz")
+
+
+@pytest.mark.parametrize("column", ["step", "robot", "time_s", "wifi_count", "sign_frame", "step_frames"])
+def test_a_column_of_another_shape_is_named(tmp_path, column):
+    frames = [[SensorFrame(0, k, 0.1 * k, np.zeros(3), 0.0, np.ones(180))] for k in range(3)]
+    write_frame_log(tmp_path / "frames.npz", EnvConfig(robots=1), frames)
+    arrays = dict(np.load(tmp_path / "frames.npz"))
+    arrays.pop("checksum", None)
+    arrays[column] = arrays[column][:, None]
+    np.savez(tmp_path / "frames.npz", **arrays)
+    with pytest.raises(DataError, match=rf"contradicts itself: {column} of shape \(\d, 1\), one value a row"):
+        read_frame_log(tmp_path / "frames.npz")
 
 
 def test_a_long_quaternion_is_a_heading():

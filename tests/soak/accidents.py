@@ -46,7 +46,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 RESUMED = ("train",)
 """Commands that go on with `--resume`; others find what is finished by themselves, or begin anew."""
 PROGRAM = (
-    "import os, sys; from twc_env.__main__ import main\n{0}\nif __name__ == '__main__': sys.exit(main(sys.argv[1:]))"
+    "import os, sys; sys.argv[0] = 'twc-env'\n{0}\nfrom twc_env.__main__ import main\n"
+    "if __name__ == '__main__': sys.exit(main(sys.argv[1:]))"
 )
 ROOM = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000)); sys.dont_write_bytecode = True"
 MEMORY = "import resource; resource.setrlimit(resource.RLIMIT_AS, (700_000_000,) * 2)"

@@ -84,6 +84,16 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted", 
             end_when_interrupted()
 
 
+def is_without_memory(error: BaseException) -> bool:
+    """Whether there was no memory for an array or, while libraries are loaded, for their code."""
+    told = str(error).lower()
+    return (
+        isinstance(error, MemoryError)
+        or getattr(error, "errno", None) == errno.ENOMEM
+        or any(words in told for words in ("cannot allocate memory", "failed to map segment", "load shared object"))
+    )
+
+
 def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
     """Run the command that the arguments name, after checking the path of --json; returns as `exit_status`.
 

@@ -224,6 +224,10 @@ def _fault(log: dict[str, Array]) -> str | None:
     """The first inconsistency of columns of correct length, or None."""
     if fault := fault_of_types(log, _TYPES):
         return fault
+    flat = set(PER_FRAME + PER_READING + PER_ADDRESS) - {"odometry", "ranges_m", "sign_place"}
+    for key in sorted(flat | {"step_frames"} & log.keys()):
+        if log[key].ndim != 1:
+            return f"{key} of shape {log[key].shape}, one value a row is possible"
     frames, readings, counts, robots = len(log["robot"]), len(log["wifi_macs"]), log["wifi_count"], log["robot"]
     if robots.min() < 0 or robots.max() >= ROBOTS_MAX:
         return f"frames of robots {robots.min()} to {robots.max()}, 0 to {ROBOTS_MAX - 1} are possible"

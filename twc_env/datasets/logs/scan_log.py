@@ -137,7 +137,7 @@ def read_scan_log(path: str | Path) -> ScanLog:
         raise DataError(
             f"{path} is not a scan log: {_short(error)}; expected map -> time -> range, x, y, theta"
         ) from error
-    _name_half_circle(log.ranges_m.shape[1], path)
+    _name_half_circle(log.ranges_m.shape[1], "scan", path)
     return in_metres(log, path)
 
 
@@ -242,17 +242,17 @@ def _flaser_directions(beams: int, params: dict[str, str], path: str | Path) -> 
         fov_deg = step_deg = 0.0
     if fov_deg and abs(fov_deg - 180.0) > 1.0 and 0.0 <= fov_deg - (beams - 1) * step_deg <= 1.5 * step_deg:
         return np.deg2rad(np.arange(beams) * step_deg - fov_deg / 2)
-    _name_half_circle(beams, path)
+    _name_half_circle(beams, "FLASER line", path)
     return _half_circle(beams)
 
 
-def _name_half_circle(beams: int, path: str | Path) -> None:
+def _name_half_circle(beams: int, of: str, path: str | Path) -> None:
     """Warn that beams without a direction are taken for a half circle, unless their number says so."""
     if beams - beams % 2 not in _HALF_CIRCLES:
         _LOG.warning(
-            "%s: the %d beams of a scan are taken for a half circle; if they are not, write a CARMEN log with lines "
+            "%s: the %d beams of a %s are taken for a half circle; if they are not, tell in a CARMEN log in lines "
             "'PARAM laser_front_laser_fov 270' and 'PARAM laser_front_laser_resolution 1.0' [degrees]",
-            path, beams,
+            path, beams, of,
         )  # fmt: skip
 
 
