@@ -37,8 +37,9 @@ TRACKED_MIN, FOUND_MIN = 0.6, 0.75
 share of its beams that would have gone through walls."""
 THROUGH_STEP_M, THROUGH_M = 0.1, 0.4
 """Spacing of the places on a beam that are looked up in the map, and how far before its end the last one is."""
-SURE_M, SURE_SCANS = 3.0, 3
-"""It is no longer lost after so long a path, and so many scans, that all fit as a guess must."""
+SURE_M, SURE_SCANS = 3.0, 5
+"""It is no longer lost after so long a path, and so many scans, that all fit as a guess must: a ring of corridors fits
+three scans a metre apart from the wrong side too."""
 PATIENCE_S, PATIENCE_M = 1.5, 1.5
 """It says that it is lost after so long a time or path without a match that it believes."""
 SPACING_M, SPACING_RAD, SPACING_S = 0.1, 0.1, 1.0

@@ -81,6 +81,9 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
                 f"wrong: {case}, {result['error_m']:.2f} m, {result['error_deg']:.1f} degrees, certainty "
                 f"{result['certainty']:.2f}"
             )
+        if not result["is_accepted"] and case.kind not in FALSE_KINDS:
+            what = "ambiguous" if result["is_ambiguous"] else "kept apart"
+            runner.notes.append(f"{what}: {case}, {result['reason']}")
     order = [*(band_name(band) for band in BANDS), *FALSE_KINDS]
     return [_row(kind, table[kind]) for kind in order if kind in table]
 
@@ -116,15 +119,13 @@ def try_case(case: Case) -> dict:
         "overlap": cut.overlap,
         "error_m": error_m,
         "error_deg": error_deg,
-        "is_ambiguous": not placement.is_believed and is_ambiguous(cut),
+        "is_ambiguous": case.kind not in FALSE_KINDS and not placement.is_believed and is_ambiguous(cut),
         "reason": placement.reason,
     }
 
 
 def is_ambiguous(cut: Cut) -> bool:
     """Whether the parts as the building shows them fit elsewhere at least as well as where they belong."""
-    if not cut.without_errors or cut.overlap == 0.0:
-        return False
     target, source = cut.without_errors
     known, cell_m = Cut(target, source, np.zeros(3), cut.overlap), cell_of([target, source])
     true = agreement_at(compared(target, cell_m), compared(source, cell_m), known.pose)
@@ -197,7 +198,7 @@ def _row(kind: str, results: list[dict]) -> dict:
         "right": len(right),
         "wrong": len(accepted) - len(right),
         "abstained": len(results) - len(accepted),
-        "ambiguous": sum(result["is_ambiguous"] for result in results),
+        "ambiguous": None if kind in FALSE_KINDS else sum(result["is_ambiguous"] for result in results),
         "median_error_m": float(np.median(errors_m)) if right else None,
         "median_error_deg": float(np.median(errors_deg)) if right else None,
     }
