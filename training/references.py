@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -38,16 +37,16 @@ def references(
             return {team: float(value) for team, value in kept["mean_coverage"].items()}
     except (OSError, AttributeError, ValueError, TypeError, RecursionError):  # there is none, or a damaged one
         pass
-    played = [(team, number) for team in TEAMS for number in range(buildings)]
+    played = [(task, team, number) for team in TEAMS for number in range(buildings)]
     found: dict[tuple[str, int], float] = {}
     with progress_bar(total=len(played), unit=" reference episodes", disable=not show_progress) as bar:
-        for k, mean_coverage in spread_out(partial(_mean_coverage, task), played, 1, ray):
-            found[played[k]] = mean_coverage
+        for k, mean_coverage in spread_out(_mean_coverage, played, 1, ray):
+            found[played[k][1:]] = mean_coverage
             bar.update(1)
     means = {team: float(np.mean([found[team, number] for number in range(buildings)])) for team in TEAMS}
     write_json(path, {"of": origin, "mean_coverage": means})
     return means
 
 
-def _mean_coverage(task: Task, played: tuple[str, int]) -> float:
-    return scripted(task, *played, "validation").mean_coverage
+def _mean_coverage(played: tuple[Task, str, int]) -> float:
+    return scripted(*played, "validation").mean_coverage

@@ -134,9 +134,10 @@ def _around(home: Floorplan, places: Array, entrance: Array) -> Array:
     return near[home.wall_index.crossing(entrance, np.ascontiguousarray(near))[0] == 0]
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=2)
 def start_places(home: Floorplan, clearance_m: float = START_CLEARANCE_M) -> Array:
-    """(k, 2) centres of the free cells at least `clearance_m` from walls; cached."""
+    """(k, 2) centres of the free cells at least `clearance_m` from walls; those of two buildings are kept, as they are
+    7 MB in 5,000 m2."""
     cells = home.cells()
     centres = cells.centre_of(np.argwhere(cells.free))
     return centres[home.wall_index.distance_m(centres, clearance_m) >= clearance_m]
