@@ -13,6 +13,7 @@ from twc_env.config import EnvConfig
 from twc_env.suite import leaderboard, tables
 from twc_env.suite.entries import Entry
 from twc_env.suite.leaderboard import Origin, rows_as_json
+from twc_env.suite.page import page_of
 from twc_env.suite.standings import ALL, THRESHOLDS, standings_of
 
 TASKS = ("twc/ExploreQuick-v1", "twc/ExploreOffice-v1")
@@ -93,7 +94,7 @@ def test_a_team_aware_of_slam_is_compared_with_its_blind_twin_building_by_buildi
     assert (twins.team, twins.twin, twins.buildings) == ("relay", "minpos", 3)
     assert (twins.lead, twins.low, twins.high) == pytest.approx((0.05, 0.05, 0.05))
     assert (twins.merged_s, twins.twin_merged_s) == (10.0, math.inf)
-    for text in (tables.text_of(standings), tables.markdown_of(standings, "")):
+    for text in (tables.text_of(standings), tables.markdown_of(standings, ""), page_of(standings, "t", "l", [])):
         assert tables.TWINS_TITLE in text and "relay - minpos" in text and "+0.050 to +0.050" in text
     assert standings.as_json()["twins"][0]["lead"] == pytest.approx(0.05)
     *_, standings = played(("random", "relay", "informed"), TASKS[:1])
@@ -182,6 +183,4 @@ def test_names_of_teams_are_escaped_in_pages_and_in_latex(tmp_path):
     odd = [Entry(e.task, e.config, e.team.replace("mine", "<b>my_team&co.py:Mine"), e.number) for e in entries]
     standings = standings_of(odd, values)
     assert r"<b>my\_team\&co.py:Mine" in tables.latex_of(standings)
-    from twc_env.suite.page import page_of
-
     assert "<b>" not in page_of(standings, "t", "l", [])
