@@ -96,7 +96,7 @@ TEAMS: dict[str, Team] = {
     ),
     "sign-seeker": Team(
         "slam_aware.sign_seeker", "SignSeeker",
-        "explores towards where another map begins, by the access points that both heard and by pending closures",
+        "explores towards other maps, by access points that both heard and pending closures",
         "Fox, Ko, Konolige, Limketkai, Schulz and Stewart 2006; by radio: our own",
         twin="minpos",
     ),

@@ -95,7 +95,7 @@ def test_a_team_aware_of_slam_is_compared_with_its_blind_twin_building_by_buildi
     assert (twins.team, twins.twin, twins.buildings) == ("relay", "minpos", 3)
     assert (twins.lead, twins.low, twins.high) == pytest.approx((0.05, 0.05, 0.05))
     assert (twins.merged_s, twins.twin_merged_s) == (10.0, math.inf)
-    for text in (tables.text_of(standings), tables.markdown_of(standings, "")):
+    for text in (tables.text_of(standings), tables.markdown_of(standings, ""), page_of(standings, "t", "l", [])):
         assert tables.TWINS_TITLE in text and "relay - minpos" in text and "+0.050 to +0.050" in text
     assert standings.as_json()["twins"][0]["lead"] == pytest.approx(0.05)
     *_, standings = played(("random", "relay", "informed"), TASKS[:1])

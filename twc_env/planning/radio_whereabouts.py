@@ -27,7 +27,7 @@ FLOOR_DBM = -88.0
 """Strength at which a transmitter is heard in half of the scans."""
 READINGS = 20.0
 """Readings along a path share their shadowing: at most so many count as independent."""
-MARGIN_M, CELLS_ACROSS, SPACING_M = 14.0, 20, 0.5
+MARGIN_M, CELLS_ACROSS, SPACING_M = 30.0, 20, 0.5
 """The cells reach this far beyond one's own path: a square of so many across, at a multiple of this spacing."""
 PLACES_MAX = 40
 """Of a path, at most so many places are used, at even intervals."""
