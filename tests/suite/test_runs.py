@@ -132,6 +132,6 @@ def test_a_first_episode_that_waited_for_kernels_tells_no_time_left():
 
 
 def test_a_worker_with_other_code_is_refused(tiny, tmp_path, monkeypatch):
-    monkeypatch.setattr(runs, "in_processes", lambda work, parts, jobs: [(0, ("abcd0123", {}))])
+    monkeypatch.setattr(runs, "spread_out", lambda work, parts, jobs, ray: [(0, ("abcd0123", {}))])
     with pytest.raises(Exception, match=r"a worker has other code \(abcd0123\)"):
         runs.play_all(entries(tiny, ["random"], "test", 1), tmp_path)
