@@ -88,7 +88,8 @@ def test_shuffled_strengths_are_the_same_strengths_elsewhere():
 def test_flats_are_measured_in_the_same_columns(rows_of, tmp_path, monkeypatch):
     monkeypatch.setattr(sfw_table1, "_READINGS_PER_M", 10.0)
     rows = rows_of(sfw_table1, "--flats", "1", "--out", str(tmp_path))
-    assert [(row["experiment"], row["routers"]) for row in rows] == [("1 flats", n) for n in (1, 2) for _ in sfw_table1.METHODS]
+    wanted = [("1 flats", routers) for routers in (1, 2) for _ in sfw_table1.METHODS]
+    assert [(row["experiment"], row["routers"]) for row in rows] == wanted
     assert rows[2]["k_accuracy"] > 0.9
     assert rows[0]["paper_iou"] is None
     assert not any("printed" in text for text in sfw_table1.remarks(rows))
