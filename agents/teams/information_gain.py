@@ -11,7 +11,7 @@ of teammates will show is not counted again.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -54,10 +54,9 @@ class InformationGain(FrontierTeam):
         views = ViewGain(terrain, self._range_m)
         for goal_m in self.heard_goals_m(agent, beliefs).values():
             views.claim(goal_m)
-        gains_m2 = self.gains_m2(agent, beliefs, views)
         is_new = all(math.dist(place, robot.goal_m) >= self.explorer.failed_radius_m for place in seen_m)
         is_kept = is_new and robot.goal_kind in ("place", "frontier")
-        if is_kept and gains_m2(robot.goal_m[None])[0] >= GAIN_MIN_M2:
+        if is_kept and views.area_m2(robot.goal_m[None])[0] >= GAIN_MIN_M2:
             plan = self.plan_to_place(terrain, agent, robot.goal_m, discs, 0.2)
             if plan is not None:
                 return plan, robot.goal_kind
@@ -74,7 +73,7 @@ class InformationGain(FrontierTeam):
         candidates = np.flatnonzero(np.isfinite(lengths_m))
         for place in [*self.banned(robot, belief, {}), *seen_m]:
             candidates = candidates[np.hypot(*(places_m[candidates] - place).T) >= self.explorer.failed_radius_m]
-        expected_m2 = gains_m2(places_m[candidates])
+        expected_m2 = views.area_m2(places_m[candidates])
         worth = expected_m2 * np.exp(-DECAY_PER_M * lengths_m[candidates])
         worth[expected_m2 < GAIN_MIN_M2] = 0.0
         if len(candidates) == 0 or not worth.any():
@@ -85,10 +84,6 @@ class InformationGain(FrontierTeam):
             terrain, robot.pose[:2], labels, np.where(np.arange(count + 1) == best, 0.0, math.inf), discs
         )
         return plan, ("place" if best <= len(rows) else "frontier") if plan is not None else ""
-
-    def gains_m2(self, agent: str, beliefs: dict[str, Belief], views: ViewGain) -> Callable[[Array], Array]:
-        """A function of places (k, 2): (k,) the floor that going there is expected to add to the map."""
-        return views.area_m2
 
     def _views_taken_m(self, agent: str, belief: Belief) -> list[Array]:
         """Where the robot has gone for a view, in its present map: what it did not show there, it will not show."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twc_env.planning import whereabouts
+from twc_env.planning import Whereabouts, whereabouts
 from twc_env.records.messages import Fingerprint, RadioTrail
 
 PATH_M = np.array([[x, 0.0] for x in range(8)] + [[7.0, y] for y in range(1, 7)], float)
@@ -47,6 +47,8 @@ def test_transmitters_that_the_others_do_not_hear_say_that_they_are_far_from_the
     deaf = RadioTrail((1,), np.zeros((1, 2)), (Fingerprint(np.zeros(0, np.int64), np.zeros(0)),))
     found = whereabouts(own, deaf)
     assert found.distance_m(PATH_M).min() > whereabouts(own, own).distance_m(PATH_M).max()
+    anywhere = Whereabouts(found.cells_m, np.full(len(found.share), 1.0 / len(found.share)))
+    assert (found.distance_m(PATH_M) > anywhere.distance_m(PATH_M) + 1.0).all()
 
 
 def test_a_robot_that_heard_nothing_knows_nothing():

@@ -21,8 +21,7 @@ from numpy.typing import NDArray as Array
 from twc_env.records.messages import Fingerprint, RadioTrail
 
 PATH_LOSS_EXPONENT, POWER_AT_1M_DBM, POWER_STD_DB, SHADOWING_STD_DB = 3.85, -30.0, 4.0, 6.0
-"""Path loss with walls: fitted to 24,284 readings in the validation buildings 0 to 7 of ExploreQuick-v1, residual 5.5
-dB."""
+"""Path loss with walls: fitted to what is heard in the validation buildings 0 to 7 of ExploreQuick-v1."""
 FLOOR_DBM = -88.0
 """Strength at which a transmitter is heard in half of the scans."""
 READINGS = 20.0
