@@ -20,8 +20,14 @@ from .checkpoint import FILE_NAME
 
 HELD_OUT_SEED = 100_000
 """Generated buildings with this seed or a larger one are not used for training."""
-CHOICES: dict[str, object] = {"action.kind": "frontier", "action.timing": "asynchronous"}
-"""Default actions in training, unless the task has choices of its own."""
+CHOICES: dict[str, object] = {
+    "action.kind": "frontier",
+    "action.goals": "views",
+    "action.timing": "synchronous",
+    "action.decision_max_s": 1.0,
+}
+"""Default actions in training, unless the task has choices of its own: all robots choose anew every second. The rule
+that training starts from maps more if it may change its mind (docs/learning.md)."""
 SMALL_VIEW: dict[str, object] = {
     "observation.lidar": False,
     "observation.map": False,

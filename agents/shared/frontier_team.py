@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
-from twc_env.planning import Disc, PathFinder, Plan, Terrain
+from twc_env.planning import Disc, PathFinder, Plan, Terrain, can_tell_places
 from twc_env.records.messages import Belief
 
 from .explorer import Explorer
@@ -156,14 +156,7 @@ class FrontierTeam(Explorer):
         """Teammates that can be talked to now about places: in contact, and with a map that begins in the same
         frame."""
         mine = beliefs[agent]
-        first = min([mine.robot, *mine.teammates])
-        return [
-            other
-            for other, theirs in beliefs.items()
-            if theirs.robot in mine.teammates
-            and mine.contact_steps.get(theirs.robot, mine.step) == mine.step
-            and min([theirs.robot, *theirs.teammates]) == first
-        ]
+        return [other for other, theirs in beliefs.items() if can_tell_places(theirs, mine)]
 
     def current(self, agent: str, frontiers: Frontiers) -> int | None:
         """Index of the frontier to which the robot drives; None if it is gone, or there is none."""

@@ -13,7 +13,7 @@ from twc_env.config import ActionConfig, EnvConfig, robot_configs
 from twc_env.errors import ActionError
 from twc_env.exploration.actions import action_array, check_agents
 from twc_env.exploration.observation.observation_blocks import EXTRA_CHOICES
-from twc_env.planning.candidates import NOTHING, Candidates, find_candidates
+from twc_env.planning.candidates import NOTHING, Candidates, can_tell_places, find_candidates, find_views
 from twc_env.planning.drivers import Drivers, map_id
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
@@ -45,16 +45,27 @@ class CandidateSearch:
         self._looked = [(-self._period, (-1, -1))] * config.robots
         """Step, and the robot's map then (`map_id`)."""
         self.candidates: list[Candidates] = [NOTHING] * config.robots
+        self._spent_m: list[list[Array]] = [[] for _ in range(config.robots)]
+        """Where each robot went for a view, in its present map."""
+        self._spent_map = [(-1, -1)] * config.robots
+
+    def spend(self, robot: int, place_m: Array, belief: Belief) -> None:
+        """Do not offer this view again while the robot has this map."""
+        if self._spent_map[robot] != map_id(belief):
+            self._spent_map[robot] = map_id(belief)
+            self._spent_m[robot] = []
+        self._spent_m[robot].append(place_m)
 
     def look(
         self,
         beliefs: Sequence[Belief],
         is_due: Sequence[bool] | Array = (),
         terrains: dict[tuple[float, GridMap], Terrain] | None = None,
+        goals_m: Array | None = None,
     ) -> None:
         """Update the candidates of robots for which `is_due` (robots,), and those that are old or of another map.
 
-        terrains: as in `terrain_of`.
+        terrains: as in `terrain_of`; goals_m: (robots, 2) places to which robots drive, each in its own map; NaN: none.
         """
         step, known = beliefs[0].step, {} if terrains is None else terrains
         for robot, belief in enumerate(beliefs):
@@ -64,7 +75,26 @@ class CandidateSearch:
                 self._looked[robot] = step, map_id(belief)
                 terrain = terrain_of(known, belief, self._radii_m[robot])
                 slots = self._config.action.frontier_slots
-                self.candidates[robot] = find_candidates(belief, terrain, self._finder, slots, self._range_m)
+                if self._config.action.goals == "frontiers":
+                    found = find_candidates(belief, terrain, self._finder, slots, self._range_m)
+                else:
+                    spent_m = self._spent_m[robot] if self._spent_map[robot] == map_id(belief) else []
+                    claimed_m = _goals_of_others(belief, beliefs, goals_m)
+                    where = belief, terrain, self._finder, slots, self._config.lidar.range_max_m
+                    found = find_views(*where, claimed_m, np.array(spent_m).reshape(-1, 2))
+                self.candidates[robot] = found
+
+
+def _goals_of_others(belief: Belief, beliefs: Sequence[Belief], goals_m: Array | None) -> Array:
+    """(k, 2) goals of the robots that can tell them: in contact now, and with a map that begins in the same frame."""
+    if goals_m is None:
+        return np.zeros((0, 2))
+    told = [
+        goals_m[other]
+        for other, theirs in enumerate(beliefs)
+        if can_tell_places(theirs, belief) and not np.isnan(goals_m[other, 0])
+    ]
+    return np.array(told).reshape(-1, 2)
 
 
 class MacroActions:
@@ -78,8 +108,9 @@ class MacroActions:
         own = robot_configs(config)
         self._radii_m = [each.dynamics.robot_radius_m for each in own]
         self._drivers = Drivers(
-            [each.dynamics for each in own], self._finder, config.people.count > 0, config.clutter.furniture > 0
-        )
+            [each.dynamics for each in own], self._finder, config.people.count > 0, config.clutter.furniture > 0,
+            config.lidar.range_max_m,
+        )  # fmt: skip
         self._search = CandidateSearch(config, self._finder)
         self._are_candidates_used = config.action.kind == "frontier" or config.observation.frontiers
         self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()
@@ -112,8 +143,10 @@ class MacroActions:
     def look(self, beliefs: Sequence[Belief]) -> None:
         """Update the candidates of the robots that decide now, unless nothing shows or chooses them."""
         self._forget_terrains(beliefs)
+        for robot, place_m in self._drivers.views_left(beliefs, self.is_deciding):
+            self._search.spend(robot, place_m, beliefs[robot])
         if self._are_candidates_used:
-            self._search.look(beliefs, self.is_deciding, self._terrains)
+            self._search.look(beliefs, self.is_deciding, self._terrains, self._drivers.goals_m())
 
     def assign(self, actions: Mapping[str, object], agents: Sequence[str], beliefs: Sequence[Belief]) -> None:
         """Set the goals of the robots that decide; actions of the others are only checked.
@@ -164,7 +197,7 @@ class MacroActions:
             return "place", wanted if place is None else place
         candidates, slots = self.candidates[robot], self._action.frontier_slots
         if value < len(candidates.frontiers_m):
-            return "frontier", candidates.frontiers_m[value]
+            return "view" if candidates.is_view else "frontier", candidates.frontiers_m[value]
         place = {slots + SIGN: candidates.sign_m, slots + TEAMMATE: candidates.teammate_m}.get(value)
         return None if place is None else ("teammate" if value == slots + TEAMMATE else "place", place)
 

@@ -1,6 +1,6 @@
 """Planning on estimated maps: traversal costs, frontiers, views, path search, path following, coverage walks."""
 
-from twc_env.planning.candidates import Candidates, find_candidates
+from twc_env.planning.candidates import Candidates, can_tell_places, find_candidates, find_views
 from twc_env.planning.covering_walk import WalkGraph, covering_walk, walk_graph
 from twc_env.planning.driver import Driver
 from twc_env.planning.felt_obstacles import FeltObstacles, shown
@@ -34,9 +34,11 @@ __all__ = [
     "WalkGraph",
     "Whereabouts",
     "as_action",
+    "can_tell_places",
     "covering_walk",
     "drive_to",
     "find_candidates",
+    "find_views",
     "is_frontier",
     "path_is_blocked",
     "place_graph",

@@ -1,4 +1,5 @@
-"""Goal candidates of one robot: reachable frontiers by path length, the nearest known sign and the nearest teammate."""
+"""Goal candidates of one robot: reachable frontiers by path length, or the views that tell most for their way; the
+nearest known sign and the nearest teammate."""
 
 from __future__ import annotations
 
@@ -20,6 +21,14 @@ SIGN_AWAY_M = 2.0
 """Minimum distance of a sign that is a goal."""
 HALF_GAIN_M2 = 10.0
 """Areas a are shown as a / (a + this)."""
+DECAY_PER_M = 0.2
+"""Views are ranked by gain times exp(-this times the way) (Gonzalez-Banos and Latombe, IJRR 2002)."""
+SPACING_M, APART_M = 1.5, 2.0
+"""Spacing of the lattice of places for views, and the least distance between two views that are offered."""
+GAIN_MIN_M2 = 0.3
+"""Views that show less are not worth a way."""
+SPENT_M = 0.8
+"""Views nearer than this to one that was taken are not offered again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,11 +36,11 @@ class Candidates:
     """Goals that one robot may choose from, in its map frame."""
 
     frontiers_m: Array
-    """(k, 2) nearest cell of each frontier, sorted by path length."""
+    """(k, 2) nearest cell of each frontier, sorted by path length; or the places of views, the best first."""
     lengths_m: Array
     """(k,) path length to it, weighted by the traversal cost."""
     sizes_m: Array
-    """(k,) number of cells of the frontier times the cell size."""
+    """(k,) number of cells of the frontier times the cell size; 0 for a view from within the known floor."""
     is_teammate_nearer: Array
     """(k,) bool: the Euclidean distance of some teammate is less than this robot's path length."""
     sign_m: Array | None
@@ -40,6 +49,8 @@ class Candidates:
     """(2,) nearest robot in the same map."""
     gains_m2: Array
     """(k,) unknown area that a scan from there would show (`ViewGain`); 0 if it was not asked for."""
+    is_view: bool = False
+    """Whether a goal is reached once a scan from there would show nothing new, rather than when a frontier is gone."""
 
 
 NOTHING = Candidates(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, bool), None, None, np.zeros(0))
@@ -59,16 +70,87 @@ def find_candidates(
     lengths_m, places_m = finder.nearest_of_labels(terrain, terrain.labels, len(sizes) - 1)
     usable = np.flatnonzero(np.isfinite(lengths_m) & (sizes >= CELLS_MIN))
     chosen = usable[np.lexsort((usable, lengths_m[usable]))][:count_max]
+    gains_m2 = ViewGain(terrain, range_m).area_m2(places_m[chosen]) if range_m > 0.0 else np.zeros(len(chosen))
+    return _beside(belief, places_m[chosen], lengths_m[chosen], sizes[chosen] * terrain.resolution_m, gains_m2)
+
+
+def find_views(
+    belief: Belief,
+    terrain: Terrain,
+    finder: PathFinder,
+    count_max: int,
+    range_m: float,
+    claimed_m: Array,
+    spent_m: Array,
+) -> Candidates:
+    """At most `count_max` views with the greatest gain for their way, the nearest sign and the nearest teammate.
+
+    A view is a place on a lattice of open floor, or the nearest cell of a frontier; those nearer than `APART_M` to a
+    better one are left out. Looked for as far as the `count_max` nearest frontiers.
+
+    claimed_m (k, 2): places to which others go; what they will show does not count. spent_m (k, 2): where the robot
+    was for a view or could not go: what it did not see there, it will not see.
+    """
+    here = belief.pose_map_robot
+    sizes = terrain.frontier_sizes
+    if not finder.spread_to_frontiers(terrain, here[:2], sizes >= CELLS_MIN, count_max):
+        return NOTHING
+    lengths_m, places_m = finder.nearest_of_labels(terrain, terrain.labels, len(sizes) - 1)
+    usable = np.flatnonzero(np.isfinite(lengths_m) & (sizes >= CELLS_MIN))
+    stride = max(1, round(SPACING_M / terrain.resolution_m))
+    open_rows = np.nonzero(terrain.cost[stride // 2 :: stride, stride // 2 :: stride])
+    cells = np.column_stack([stride * each + stride // 2 for each in open_rows])
+    ways_m = finder.ways_to(terrain, cells)
+    places_m = np.vstack([terrain.to_metres(cells + 0.5), places_m[usable]])
+    lengths_m = np.concatenate([ways_m, lengths_m[usable]])
+    sizes_m = np.concatenate([np.zeros(len(cells)), sizes[usable] * terrain.resolution_m])
+    is_free = np.isfinite(lengths_m)
+    for place in spent_m:
+        is_free &= np.hypot(*(places_m - place).T) >= SPENT_M
+    views = ViewGain(terrain, range_m)
+    for place in claimed_m:
+        views.claim(place)
+    free = np.flatnonzero(is_free)
+    gains_m2 = np.zeros(len(places_m))
+    gains_m2[free] = views.area_m2(places_m[free])
+    worth = gains_m2 * np.exp(-DECAY_PER_M * np.where(is_free, lengths_m, 0.0))
+    worth[gains_m2 < GAIN_MIN_M2] = 0.0
+    chosen: list[int] = []
+    while len(chosen) < count_max and len(worth) and worth.max() > 0.0:
+        best = int(np.argmax(worth))
+        chosen.append(best)
+        worth[np.hypot(*(places_m - places_m[best]).T) < APART_M] = 0.0
+    if not chosen:  # nothing is worth a look: the frontiers that are left
+        left = free[sizes_m[free] > 0.0]
+        chosen = left[np.argsort(lengths_m[left], kind="stable")][:count_max].tolist()
+    return _beside(belief, places_m[chosen], lengths_m[chosen], sizes_m[chosen], gains_m2[chosen], True)
+
+
+def _beside(
+    belief: Belief, places_m: Array, lengths_m: Array, sizes_m: Array, gains_m2: Array, is_view: bool = False
+) -> Candidates:
+    """Goals with what else a robot may choose."""
+    here = belief.pose_map_robot
     teammates_m = np.array([pose[:2] for pose in belief.teammates.values()]).reshape(-1, 2)
-    away_m = np.linalg.norm(places_m[chosen][:, None] - teammates_m[None], axis=-1)  # (chosen, teammates)
+    away_m = np.linalg.norm(places_m[:, None] - teammates_m[None], axis=-1)  # (goals, teammates)
     return Candidates(
-        places_m[chosen],
-        lengths_m[chosen],
-        sizes[chosen] * terrain.resolution_m,
-        (away_m < lengths_m[chosen][:, None]).any(axis=1),
+        places_m,
+        lengths_m,
+        sizes_m,
+        (away_m < lengths_m[:, None]).any(axis=1),
         _nearest([s.position_m for s in belief.signs], here, SIGN_AWAY_M),
         _nearest([pose[:2] for pose in belief.teammates.values()], here, 0.0),
-        ViewGain(terrain, range_m).area_m2(places_m[chosen]) if range_m > 0.0 else np.zeros(len(chosen)),
+        gains_m2,
+        is_view,
+    )
+
+
+def can_tell_places(theirs: Belief, mine: Belief) -> bool:
+    """Whether one robot can tell another places now: in contact, and with a map that begins in the same frame."""
+    return (
+        theirs.robot in mine.teammates
+        and mine.contact_steps.get(theirs.robot, mine.step) == mine.step
+        and min([theirs.robot, *theirs.teammates]) == min([mine.robot, *mine.teammates])
     )
 
 

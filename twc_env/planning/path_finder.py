@@ -325,6 +325,11 @@ class PathFinder:
         width = terrain.cost.shape[1]
         return lengths_m, terrain.to_metres(np.column_stack([cell_of // width, cell_of % width]) + 0.5)
 
+    def ways_to(self, terrain: Terrain, cells: Array) -> Array:
+        """(k,) path cost [m] to each of the cells (k, 2: row, column); infinite if it was not reached."""
+        spent = self._spent[cells[:, 0] * terrain.cost.shape[1] + cells[:, 1]]
+        return np.where(spent < FAR, spent * (terrain.resolution_m / UNITS_PER_CELL), np.inf)
+
     def nearest_to(self, terrain: Terrain, point_m: Array) -> Array | None:
         """(2,) centre of the reachable cell with the least Euclidean distance to a point; None if there is none."""
         row, column = terrain.to_cells(point_m)
