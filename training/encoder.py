@@ -91,7 +91,7 @@ class Actor(nn.Module):
 
     The rule is the utility of González-Baños and Latombe 2002, unknown area in view times exp(-lambda length), whose
     logarithm is a logit; without `gains` it prefers the nearest goal. Its weights are learnt, too, and those of the
-    closeness to the last goals of the robot and of its teammates. Training starts from it and adds the rest ("residual policy
+    closeness to the last goals and of lying behind. Training starts from it and adds the rest ("residual policy
     learning", Silver et al. 2018; Johannink et al. 2019).
     """
 
@@ -102,10 +102,11 @@ class Actor(nn.Module):
         with torch.no_grad():
             self.score[2].weight.mul_(0.1)
             self.score[2].bias.zero_()
-        self.rule = nn.Parameter(SHARPNESS * torch.tensor([1.0, -DECAY_PER_M * HALF_WAY_M, 0.0, 0.0]))
-        """Weights of the logarithm of the gain, the way in 10 m, and closeness to the last goals."""
-        self.extra = nn.Parameter(torch.full((EXTRA_CHOICES,), SHARPNESS * EXTRA_UTILITY))
-        """Logits of the other choices, below those of most frontiers."""
+        self.rule = nn.Parameter(torch.tensor([1.0, -DECAY_PER_M * HALF_WAY_M, 0.0, 0.0, 0.0, 0.0]))
+        """Weights of the logarithm of the gain, the way in 10 m, closeness to the last goals, how far it lies behind,
+        and whether a teammate is nearer."""
+        self.extra = nn.Parameter(torch.full((EXTRA_CHOICES,), EXTRA_UTILITY))
+        """Utilities of the other choices, below those of most goals."""
 
     def forward(self, seen: dict[str, Tensor]) -> Tensor:
         """(batch, choices) logits; masked choices have probability 0."""
@@ -120,8 +121,9 @@ class Actor(nn.Module):
         gain = torch.zeros_like(way)
         if self.encoder.has_gains:
             gain = torch.log(HALF_GAIN_M2 * _unshared(seen["gains"]) + GAIN_MIN_M2)
-        frontiers = torch.stack([gain, way, seen["goals"][..., 0], seen["goals"][..., 1]], -1) @ self.rule
-        return torch.cat([frontiers, self.extra.expand(len(frontiers), -1)], 1)
+        row, near = seen["frontiers"], seen["goals"]
+        goals = torch.stack([gain, way, near[..., 0], near[..., 1], row[..., 1].abs(), row[..., 5]], -1) @ self.rule
+        return SHARPNESS * torch.cat([goals, self.extra.expand(len(goals), -1)], 1)
 
 
 def _unshared(share: Tensor) -> Tensor:

@@ -75,6 +75,9 @@ class FrontierTeam(Explorer):
     keeps_goal = True
     """Whether a robot decides anew only when its frontier is mapped or given up, rather than at each replanning."""
 
+    told_kinds: tuple[str, ...] = ("frontier",)
+    """Kinds of goals that robots tell each other."""
+
     def __init__(self, config: EnvConfig):
         super().__init__(config, ExplorerConfig(tour_sign_bonus_m=0.0))
         self.config = config
@@ -175,5 +178,5 @@ class FrontierTeam(Explorer):
         for other in self.teammates_in_contact(agent, beliefs):
             number, robot = beliefs[other].robot, self.robots[other]
             told.pop(number, None)
-            if robot.goal_kind == "frontier":
+            if robot.goal_kind in self.told_kinds:
                 told[number] = belief.step, robot.goal_m.copy()
