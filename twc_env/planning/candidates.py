@@ -21,7 +21,7 @@ SIGN_AWAY_M = 2.0
 """Minimum distance of a sign that is a goal."""
 HALF_GAIN_M2 = 10.0
 """Areas a are shown as a / (a + this)."""
-DECAY_PER_M = 0.2
+DECAY_PER_M = 0.15
 """Views are ranked by gain times exp(-this times the way) (Gonzalez-Banos and Latombe, IJRR 2002)."""
 SPACING_M, APART_M = 1.5, 2.0
 """Spacing of the lattice of places for views, and the least distance between two views that are offered."""
