@@ -194,3 +194,34 @@ def test_every_block_can_be_rebuilt_from_the_frames_for_every_kind_of_action(act
                 seen |= {name} if own[name].any() else set()
         observations, _, _, _, infos = env.step(random_actions(env, infos, random))
     assert seen == observations["robot_0"].keys()
+
+
+VIEWS = {
+    "action.kind": "frontier", "action.goals": "views", "action.decision_max_s": 1.0, "observation.gains": True
+}  # fmt: skip
+
+
+def test_the_first_choice_of_views_explores_a_building_and_is_made_anew_every_second():
+    env = twc_env.parallel_env(map="gen:office:120:5", max_cycles=600, config=VIEWS)
+    seen, infos = env.reset(seed=0)
+    total, kinds, spent = 0.0, set(), []
+    while env.agents:
+        for agent, info in infos.items():
+            own = seen[agent]["frontiers"][: int(info["action_mask"][: env.config.action.frontier_slots].sum())]
+            kinds |= {bool(row[4] > 0.0) for row in own}
+        seen, rewards, _, _, infos = env.step({a: int(np.argmax(infos[a]["action_mask"])) for a in env.agents})
+        assert infos["robot_0"]["time_steps"] <= 10
+        total += rewards["robot_0"]
+        spent.append(sum(map(len, env.episode.macro_actions._search._spent_m)))
+    assert total > 0.95 and kinds == {True, False} and max(spent) > 0
+
+
+def test_goals_of_merged_robots_are_claimed():
+    env = twc_env.parallel_env(map="gen:office:200:5", max_cycles=900, config={**VIEWS, "slam.oracle": "starts"})
+    _, infos = env.reset(seed=0)
+    apart = []
+    while env.agents:
+        _, _, _, _, infos = env.step({a: int(np.argmax(infos[a]["action_mask"])) for a in env.agents})
+        goals_m = env.episode.macro_actions._drivers.goals_m()
+        apart += [np.hypot(*(goals_m[0] - goals_m[1]))]
+    assert np.nanmedian(apart) > 2.0
