@@ -184,8 +184,13 @@ def _random(seed: int) -> Choose:
 
 
 def _nearest(seen: dict, _: int) -> dict:
-    """The first valid choice: the frontier with the shortest path, else a sign, a teammate, or stay."""
-    return {agent: int(np.argmax(o["action_mask"])) for agent, o in seen.items()}
+    """The goal with the shortest path; without one a sign, a teammate, or stay."""
+    return {agent: _nearest_goal(o["action_mask"], o["frontiers"]) for agent, o in seen.items()}
+
+
+def _nearest_goal(mask: np.ndarray, goals: np.ndarray) -> int:
+    ways = np.where(mask[: len(goals)] > 0, goals[:, 3], np.inf)
+    return int(np.argmin(ways)) if np.isfinite(ways).any() else int(np.argmax(mask))
 
 
 def _team(task: Task, render_mode: str | None = None) -> twc_env.ExplorationEnv:

@@ -26,8 +26,8 @@ CHOICES: dict[str, object] = {
     "action.timing": "synchronous",
     "action.decision_max_s": 1.0,
 }
-"""Default actions in training, unless the task has choices of its own: all robots choose anew every second. The rule
-that training starts from maps more if it may change its mind (docs/learning.md)."""
+"""Default actions in training, unless the task has choices of its own: all robots choose a view anew every second
+(docs/learning.md has what that is worth)."""
 SMALL_VIEW: dict[str, object] = {
     "observation.lidar": False,
     "observation.map": False,

@@ -108,8 +108,8 @@ def test_registered_tasks_are_trained_in_their_own_settings(algorithm, name, tmp
     from twc_env.training.run_folder import Task
 
     task = Task(name, max_cycles=40, overrides={"lidar.beam_count": 60})
-    expected = "synchronous" if name == "twc/ExploreFrontier-v0" else "asynchronous"
-    assert (task.config.action.kind, task.config.action.timing) == ("frontier", expected)
+    expected = "views" if name.endswith("-v1") else "frontiers"
+    assert (task.config.action.kind, task.config.action.goals) == ("frontier", expected)
     module = {"mappo": mappo, "ppo": ppo}[algorithm]
     settings = module.Settings(steps=8, environments=1, workers=0, rollout_steps=4, epochs=1, hidden_size=8)
     assert module.train(task, settings, tmp_path, show_progress=False).exists()
