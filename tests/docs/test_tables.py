@@ -10,9 +10,10 @@ A marker before a table names the file and the fields of each column:
 of those `where FIELD=VALUE, VALUE`. With `each FIELD by FIELD, FIELD` a line is made of all rows that share the first,
 which the values of the others name: `{ours[k_accuracy]}`; with `by` alone it is made of all rows. With several files,
 `{merging[0][team_ate_m]}` is the first row of merging.json. Several forms are one for each line. `:.0h` is a percentage
-without its sign.
+without its sign. A CSV file of episodes has its columns by agent or map: `{compare[voronoi][team_ate_m].mean:.3f}`.
 """
 
+import csv
 import json
 import re
 from pathlib import Path
@@ -30,6 +31,16 @@ class Number(float):
 
     def __format__(self, form: str) -> str:
         return format(100 * self, form[:-1] + "f") if form.endswith("h") else format(float(self), form)
+
+
+class Column(list):
+    """Numbers of all episodes of a team or map."""
+
+    mean = property(lambda self: sum(self) / len(self))
+    worst = property(max)
+    count = property(len)
+    full = property(lambda self: sum(number == max(self) for number in self))  # how many have the greatest value
+    any = property(lambda self: sum(number > 0 for number in self))
 
 
 class Table(NamedTuple):
@@ -60,14 +71,23 @@ MARKED = [table for table in ALL if table.marker]
 
 
 def stored(file: str):
-    """Content of a stored file, its numbers with the additional format."""
-    return json.loads((DOCS / "data/results" / file).read_text(), parse_float=Number)
+    """Content of a stored file, its numbers with the additional format; of a CSV file, columns by agent or map."""
+    text = (DOCS / "data/results" / file).read_text()
+    if file.endswith(".json"):
+        return json.loads(text, parse_float=Number)
+    columns: dict = {}
+    for row in csv.DictReader(text.splitlines()):
+        own = columns.setdefault(row.get("agent") or row["map"], {})
+        for name, value in row.items():
+            if re.fullmatch(r"-?[\d.]+(e-?\d+)?", value or ""):
+                own.setdefault(name, Column()).append(float(value))
+    return columns
 
 
 def spaces(marker: str) -> tuple[list[str], list[dict]]:
     """The forms of a marker, and for each line of the table what the names in its form stand for."""
     head, *forms = [line for line in marker.splitlines() if line.strip()]
-    if " by " not in head and " where " not in head and " " in head.strip():
+    if all("." in word for word in head.split()) and not re.fullmatch(r"\S+\.json\s*", head):
         return forms, [{Path(file).stem: stored(file) for file in head.split()}]
     file, *clauses = re.split(r" (?=where |by |each )", head.strip())
     asked, rows = dict(clause.split(" ", 1) for clause in clauses), stored(file)
@@ -122,5 +142,7 @@ def unchecked(table: Table) -> list[str]:
 
 
 def test_every_stored_table_is_checked():
-    kept = {path.name for path in (DOCS / "data/results").glob("*.json")}
-    assert kept == {file for table in MARKED for file in re.findall(r"[\w.-]+\.json", table.marker.splitlines()[0])}
+    kept = {path.name for path in (DOCS / "data/results").glob("*.*")}
+    assert kept == {
+        file for table in MARKED for file in re.findall(r"[\w.-]+\.(?:json|csv)", table.marker.splitlines()[0])
+    }
