@@ -8,8 +8,8 @@ A marker before a table names the file and the fields of each column:
 
 `*` is a cell of words. One such line is the form of every line of the table, in the order of the rows of the file, or
 of those `where FIELD=VALUE, VALUE`. With `each FIELD by FIELD, FIELD` a line is made of all rows that share the first,
-which the values of the others name: `{ours[k_accuracy]}`; with `by` alone it is made of all rows. With several files,
-`{merging[0][team_ate_m]}` is the first row of merging.json. Several forms are one for each line. `:.0h` is a percentage
+which the values of the others name: `{ours[k_accuracy]}`; with `by` alone it is made of all rows. With `rows: of`
+several files, `{merging[0][team_ate_m]}` is in the first row of merging.json. Several forms are one for each line. `:.0h` is a percentage
 without its sign. A CSV file of episodes has its columns by agent or map: `{compare[voronoi][team_ate_m].mean:.3f}`.
 """
 
@@ -87,8 +87,8 @@ def stored(file: str):
 def spaces(marker: str) -> tuple[list[str], list[dict]]:
     """The forms of a marker, and for each line of the table what the names in its form stand for."""
     head, *forms = [line for line in marker.splitlines() if line.strip()]
-    if all("." in word for word in head.split()) and not re.fullmatch(r"\S+\.json\s*", head):
-        return forms, [{Path(file).stem: stored(file) for file in head.split()}]
+    if head.startswith("of "):
+        return forms, [{Path(file).stem: stored(file) for file in head.split()[1:]}]
     file, *clauses = re.split(r" (?=where |by |each )", head.strip())
     asked, rows = dict(clause.split(" ", 1) for clause in clauses), stored(file)
     if "where" in asked:
