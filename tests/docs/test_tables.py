@@ -9,8 +9,9 @@ A marker before a table names the file and the fields of each column:
 `*` is a cell of words. One such line is the form of every line of the table, in the order of the rows of the file, or
 of those `where FIELD=VALUE, VALUE`. With `each FIELD by FIELD, FIELD` a line is made of all rows that share the first,
 which the values of the others name: `{ours[k_accuracy]}`; with `by` alone it is made of all rows. With `rows: of`
-several files, `{merging[0][team_ate_m]}` is in the first row of merging.json. Several forms are one for each line. `:.0h` is a percentage
-without its sign. A CSV file of episodes has its columns by agent or map: `{compare[voronoi][team_ate_m].mean:.3f}`.
+several files, `{merging[0][team_ate_m]}` is in the first row of merging.json. Several forms are one for each line.
+`:.0h` is a percentage without its sign. A CSV file of episodes has its columns by agent or map:
+`{compare[voronoi][team_ate_m].mean:.3f}`.
 """
 
 import csv
