@@ -78,10 +78,11 @@ def stored(file: str):
         return json.loads(text, parse_float=Number)
     columns: dict = {}
     for row in csv.DictReader(text.splitlines()):
-        own = columns.setdefault(row.get("agent") or row["map"], {})
-        for name, value in row.items():
-            if re.fullmatch(r"-?[\d.]+(e-?\d+)?", value or ""):
-                own.setdefault(name, Column()).append(float(value))
+        for owner in filter(None, (row.get("agent"), row["map"])):
+            own = columns.setdefault(owner, {})
+            for name, value in row.items():
+                if re.fullmatch(r"-?\d+(\.\d+)?(e-?\d+)?", value or ""):
+                    own.setdefault(name, Column()).append(float(value))
     return columns
 
 
