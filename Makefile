@@ -84,8 +84,8 @@ test-ray: .venv-ray/installed ## RLlib trains a team, Ray plays a benchmark (in 
 train-benchmarl: .venv-benchmarl/installed ## BenchMARL trains MAPPO on a task v1 (in .venv-benchmarl: it asks for an older TorchRL)
 	.venv-benchmarl/bin/python docs/tutorials/benchmarl_mappo.py 1200 runs/benchmarl twc/ExploreQuick-v1
 
-train-torchrl: .venv/installed-test ## TorchRL trains MAPPO on a task v1 for a few iterations
-	$(PY) training/torchrl_mappo.py --task ExploreQuick-v1 --iterations 3
+train-torchrl: .venv/installed-test ## TorchRL trains PPO on a task v1
+	$(PY) docs/tutorials/torchrl_ppo.py 1200 runs/torchrl twc/ExploreQuick-v1
 
 clean: ## delete caches and runs, keep .venv
 	rm -rf runs build dist .numba_bounds .pytest_cache .mypy_cache .ruff_cache .hypothesis

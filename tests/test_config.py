@@ -22,7 +22,7 @@ from twc_env.config import (
     to_dict,
     world_preset,
 )
-from twc_env.errors import ConfigError
+from twc_env.errors import ConfigError, did_you_mean
 
 
 def numeric_fields():
@@ -326,3 +326,10 @@ def test_a_setting_that_is_gone_is_read_at_its_last_value_only():
     assert from_dict({"slam": {"place_recognition": {"meets_by_wifi": False}}}) == EnvConfig()
     with pytest.raises(ConfigError, match=f"there is no setting {gone}"):
         override(EnvConfig(), {gone: True})
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("Quick", "; did you mean 'ExploreQuick-v1'?"), ("ore", ""), ("v1", ""), ("", "")]
+)
+def test_an_unknown_name_is_answered_with_the_only_one_that_contains_it(typed, meant):
+    assert did_you_mean(typed, ["ExploreQuick-v1", "ExploreWarehouses-v1"]) == meant

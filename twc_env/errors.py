@@ -12,8 +12,11 @@ nested too deeply."""
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """End of a message about an unknown name: the most similar known name, or "" if there is none."""
-    near = difflib.get_close_matches(str(name), list(known), n=1)
+    """End of a message about an unknown name: the most similar known name, or else the only one that contains it, or ""
+    if there is none."""
+    names = list(known)
+    around = [whole for whole in names if len(str(name)) > 2 and str(name).lower() in whole.lower()]
+    near = difflib.get_close_matches(str(name), names, n=1) or (around if len(around) == 1 else [])
     return f"; did you mean {near[0]!r}?" if near else ""
 
 

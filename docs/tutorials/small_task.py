@@ -27,6 +27,15 @@ SETTINGS = {
     "observation.signs": False,
 }
 """Settings of the task; the return of an episode is the share of the floor that is mapped correctly at its end."""
+TITLES = {
+    "sb3": "PPO of stable-baselines3",
+    "maskable_ppo": "MaskablePPO of sb3-contrib",
+    "one_file": "PPO in one file",
+    "torchrl": "PPO of TorchRL",
+    "rllib": "PPO of RLlib",
+    "benchmarl": "MAPPO of BenchMARL",
+}
+"""Of the pictures."""
 
 
 def team_of(task: str | None = None) -> dict[str, Any]:
@@ -41,8 +50,6 @@ def save_curve(name: str, returns: list[float], folder: Path, parts: int = 10) -
 
     The curve shows means of `parts` equal parts of the episodes, with the standard error of each mean.
     """
-    from matplotlib.figure import Figure
-
     folder.mkdir(parents=True, exist_ok=True)
     pieces = [piece for piece in np.array_split(np.array(returns), parts) if len(piece)]
     means = [float(piece.mean()) for piece in pieces]
@@ -50,14 +57,21 @@ def save_curve(name: str, returns: list[float], folder: Path, parts: int = 10) -
     ends = np.cumsum([len(piece) for piece in pieces]).tolist()
     curve = {"episodes": len(returns), "ends": ends, "means": means, "standard_errors": errors}
     (folder / f"{name}.json").write_text(json.dumps(curve, indent=1) + "\n")
+    draw_curve(name, curve, folder / f"{name}.png")
+    print(f"{len(returns)} episodes: mean return {means[0]:.3f} in the first part, {means[-1]:.3f} in the last")
+
+
+def draw_curve(name: str, curve: dict[str, Any], path: Path) -> None:
+    """Draw what `save_curve` wrote to NAME.json."""
+    from matplotlib.figure import Figure
+
+    means, errors, ends = np.array(curve["means"]), np.array(curve["standard_errors"]), curve["ends"]
     figure = Figure(figsize=(7, 3.2), layout="constrained")
     axes = figure.subplots()
-    low, high = np.array(means) - errors, np.array(means) + errors
-    axes.fill_between(ends, low, high, color="#0072b2", alpha=0.25, linewidth=0)
+    axes.fill_between(ends, means - errors, means + errors, color="#0072b2", alpha=0.25, linewidth=0)
     axes.plot(ends, means, color="#0072b2", marker="o", markersize=3)
     axes.axhline(means[0], color="0.5", linewidth=1, linestyle="--")
     axes.annotate("first part", (ends[-1], means[0]), ha="right", va="bottom", color="0.35")
-    axes.set(xlabel="episodes", ylabel="floor mapped correctly", title=name)
+    axes.set(xlabel="episodes", ylabel="floor mapped correctly", title=TITLES[name])
     axes.grid(alpha=0.3)
-    figure.savefig(folder / f"{name}.png", dpi=100)
-    print(f"{len(returns)} episodes: mean return {means[0]:.3f} in the first part, {means[-1]:.3f} in the last")
+    figure.savefig(path, dpi=100)

@@ -1,13 +1,13 @@
 """PPO of TorchRL on a team: one network for all robots, masked choices, one loss for the group "robot".
 
-python docs/tutorials/torchrl_ppo.py [DECISIONS] [FOLDER]
+python docs/tutorials/torchrl_ppo.py [DECISIONS] [FOLDER] [TASK]
 """
 
 import sys
 from pathlib import Path
 
 import torch
-from small_task import SETTINGS, save_curve
+from small_task import save_curve, team_of
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.envs.libs.pettingzoo import PettingZooWrapper
@@ -35,11 +35,11 @@ class Flat(nn.Module):
         return self.net(torch.cat([frontiers.flatten(-2), team.flatten(-2)], -1).float())
 
 
-def main(decisions: int = 14_000, folder: Path = Path("runs/tutorials")) -> None:
-    """Learn for this number of decisions of all robots."""
+def main(decisions: int = 14_000, folder: Path = Path("runs/tutorials"), task: str | None = None) -> None:
+    """Learn for this number of decisions of all robots; task: a registered one instead of the small one."""
     torch.set_num_threads(1)
     torch.manual_seed(0)
-    team = twc_env.parallel_env(config=SETTINGS)
+    team = twc_env.parallel_env(**team_of(task))
     env = PettingZooWrapper(WithoutInfos(team), categorical_actions=True, seed=0)
     shown = env.observation_spec["robot", "observation"]
     numbers = shown["frontiers"].shape[-2:].numel() + shown["team"].shape[-2:].numel()
@@ -93,4 +93,4 @@ def main(decisions: int = 14_000, folder: Path = Path("runs/tutorials")) -> None
 
 
 if __name__ == "__main__":
-    main(*(kind(text) for kind, text in zip((int, Path), sys.argv[1:], strict=False)))
+    main(*(kind(text) for kind, text in zip((int, Path, str), sys.argv[1:], strict=False)))

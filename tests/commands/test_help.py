@@ -93,7 +93,8 @@ def test_the_error_of_a_misspelt_command_or_option_suggests_the_nearest(argument
 
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
 def test_the_examples_of_every_command_can_be_parsed(parser):
-    examples = [line.split("   ")[0] for line in parser.format_help().splitlines() if line.startswith("  twc-env ")]
+    whole = parser.format_help().replace(" \\\n      ", " ")  # as a shell joins lines that were folded
+    examples = [line.split("   ")[0] for line in whole.splitlines() if line.startswith("  twc-env ")]
     assert examples
     for example in examples:
         name, *arguments = shlex.split(example.split(" > ")[0])
@@ -103,10 +104,30 @@ def test_the_examples_of_every_command_can_be_parsed(parser):
 def test_paragraphs_are_filled_and_examples_are_kept():
     parser = argparse.ArgumentParser(
         formatter_class=lambda prog: Paragraphs(prog, width=32),
-        description="One two three four five six seven eight.\n\nNine\nten:\n  an example that is longer than a line",
+        description="One two three four five six seven eight.\n\nNine\nten:\n  an example\n  of lines",
     )
     text = parser.format_help()
-    assert "One two three four five six\nseven eight.\n\nNine ten:\n  an example that is longer than a line\n" in text
+    assert "One two three four five six\nseven eight.\n\nNine ten:\n  an example\n  of lines\n" in text
+
+
+def test_lines_of_examples_that_are_too_long_are_folded():
+    lines = "  twc-env explore --map twin-01 --out run    # a remark\n  name  a text that is longer"
+    text = Paragraphs("twc-env", width=28)._fill_text(f"examples:\n{lines}", 26, "")
+    assert text.splitlines()[1:] == [
+        "  # a remark",
+        "  twc-env explore --map \\",
+        "      twin-01 --out run",
+        "  name  a text that is",
+        "        longer",
+    ]
+
+
+@pytest.mark.parametrize("columns", [50, 80])
+def test_no_help_is_wider_than_the_terminal(monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    for parser in ALL:
+        wide = [line.strip(" \\") for line in parser.format_help().splitlines() if len(line) > columns]
+        assert [line for line in wide if " " in line and not line.startswith(("[", "--"))] == [], parser.prog
 
 
 def test_the_points_of_a_list_are_filled_one_by_one():

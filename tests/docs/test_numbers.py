@@ -31,6 +31,10 @@ def radio(method: str) -> dict:
     return row("radio-table1", method=method)
 
 
+def carried(figure: str) -> dict:
+    return read("carried")["gen:office:800:7"]["figures"][figure]
+
+
 def waiting(name: str) -> str:
     """Number of closures that wait for others, of a run that says so."""
     return re.search(r"(\d+) closures wait", " ".join(read(name)["lacked"]))[1]
@@ -73,15 +77,32 @@ NUMBERS = [
     ("first_hours/lecturer.md", "an error of {} m where", lambda: f"{read('gullible')['team_ate_m']:.0f}"),
     ("first_hours/lecturer.md", "would have had {} m", lambda: f"{read('gullible')['odometry_ate_m']:.0f}"),
     ("first_hours/researcher.md", "{} closures that wait", lambda: waiting("blind")),
+    (
+        "results.md",
+        "none is merged wrongly, and the mean ATE is {} m",
+        lambda: f"{carried('team_ate_m')['mean']:.3f}" * (carried("wrong_merges")["max"] == 0),
+    ),
+    (
+        "lasting_maps.md",
+        "relations is {}, {} and {} m in sessions one to three",
+        lambda: " ".join(f"{session['relation_error_m']:.3f}" for session in read("sessions-intel")),
+    ),
+    (
+        "structure_from_wifi.md",
+        "k accuracy of {}, {}, {}, {}, {} and {} in E1 to E6",
+        lambda: " ".join(
+            f"{r['k_accuracy']:.3f}" for r in read("results/sfw-table1") if r["method"] == "paper, distance"
+        ),
+    ),
 ]
-"""Page, the words around the number, and the number as the file has it."""
+"""Page, the words around the numbers, and the numbers as the file has them."""
 
 
 @pytest.mark.parametrize(("page", "words", "value"), NUMBERS, ids=[f"{page} {words}" for page, words, _ in NUMBERS])
 def test_a_number_is_that_of_its_file(page, words, value):
     text = " ".join((DOCS / page).read_text().split())
-    shown = re.findall(re.escape(" ".join(words.split())).replace(r"\{\}", r"(\d[\d.,]*\d|\d)"), text)
-    assert shown == [value()]
+    found = re.finditer(re.escape(" ".join(words.split())).replace(r"\{\}", r"(\d[\d.,]*\d|\d)"), text)
+    assert [" ".join(match.groups()) for match in found] == [value()]
 
 
 @pytest.mark.parametrize("name", [name for name in TUTORIALS if (DOCS / "tutorials" / f"{name}.md").exists()])
@@ -111,7 +132,15 @@ def test_every_number_that_the_readme_claims_stands_in_the_brief_table_of_the_re
 
 def test_every_kept_file_is_checked():
     kept = {path.stem for path in (DOCS / "data").glob("*.json")}
-    checked = {"demo", "drift", "blind", "gullible", "twc-table2", "sfw-table1", "radio-table1"} | {
-        f"tutorial-{name}" for name in TUTORIALS
-    }
+    checked = {
+        "demo",
+        "drift",
+        "blind",
+        "gullible",
+        "twc-table2",
+        "sfw-table1",
+        "radio-table1",
+        "sessions-intel",
+        "carried",
+    } | {f"tutorial-{name}" for name in TUTORIALS}
     assert kept <= checked

@@ -18,14 +18,16 @@ from twc_env.running.options import add_folder, add_json, add_pictures, count, n
 if TYPE_CHECKING:
     from twc_env.world.building.floorplan import Floorplan
 
-_NAMES = """\
+_FILES = (
+    ".json (twc_env, HouseExpo), .yaml (ROS map_server), .png, .pgm, .geojson (indoor-location-competition-20 with "
+    "floor_info.json beside it; OpenStreetMap, or IMDF units with opening.geojson beside them: FILE#LEVEL); .gz too"
+)
+_NAMES = f"""\
 A MAP is
-  a bundled name            twin-01, sfw-e3, radio-ntu ...  (see: twc-env maps list)
-  a generated building      gen:KIND:AREA:SEED              for example gen:office:800:7
-  a building of a split     train/0000 ... train/0999, validation/0000 ..., test/0000 ... test/0099
-  a file                    .json (twc_env, HouseExpo), .yaml (ROS map_server), .png, .pgm,
-                            .geojson (indoor-location-competition-20 with floor_info.json beside it;
-                            OpenStreetMap, or IMDF units with opening.geojson beside them: FILE#LEVEL); .gz too
+  a bundled name         twin-01, sfw-e3, radio-ntu ... (see: twc-env maps list)
+  a generated building   gen:KIND:AREA:SEED, for example gen:office:800:7
+  a building of a split  train/0000 ... train/0999, validation/0000 ..., test/0000 ... test/0099
+  a file                 {_FILES}
 """
 
 

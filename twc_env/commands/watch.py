@@ -17,6 +17,7 @@ share a map, the floor that each has seen is tinted in its colour.
 
 With --drive you steer one robot by the arrow keys: up and down drive, left and right turn, and tab goes to the next
 robot; the others are driven by the team. What to try:
+
 - Drive in a straight line for a while: disc and ring drift apart, as odometry drifts.
 - Return to a place with a sign: a violet line appears, and the ring jumps back onto the disc.
 - Visit the room of another robot: as soon as both have read the same signs, their maps merge and lose their tint.

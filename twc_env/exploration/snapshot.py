@@ -81,7 +81,11 @@ def take_snapshot(config: EnvConfig, episode: Episode) -> Snapshot:
 
 
 def restore_snapshot(config: EnvConfig, snapshot: Snapshot) -> Episode:
-    """The episode of a snapshot, see `ExplorationEnv.restore`."""
+    """The episode of a snapshot, see `ExplorationEnv.restore`.
+
+    Raises ConfigError for anything else than a snapshot and for one of other settings or version, DataError for a
+    damaged one.
+    """
     if not isinstance(snapshot, Snapshot):
         raise ConfigError(f"restore() takes what snapshot() gave; got {type(snapshot).__name__} {snapshot!r:.60}")
     _check("configuration", snapshot.config_digest, digest(config))

@@ -71,7 +71,10 @@ def reliability(probability: Array, is_wall: Array, bins: int = 10) -> tuple[Arr
 
 
 def calibration_error(probability: Array, is_wall: Array) -> float:
-    """Expected calibration error: mean difference of probability and share of walls, weighted by count."""
+    """Expected calibration error in [0, 1]: |mean probability - share of walls| of each bin, weighted by its count.
+
+    Arguments of equal shape as in `reliability`; 0 if there are none.
+    """
     mean, share, count = reliability(probability, is_wall)
     told = count > 0
     return float((np.abs(mean - share)[told] * count[told]).sum() / max(count.sum(), 1))

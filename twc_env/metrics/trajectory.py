@@ -88,7 +88,8 @@ def align(a, b, turns, pose):
 def absolute_trajectory_error_m(estimated: ArrayLike, true: ArrayLike, alignment: ArrayLike | None = None) -> float:
     """Root mean square distance between estimated and true positions after one rigid alignment (ATE).
 
-    Shapes as in `align_team`. `alignment` (3,) moves the estimate onto the truth; default: the best one.
+    Shapes as in `align_team`. `alignment` (3,) moves the estimate onto the truth; default: the best one. Raises
+    DataError for other shapes.
     """
     estimated_m, true_m = _position_pairs(estimated, true)
     if alignment is None:
@@ -102,7 +103,8 @@ def absolute_trajectory_error_m(estimated: ArrayLike, true: ArrayLike, alignment
 def end_point_error_m(estimated: ArrayLike, true: ArrayLike) -> float:
     """Distance between the estimated and the true last position, both relative to the first pose (EPE, papers.md T18).
 
-    Both (t, 3). If the true path is closed, this is the start-to-end gap that the paper prints.
+    Both (t, 3). If the true path is closed, this is the start-to-end gap that the paper prints. Raises DataError for
+    other shapes, and for empty paths.
     """
     estimated, true = real_array(estimated, "estimated"), real_array(true, "true")
     if estimated.shape != true.shape or estimated.ndim != 2 or len(true) == 0 or true.shape[1] != 3:

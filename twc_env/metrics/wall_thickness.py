@@ -22,7 +22,8 @@ def wall_thickness_m(
 
     Each occupied cell belongs to the nearest true wall within `reach_m`; the area of these cells is divided by the
     length of all wall segments (STRETCH_M) that own a cell. walls_m (k, 2, 2) in the building frame; other arguments as
-    in `score_map`. A sharp map of thin walls gives one to two cells. NaN if no wall is shown.
+    in `score_map`. A sharp map of thin walls gives one to two cells. NaN if no wall is shown. Raises
+    DataError for other shapes.
     """
     from scipy.spatial import cKDTree  # slow to import, needed only here
 

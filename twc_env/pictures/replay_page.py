@@ -68,7 +68,10 @@ def fill_page(path: Path, title: str, data: dict[str, Any]) -> Path:
 
 
 def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]:
-    """The data for the script of the page, as plain Python values."""
+    """The data for the script of the page, as plain Python values: lengths in metres, maps as base64 of their layers.
+
+    trace: arrays of `read_trace`; report: those of report.json.
+    """
     config: EnvConfig = from_dict(json.loads(str(trace["config"])))
     walls = trace["walls_m"].reshape(-1, 4)
     corners = trace["walls_m"].reshape(-1, 2)
@@ -117,7 +120,7 @@ def _signal(trace: dict[str, Array]) -> dict[str, Any]:
 
 
 def rounded(values: Array) -> list:
-    """Plain numbers, to the millimetre."""
+    """Nested lists of the values of an array, rounded to the millimetre (or 1e-3 of another unit)."""
     return np.round(values.astype(np.float64), DIGITS).tolist()
 
 

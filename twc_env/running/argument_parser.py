@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,7 @@ from twc_env.errors import did_you_mean
 
 class Paragraphs(argparse.HelpFormatter):
     """Help in which each paragraph and each point of a list is filled; lines that begin with two spaces, such as
-    examples, are kept.
+    examples, are kept where they fit and else folded: a command so that it can still be copied.
 
     The help of an option ends with its default value, unless its text states a default.
     """
@@ -40,9 +41,41 @@ class Paragraphs(argparse.HelpFormatter):
             if line is not None and not line.startswith("  "):
                 prose.append(line)
                 continue
-            lines += textwrap.wrap(" ".join(prose), width) + ([] if line is None else [line])
+            lines += textwrap.wrap(" ".join(prose), width) + ([] if line is None else folded(line, width))
             prose = []
         return "\n".join(lines)
+
+    def _format_usage(self, *args: Any) -> str:
+        lines = super()._format_usage(*args).split("\n")
+        return "\n".join(line if len(line) <= self._width else self._broken(line) for line in lines)
+
+    def _broken(self, line: str) -> str:
+        """A long line of choices, broken behind a bar or comma."""
+        parts, indent = re.findall(r".+?(?:[|,] ?|$)", line), " " * (len(line) - len(line.lstrip()) + 1)
+        lines = [parts[0]]
+        for part in parts[1:]:
+            if len(lines[-1]) + len(part.rstrip()) <= self._width:
+                lines[-1] += part
+            else:
+                lines.append(indent + part)
+        return "\n".join(part.rstrip() for part in lines)
+
+
+def folded(line: str, width: int) -> list[str]:
+    """A line of an epilog in parts of at most `width` characters: the remark of a command comes before it, a command
+    goes on behind a backslash, and the text beside a name stays in its column."""
+    if len(line) <= width:
+        return [line]
+    command, _, remark = line.partition("  # ")
+    if not remark and not line.startswith("  twc-env "):
+        column = re.match(r" *\S+(?: \S+)* {2,}", line)
+        hanging = " " * (column.end() if column and column.end() <= 0.6 * width else 6)
+        return textwrap.wrap(line, width, subsequent_indent=hanging, break_long_words=False, break_on_hyphens=False)
+    above = textwrap.wrap(remark, width, initial_indent="  # ", subsequent_indent="  # ") if remark else []
+    if len(command.rstrip()) <= width:
+        return [*above, command.rstrip()]
+    parts = textwrap.wrap(command, width - 2, subsequent_indent=" " * 6, break_long_words=False, break_on_hyphens=False)
+    return [*above, *(f"{part} \\" for part in parts[:-1]), parts[-1]]
 
 
 Fill = Callable[[argparse.ArgumentParser], None]

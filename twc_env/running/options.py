@@ -46,7 +46,10 @@ def add_set(parser: argparse.ArgumentParser) -> None:
 
 
 def assignments(texts: Sequence[str]) -> dict[str, object]:
-    """`KEY=VALUE` texts of the command line as a dictionary."""
+    """`KEY=VALUE` texts of the command line as a dictionary of texts; of a key that is there twice, the last.
+
+    Raises ConfigError for a text of another form. Keys and values are checked by `twc_env.config.override`.
+    """
     pairs = [text.partition("=") for text in texts]
     for text, (key, separator, _) in zip(texts, pairs, strict=True):
         if not separator or not key:
@@ -162,7 +165,7 @@ def _whole_number(text: str, least: int) -> int:
 
 
 def number(least: float, most: float) -> Callable[[str], float]:
-    """A number from `least` to `most`, as an argument's type."""
+    """The type of an argument of argparse that is a number from `least` to `most`, both allowed."""
 
     def read(text: str) -> float:
         try:

@@ -13,7 +13,11 @@ Engine = CooperativeSlam | DeadReckoning
 
 
 def make_engine(config: EnvConfig, robot_count: int, prior: LastingMap | None = None) -> Engine:
-    """A new engine as configured, for the start of an episode; prior: the map that `slam.prior` names."""
+    """A new engine as configured, for the start of an episode; prior: the map that `slam.prior` names.
+
+    Raises ConfigError if `slam.mode` and prior do not fit: localisation needs one, `off` has no use for any, and only
+    localisation takes a map without places.
+    """
     if config.slam.mode == "off":
         if prior is not None:
             raise ConfigError("slam.mode is 'off': without an engine slam.prior is of no use; leave one of them")

@@ -55,7 +55,10 @@ class TeamVecEnv(VecEnv):
         self._lengths = np.zeros(self.num_envs, np.int64)
 
     def reset(self) -> dict[str, Array] | Array:
-        """Begin new episodes; a seed from `seed()` or the constructor is used once, then subsequent ones."""
+        """Begin new episodes; a seed from `seed()` or the constructor is used once, then subsequent ones.
+
+        Returns observations with one row per robot of all teams, or one array per block.
+        """
         seeds = [s for s in self._seeds if s is not None]
         first = seeds[0] if seeds else self._next_seed
         self._next_seed = first + 1_000_003

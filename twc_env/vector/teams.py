@@ -124,7 +124,8 @@ class VectorTeams:
         """Begin new episodes; environment k plays seeds seed + k, seed + k + count, and so on.
 
         With one seed per environment, k plays seed[k], seed[k] + count, and so on. Results of steps that were sent and
-        not yet received are dropped. Raises ConfigError for anything else than whole numbers.
+        not yet received are dropped. Returns the observations, each block with axes (environments, robots, ...). Raises
+        ConfigError for anything else than whole numbers.
         """
         seeds = self._first_seeds(seed)
         if self._pending:
@@ -156,7 +157,10 @@ class VectorTeams:
         return {"seeds": np.array(seeds, np.int64), **actions}
 
     def restore(self, arrays: Mapping[str, Array]) -> dict[str, Array]:
-        """Play the episodes of a `snapshot` again up to where they were; returns observations as `reset` does."""
+        """Play the episodes of a `snapshot` again up to where they were; returns observations as `reset` does.
+
+        Takes the time of these steps. arrays: of as many environments with the same settings.
+        """
         self.reset(arrays["seeds"].tolist())
         played, step = [arrays[f"actions.{k}"] for k in self._all], 0
         while ids := [k for k in self._all if step < len(played[k])]:
@@ -307,7 +311,7 @@ class VectorTeams:
         return actions
 
     def sample(self) -> Array:
-        """Random actions for all robots, within the mask if there is one."""
+        """(environments, robots, ...) random actions, within the mask if there is one."""
         space = self.action_space
         if not isinstance(space, spaces.Discrete):
             return np.array([[space.sample() for _ in self.agents] for _ in self._all])

@@ -90,6 +90,19 @@ def test_an_unmerged_team_is_told_what_odometry_knows(unmerged, small):
     assert "which knows the true starts" in " ".join(title.split())
 
 
+def test_a_map_that_lies_askew_is_shown_whole_and_one_far_away_in_part(small):
+    def limits(pose):
+        (axes,) = dataclasses.replace(small, pose_building_map=np.tile(pose, (len(small.grids), 1))).plot().axes
+        return np.array([axes.get_xlim(), axes.get_ylim()])
+
+    (axes,) = small.plot().axes
+    x0, y0, x1, y1 = small.floorplan.bounds_m
+    assert np.allclose([axes.get_xlim(), axes.get_ylim()], [[x0 - 1, x1 + 1], [y0 - 1, y1 + 1]])
+    beside = limits(small.pose_building_map[0] + [34.0, 0.0, 0.0])
+    assert beside[0, 1] > x1 + 2 and beside[0, 0] == x0 - 1
+    assert np.ptp(limits(np.array([500.0, 0.0, 0.0]))[0]) < 1.4 * (x1 - x0 + 2)
+
+
 @pytest.mark.parametrize("turn_rad", [0.0, 0.4])
 def test_wall_pixels_of_the_picture_lie_on_the_true_walls(small, turn_rad):
     """The estimate is replaced by the true building in turned cells, without anything else in the picture."""

@@ -26,7 +26,11 @@ _LOG = logging.getLogger(__name__)
 
 
 def competition_floor(features: list[dict], path: Path, name: str) -> Floorplan:
-    """The floor plan: feature 0 is the outline of the floor, all other polygons are closed blocks."""
+    """The floor plan: feature 0 is the outline of the floor, all other polygons are closed blocks.
+
+    path: the .geojson, beside which floor_info.json tells the size [m]. Raises MapError for an outline without area,
+    and for coordinates that are none.
+    """
     size_m = _floor_size(path)
     outline = [ring for polygon in polygons_of(features[0], f"{path.name}: feature 0") for ring in polygon]
     if not outline:

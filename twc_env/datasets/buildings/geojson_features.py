@@ -164,7 +164,10 @@ def width_m_of(feature: dict) -> float:
 
 
 def lines_of(feature: dict, where: str) -> list[Array]:
-    """Lines of a feature, each (k, 2) [degrees]: those of a line, or the rings of a polygon; [] for points."""
+    """Lines of a feature, each (k, 2) [degrees]: those of a line, or the rings of a polygon; [] for points.
+
+    Raises MapError, which names `where`, for coordinates that are no longitude and latitude.
+    """
     geometry = feature.get("geometry")
     if not isinstance(geometry, dict) or geometry.get("type") not in ("LineString", "MultiLineString"):
         return [np.concatenate([ring, ring[:1]]) for rings in polygons_of(feature, where) for ring in rings]
@@ -185,6 +188,7 @@ def polygons_of(feature: dict, where: str) -> list[list[Array]]:
 
     The outer ring comes first, counter-clockwise; the others are holes, clockwise. A line that ends where it begins is
     a polygon, as exports of OpenStreetMap have them. Rings of fewer than three corners are left out, with their holes.
+    Raises MapError, which names `where`, for coordinates that are no longitude and latitude.
     """
     geometry = feature.get("geometry")
     kind = geometry.get("type") if isinstance(geometry, dict) else None
@@ -221,7 +225,7 @@ def _opened(ring: Array, is_outer: bool, where: str) -> Array:
 
 
 def point_of(feature: dict, where: str) -> Array:
-    """(2,) [degrees] of a door; the middle of one drawn as a line."""
+    """(2,) longitude and latitude [degrees] of a door; the middle of one drawn as a line. MapError if it has none."""
     geometry = feature.get("geometry")
     if isinstance(geometry, dict) and geometry.get("type") == "LineString":
         line = lines_of(feature, where)[0]

@@ -41,7 +41,8 @@ def read_house_expo(path: str | Path) -> Floorplan:
 def house_expo_plan(values: object, where: str, seed: int = 0) -> Floorplan:
     """Build a plan from the values of a HouseExpo file; `where` names the file in errors.
 
-    Signs and access points are placed by seed.
+    Signs and access points are placed by seed. Raises MapError if the values are not of the format, or enclose no
+    floor.
     """
     if not isinstance(values, dict):
         raise MapError(f"{where} must be a JSON object with 'verts'; got {type(values).__name__}")

@@ -46,7 +46,8 @@ def osm_level(features: list[dict], where: str, name: str, level: str | None = N
     """The floor plan of one level, by default "0" or the only one, on which rooms without a level are too.
 
     Doors lie on the outlines of rooms. Areas and corridors have no walls between them. What no door leads to, doors
-    that open no wall and rooms that are no polygon are left out, with a warning.
+    that open no wall and rooms that are no polygon are left out, with a warning. Raises MapError if there are no rooms
+    or no such level, or if its rooms span too much or have no area.
     """
     parts = [(number, feature) for number, feature in enumerate(features) if part_of(feature)]
     if not parts:

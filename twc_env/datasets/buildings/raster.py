@@ -69,7 +69,7 @@ def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Sequen
 def check_closed(free: Array, resolution_m: float, where: str) -> None:
     """Raise MapError if the largest part of the floor goes around the building; name what else is doubtful in it.
 
-    Named are floor at the border of the picture, and floor that is left out.
+    free: (rows, columns) bool. Named, in warnings, are floor at the border of the picture and floor that is left out.
     """
     kept = largest_part(free)
     border = np.concatenate([kept[0], kept[-1], kept[1:-1, 0], kept[1:-1, -1]])
@@ -101,7 +101,7 @@ def _has_inside_walls(free: Array) -> bool:
 
 
 def name_marks(free: Array, resolution_m: float, where: str) -> None:
-    """Warn of small obstacles that stand free on the largest part of the floor, as letters do."""
+    """Warn of small obstacles that stand free on the largest part of the floor (rows, columns), as letters do."""
     free = largest_part(free)
     labels, _ = ndimage.label(~free, np.ones((3, 3)))
     sizes = [max(box[0].stop - box[0].start, box[1].stop - box[1].start) for box in ndimage.find_objects(labels)]
@@ -125,7 +125,7 @@ def free_edges(free: Array) -> Array:
 
 
 def largest_part(free: Array) -> Array:
-    """Only the largest 4-connected part of the free cells."""
+    """(rows, columns) bool: only the largest 4-connected part of the free cells, of equal ones the first."""
     labels, sizes = parts(free)
     return labels == np.argmax(sizes) + 1 if len(sizes) else np.zeros_like(free)
 

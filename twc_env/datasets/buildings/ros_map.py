@@ -63,7 +63,11 @@ def read_ros_map(path: str | Path, seed: int = 0) -> Floorplan:
 
 
 def read_ros_cells(path: str | Path) -> RosMap:
-    """The cells of a map_server yaml. The picture may lie beside it compressed (`map.pgm.gz` for `map.pgm`)."""
+    """The cells of a map_server yaml. The picture may lie beside it compressed (`map.pgm.gz` for `map.pgm`).
+
+    Pictures in other folders are not read. Raises MapError if a file is missing or a value unfit; what is assumed, such
+    as the meaning of grey, is a warning.
+    """
     path = Path(path)
     values = _read_yaml(path)
     # The path may be that of another machine, and a map of strangers must not name files elsewhere.

@@ -350,7 +350,8 @@ def _scans(times_s: Array, macs: Array, strengths: Array, rows: Array) -> tuple[
 
 
 def wifi_scan(macs: Array, strengths: Array) -> WifiScan:
-    """A scan of readings in any order; the strength of an address that is there twice is the mean."""
+    """A scan of readings (n,) [addresses as numbers, dBm] in any order, at least one; the strength of an address that
+    is there twice is the mean."""
     addresses, place = np.unique(macs, return_inverse=True)
     return WifiScan(addresses, np.bincount(place, strengths) / np.bincount(place))
 

@@ -48,7 +48,8 @@ def read_flat(folder: str | Path) -> Flat:
 def read_ble_run(folder: str | Path, run: str) -> RadioSurvey:
     """The run "calibration", "calib3" or "calib4", in the frame of the wall plan.
 
-    The calibration consists of four drives, walks 0 to 3: walk 2 is calib3 and walk 3 is calib4.
+    The calibration consists of four drives, walks 0 to 3: walk 2 is calib3 and walk 3 is calib4. Raises
+    DataError for other runs.
     """
     if run not in POSE_LAYOUT_RUN:
         raise DataError(f"the flat has no run {run!r}; known are {', '.join(POSE_LAYOUT_RUN)}")

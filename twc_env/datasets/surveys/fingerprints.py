@@ -57,12 +57,12 @@ class RadioSurvey:
         return dataclasses.replace(self, rssi_dbm=rssi, age_s=age)
 
     def at_scans(self, chosen: Array) -> RadioSurvey:
-        """The survey with a subset of the scans (indices or a mask)."""
+        """The survey with a subset of the scans: their indices (k,), in this order, or a mask (scans,)."""
         told = self._told("position_m", "floor", "time_s", "walk", "rssi_dbm", "age_s", "room_kind")
         return dataclasses.replace(self, **{name: values[chosen] for name, values in told.items()})
 
     def of_transmitters(self, chosen: Array) -> RadioSurvey:
-        """The survey with a subset of the transmitters (indices or a mask)."""
+        """The survey with a subset of the transmitters: their indices (k,) or a mask (transmitters,)."""
         rows, tables = self._told("transmitter_m", "transmitter_floor", "is_high_band"), self._told("rssi_dbm", "age_s")
         parts = {name: values[chosen] for name, values in rows.items()}
         parts |= {name: values[:, chosen] for name, values in tables.items()}
@@ -150,7 +150,7 @@ def read_numbers(path: Path, columns: tuple[str, ...], filled: int | None = None
 
 
 def heard_only(rssi: Array) -> Array:
-    """Readings with NaN instead of the values that mean "not heard" (such as 100 and -105)."""
+    """Readings [dBm] of any shape as float32, with NaN instead of those that mean "not heard", such as 100 and -105."""
     return np.where((rssi < 0) & (rssi > -105), rssi, np.nan).astype(np.float32)
 
 

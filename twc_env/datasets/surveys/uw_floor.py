@@ -12,7 +12,10 @@ from twc_env.errors import DataError
 
 
 def read_uw_floor(path: str | Path) -> RadioSurvey:
-    """Lines `unix_s MAC x_m y_m rss_dBm`, one per reading; readings of one time are one scan."""
+    """The survey of a file of lines `unix_s MAC x_m y_m rss_dBm`, one per reading; readings of one time are one scan.
+
+    Raises DataError, which names the line, where one is short or holds no numbers.
+    """
     path = Path(path)
     rows = [(k, line.split()) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
     for k, row in rows:

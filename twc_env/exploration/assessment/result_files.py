@@ -22,7 +22,7 @@ DPI_MIN, DPI_MAX = 20, 1200
 
 
 def frame_of(result: Any, what: str) -> Any:
-    """See `EpisodeResult.to_frame`."""
+    """See `EpisodeResult.to_frame`. Raises ConfigError for another table than `TABLES`, and without pandas."""
     if not isinstance(what, str) or what not in TABLES:
         raise ConfigError(f"tables are {' and '.join(TABLES)}; got {what!r}")
     if find_spec("pandas") is None:
@@ -50,7 +50,7 @@ def paths_of(result: Any) -> dict[str, Any]:
 
 
 def save(result: Any, folder: Path, format: str, dpi: float | None) -> list[Path]:
-    """See `EpisodeResult.save`."""
+    """See `EpisodeResult.save`. Raises ConfigError for another format than png, pdf, svg, or an unfit dpi."""
     from twc_env.exploration.drawing.figures import FORMATS, save_figure
 
     if not isinstance(format, str) or format not in FORMATS:

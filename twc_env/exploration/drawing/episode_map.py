@@ -17,7 +17,10 @@ from twc_env.exploration.drawing.smooth_map import BORDER, KNOWN_LEVEL, known_fi
 from twc_env.records.geometry import compose, transform_points
 from twc_env.records.messages import GridMap
 
-MARGIN_M = 1.0
+MARGIN_M, GAP_M = 1.0, 0.2
+"""Around the building, and around walls of a map that lie outside it."""
+BESIDE_MAX = 0.3
+"""Of the building's size is shown beside it at most, on each side, of a map that lies askew."""
 WIDE_IN, NARROW_IN, HEIGHT_MAX_IN = 11.0, 8.0, 12.0
 NAMES_MAX = 80
 """Signs beyond these get no name, as there is no room for more."""
@@ -32,17 +35,14 @@ TRUE_OPACITY = 0.35
 def map_figure(result: Any, dpi: float | None = None) -> Any:
     """The figure of an `EpisodeResult`. Raises ConfigError without matplotlib."""
     with style():
-        x_min, y_min, x_max, y_max = result.floorplan.bounds_m
-        width_m, height_m = x_max - x_min + 2 * MARGIN_M, y_max - y_min + 2 * MARGIN_M
+        (x_min, y_min), (x_max, y_max) = _shown_m(result)
+        width_m, height_m = x_max - x_min, y_max - y_min
         inches = WIDE_IN if width_m > 1.2 * height_m else NARROW_IN
         figure = new_figure((inches, min(inches * height_m / width_m, HEIGHT_MAX_IN) + 1.5))
         if dpi:
             figure.set_dpi(dpi)
         axes = figure.add_subplot()
-        axes.set(
-            xlim=(x_min - MARGIN_M, x_max + MARGIN_M), ylim=(y_min - MARGIN_M, y_max + MARGIN_M), xlabel="x [m]",
-            ylabel="y [m]", facecolor=palette.UNKNOWN,
-        )  # fmt: skip
+        axes.set(xlim=(x_min, x_max), ylim=(y_min, y_max), xlabel="x [m]", ylabel="y [m]", facecolor=palette.UNKNOWN)
         floors = _draw_grids(axes, result)
         entries = [*floors, *_draw_building(axes, result), *_draw_paths(axes, result), *_draw_closures(axes, result)]
         set_title(figure, _title(result))
@@ -57,6 +57,24 @@ def map_figure(result: Any, dpi: float | None = None) -> Any:
         ends_m = result.true_poses[[0, -1], :, :2].reshape(-1, 2)
         place_names(axes, [sign.text for sign in signs], places_m, facing_rad, numbers, ends_m)
     return figure
+
+
+def _shown_m(result: Any) -> tuple[Array, Array]:
+    """Lower left and upper right corner [m] of what is shown: the building, and the walls of a map that lies askew."""
+    corners = np.reshape(result.floorplan.bounds_m, (2, 2)) + [[-MARGIN_M], [MARGIN_M]]
+    beside_m = BESIDE_MAX * np.ptp(corners, axis=0)
+    low, high = corners
+    for grid, pose in zip(result.grids, result.pose_building_map, strict=True):
+        ends_m = _wall_ends_m(grid, wall_strokes(grid.log_odds), pose)
+        if len(ends_m):
+            low, high = np.minimum(low, ends_m.min(axis=0) - GAP_M), np.maximum(high, ends_m.max(axis=0) + GAP_M)
+    return np.maximum(low, corners[0] - beside_m), np.minimum(high, corners[1] + beside_m)
+
+
+def _wall_ends_m(grid: GridMap, strokes: Array, pose_building_map: Array) -> Array:
+    """(n, 2) ends of the strokes of a map's walls, in the building frame."""
+    ends_m = strokes[:, :4].reshape(-1, 2) * grid.resolution_m + np.asarray(grid.origin_m)
+    return transform_points(np.asarray(pose_building_map, float), ends_m)
 
 
 def _title(result: Any) -> list[str]:
@@ -107,8 +125,7 @@ def wall_cover(grid: GridMap, pose_building_map: Array) -> tuple[Array, float, f
     """(rows, columns) how much of each small cell, `FINER` to a cell, the walls of a map cover, in the building frame
     with the lowest y first; and the x and y [m] of its lower left corner."""
     strokes, cell = wall_strokes(grid.log_odds), grid.resolution_m / FINER
-    ends_m = strokes[:, :4].reshape(-1, 2) * grid.resolution_m + np.asarray(grid.origin_m)
-    ends_m = transform_points(np.asarray(pose_building_map, float), ends_m)
+    ends_m = _wall_ends_m(grid, strokes, pose_building_map)
     if not len(ends_m):
         return np.zeros((2, 2)), 0.0, 0.0
     corner_m = ends_m.min(axis=0) - 2 * grid.resolution_m

@@ -84,7 +84,7 @@ def _draw_rates(axes) -> None:
     axes[2].grid(alpha=0.3)
     axes[2].spines[["top", "right"]].set_visible(False)
     for axis in axes:
-        axis.set_xticks([5, 7, 10, 15, 20, 40], ["5", "7", "10", "15", "20", "40"])
+        axis.set_xticks([5, 7, 10, 15, 20, 30], ["5", "7", "10", "15", "20", "30"])
         axis.minorticks_off()
 
 

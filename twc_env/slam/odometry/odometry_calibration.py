@@ -90,7 +90,10 @@ def between_places(steps: Motions, places: Array) -> Motions:
 
 
 def calibration(motions: Motions, poses: Array) -> Calibration:
-    """Scale, curl and turn error by least squares from optimised poses and the odometry of the same first part."""
+    """Scale, curl and turn error by least squares from optimised poses and the odometry of the same first part.
+
+    poses: (k, 3) of the first k keyframes, with k - 1 of the motions.
+    """
     corrected = between(poses[:-1], poses[1:])
     length, fitted = motions.length_m, len(corrected)
     travel_m = length[:fitted].sum()
@@ -105,5 +108,5 @@ def calibration(motions: Motions, poses: Array) -> Calibration:
 
 
 def calibrated(motions: Motions, poses: Array) -> Motions:
-    """The odometry corrected by the errors estimated from `poses`, which cover its first part."""
+    """All motions corrected by the errors that `poses` (k, 3), which cover the first k - 1, show (`calibration`)."""
     return calibration(motions, poses).applied(motions)

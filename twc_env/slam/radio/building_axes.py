@@ -34,19 +34,21 @@ class BuildingAxes:
     """Standard deviation of their direction from the axis, for segments of `LENGTH_M` or more."""
 
     def fitted(self, positions: Array) -> BuildingAxes:
-        """The model with the share fitted to these positions by expectation maximisation."""
+        """The model with the share of segments along the axes fitted to positions (n, 2) [m] of a path by expectation
+        maximisation."""
         axes = self
         for _ in range(ITERATIONS):
             axes = replace(axes, share=float(axes._fit_axis(positions)[1].mean()))
         return axes
 
     def deviation_rad(self, positions: Array) -> float:
-        """RMS deviation of segments from the axis they follow; positions at least `LENGTH_M` apart."""
+        """RMS deviation [rad] of segments from the axis they follow; positions (n, 2) at least `LENGTH_M` apart."""
         deviation, probability, _ = self._fit_axis(positions)
         return float(np.sqrt((probability * deviation**2).sum() / max(probability.sum(), 1e-12)))
 
     def cost(self, positions: Array) -> float:
-        """Negative log-likelihood ratio of the positions under the fitted axes against uniform directions."""
+        """Negative log-likelihood ratio of positions (n, 2) [m] under the fitted axes against uniform directions; below
+        0 where the path follows the axes."""
         deviation, _, std = self._fit_axis(positions)
         return -float(np.log(1.0 - self.share + self.share * _density(deviation, std)).sum())
 

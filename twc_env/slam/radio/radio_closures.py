@@ -16,14 +16,21 @@ SUPPORT_MIN = 2
 
 
 def similar_pairs(similarity: Array, travel_m: Array, similarity_min: float, apart_m: float) -> tuple[Array, Array]:
-    """Pairs i < j above a similarity and apart_m along the path (papers.md R7: path length, not displacement)."""
+    """Pairs i < j above a similarity and apart_m along the path (papers.md R7: path length, not displacement).
+
+    similarity: (n, n), of which the part above the diagonal is read; travel_m: (n,) path length, rising. Returns the
+    indices i (k,) and j (k,).
+    """
     i, j = np.nonzero(similarity > similarity_min)
     kept = travel_m[j] - travel_m[i] > apart_m
     return i[kept], j[kept]
 
 
 def strongest_per_cell(i: Array, j: Array, similarity: Array, travel_m: Array, cell_m: float) -> Array:
-    """Indices of the most similar closure per pair of path segments of cell_m: non-maximum suppression."""
+    """Indices of the most similar closure per pair of path segments of cell_m: non-maximum suppression.
+
+    i, j, similarity: (k,) of the closures; travel_m: (n,) path length of the places.
+    """
     rows, columns = (travel_m[i] // cell_m).astype(np.int64), (travel_m[j] // cell_m).astype(np.int64)
     return _first_of_each(rows * (columns.max(initial=0) + 1) + columns, similarity)
 
@@ -56,7 +63,11 @@ def closures(
     cell_m: float,
     per_place: int,
 ) -> Distances:
-    """Radio closures of one cue after similarity threshold, non-maximum suppression and limit per place."""
+    """Radio closures of one cue after similarity threshold, non-maximum suppression and limit per place.
+
+    similarity: (n, n); travel_m: (n,) path length. A closure is a pair of places with the distance [m] that `model`
+    expects at this similarity, and its standard deviation.
+    """
     i, j = similar_pairs(similarity, travel_m, similarity_min, apart_m)
     s = similarity[i, j]
     kept = strongest_per_cell(i, j, s, travel_m, cell_m)

@@ -69,7 +69,10 @@ class PathFit:
         constraints: Sequence[radio_field.FieldConstraints] = (),
         robust: bool = True, iterations: int = FINAL_ITERATIONS,
     ) -> Array:  # fmt: skip
-        """Poses after least squares over odometry, distance closures and field constraints."""
+        """(n, 3) poses after least squares over odometry, distance closures and field constraints.
+
+        poses: (n, 3) to begin with; robust: closures that do not fit lose weight (`robust_scale`).
+        """
         count = len(poses)
         chain = np.arange(count - 1)
         odometry = np.column_stack([chain, chain + 1]), motions.motion[: count - 1], self._information[: count - 1]

@@ -86,7 +86,8 @@ def _apart(poses: Array, centre: Array) -> Array:
 
 
 def turns_along_walls(target: ComparedMap, source: ComparedMap) -> Array:
-    """Turns of the source [rad] at which its walls are parallel or at right angles to the target's."""
+    """(n,) turns of the source [rad] at which its walls are parallel or at right angles to the target's, where spectra
+    of wall directions agree best (Carpin 2008); each with its three right angles."""
     spectra = [_spectrum(each.directions_rad) for each in (target, source)]
     match = fft.irfft(fft.rfft(spectra[0]) * np.conj(fft.rfft(spectra[1])), len(spectra[0]))
     level = match.mean() + TURN_SHARE * (match.max() - match.mean())

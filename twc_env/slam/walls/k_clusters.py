@@ -39,7 +39,8 @@ def predict_walls(values: Array, centroids: Array) -> Array:
 
 
 def silhouette_k(values: Array, k_max: int = _K_MAX) -> int:
-    """The k, 1 to k_max, whose k + 1 clusters have the best mean simplified silhouette."""
+    """The k, 1 to k_max, whose k + 1 clusters of the values (n,) have the best mean simplified silhouette: 1 - distance
+    to the own centre / distance to the next one."""
     values = np.asarray(values, float)
     scores = []
     for k in range(1, k_max + 1):
@@ -49,5 +50,5 @@ def silhouette_k(values: Array, k_max: int = _K_MAX) -> int:
 
 
 def compensate_distance(rssi_dbm: Array, distance_m: Array, exponent: float) -> Array:
-    """Readings normalised to a distance of one metre by a path loss exponent."""
+    """(n,) readings [dBm] normalised to a distance of one metre: 10 n dB per decade of distance_m (n,) are added."""
     return rssi_dbm + 10.0 * exponent * np.log10(np.maximum(distance_m, _DISTANCE_MIN_M))

@@ -154,7 +154,10 @@ class Floorplan:
         return plan
 
     def cells(self, resolution_m: float = 0.1) -> Cells:
-        """The raster, cached per resolution; walls at multiples of the cell size are one cell thick."""
+        """The raster, cached per resolution; walls at multiples of the cell size are one cell thick.
+
+        Raises MapError for cells smaller than 0.005 m or larger than 10 m.
+        """
         if not isinstance(resolution_m, (int, float)) or not 0.005 <= resolution_m <= 10.0:
             raise MapError(f"cells have a size of 0.005 to 10 m; got {resolution_m!r}")
         if ("cells", resolution_m) not in self._cache:

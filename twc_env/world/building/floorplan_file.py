@@ -65,7 +65,10 @@ def write_floorplan(plan: Floorplan, path: str | Path) -> None:
 
 
 def floorplan_from_values(values: object, where: str) -> Floorplan:
-    """The plan of the values of a native JSON file, not validated; `where` names the file in errors."""
+    """The plan of the values of a native JSON file, not validated; `where` names the file in errors.
+
+    Raises MapError for a missing, unknown or unfit field, and for another format.
+    """
     required = ("format", "name", "walls", "interior_m")
     optional = ("rooms", "signs", "access_points", "starts", "pose_building_home", "materials")
     table = _table(values, where, required, optional)

@@ -107,7 +107,8 @@ def picture(text: str, plate: Plate, view: View, random: np.random.Generator) ->
 
 
 def expose(frame: Array, random: np.random.Generator) -> Array:
-    """uint8 image with shot and read noise at a light level sampled log-uniformly over a factor of 12."""
+    """uint8 image of the shape of `frame` (0 to 255) with shot and read noise, at a light level sampled log-uniformly
+    over a factor of 12."""
     light = math.exp(random.uniform(math.log(1 / 12), 0.0))
     signal = np.clip(frame, 0.0, 255.0) / 255.0
     std = np.sqrt(signal / (3000.0 * light) + (0.004 / light) ** 2 * 0.25)

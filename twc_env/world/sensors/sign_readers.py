@@ -113,6 +113,7 @@ class _OcrSignReader:
 
 
 def hidden_part(is_hidden: Array) -> tuple[float, float]:
-    """The part of the width from the first to the last hidden character, as shares of the text's length."""
+    """The part of the width from the first to the last hidden character, is_hidden (characters,), as shares of the
+    text's length; (0, 0) if none is."""
     at = np.flatnonzero(is_hidden)
     return (at[0] / len(is_hidden), (at[-1] + 1) / len(is_hidden)) if len(at) else (0.0, 0.0)

@@ -1,0 +1,150 @@
+"""Tables of the pages are those that the named commands wrote: their rows lie in docs/data/results.
+
+A marker before a table names the file and the fields of each column:
+
+    <!-- rows: intel.json
+    | * | {translation_error_m:.3f} | {rotation_error_deg:.2f} |
+    -->
+
+`*` is a cell of words. One such line is the form of every line of the table, in the order of the rows of the file, or
+of those `where FIELD=VALUE, VALUE`. With `each FIELD by FIELD, FIELD` a line is made of all rows that share the first,
+which the values of the others name: `{ours[k_accuracy]}`; with `by` alone it is made of all rows. With `rows: of`
+several files, `{merging[0][team_ate_m]}` is in the first row of merging.json. Several forms are one for each line.
+`:.0h` is a percentage without its sign. A CSV file of episodes has its columns by agent or map:
+`{compare[voronoi][team_ate_m].mean:.3f}`.
+"""
+
+import csv
+import json
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = ["results.md", "lasting_maps.md", "structure_from_wifi.md", "ocr.md"]
+UNCHECKED = "*Not checked against a stored file"
+
+
+class Number(float):
+    """A number that can be shown as a percentage without its sign (`:.0h`)."""
+
+    def __format__(self, form: str) -> str:
+        return format(100 * self, form[:-1] + "f") if form.endswith("h") else format(float(self), form)
+
+
+class Column(list):
+    """Numbers of all episodes of a team or map."""
+
+    mean = property(lambda self: sum(self) / len(self))
+    worst = property(max)
+    count = property(len)
+    full = property(lambda self: sum(number == max(self) for number in self))  # how many have the greatest value
+    any = property(lambda self: sum(number > 0 for number in self))
+
+
+class Table(NamedTuple):
+    """A table of a page."""
+
+    page: str
+    marker: str
+    lines: list[list[str]]
+    after: str
+
+
+def cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip().strip("|").split("|")]
+
+
+def tables() -> list[Table]:
+    found = []
+    for page in PAGES:
+        text = (DOCS / page).read_text() + "\n\n"
+        pattern = r"(?:<!-- rows: ([^>]*?)-->\n+)?((?:^\|.*\n)+)([^\n]*\n[^\n]*)"
+        for marker, block, after in re.findall(pattern, text, re.MULTILINE):
+            found.append(Table(page, marker, [cells(line) for line in block.splitlines()[2:]], after))
+    return found
+
+
+ALL = tables()
+MARKED = [table for table in ALL if table.marker]
+
+
+def stored(file: str):
+    """Content of a stored file, its numbers with the additional format; of a CSV file, columns by agent or map."""
+    text = (DOCS / "data/results" / file).read_text()
+    if file.endswith(".json"):
+        return json.loads(text, parse_float=Number)
+    columns: dict = {}
+    for row in csv.DictReader(text.splitlines()):
+        for owner in filter(None, (row.get("agent"), row["map"])):
+            own = columns.setdefault(owner, {})
+            for name, value in row.items():
+                if re.fullmatch(r"-?\d+(\.\d+)?(e-?\d+)?", value or ""):
+                    own.setdefault(name, Column()).append(float(value))
+    return columns
+
+
+def spaces(marker: str) -> tuple[list[str], list[dict]]:
+    """The forms of a marker, and for each line of the table what the names in its form stand for."""
+    head, *forms = [line for line in marker.splitlines() if line.strip()]
+    if head.startswith("of "):
+        return forms, [{Path(file).stem: stored(file) for file in head.split()[1:]}]
+    file, *clauses = re.split(r" (?=where |by |each )", head.strip())
+    asked, rows = dict(clause.split(" ", 1) for clause in clauses), stored(file)
+    if "where" in asked:
+        field, _, values = asked["where"].partition("=")
+        rows = [row for row in rows if str(row[field]) in values.split(", ")]
+    if "by" not in asked:
+        return forms, rows
+    groups: dict = {}
+    for row in rows:
+        group = groups.setdefault(row[asked["each"]] if "each" in asked else None, dict(row))
+        name = " ".join(str(row[key]) for key in asked["by"].split(", "))
+        assert name not in group, f"two rows of {file} are named {name}"
+        group[name] = row
+    return forms, list(groups.values())
+
+
+def expected(marker: str) -> list[list[str]]:
+    """The cells of the lines of a table as its files have them; `*` where they are words."""
+    forms, names = spaces(marker)
+    forms, names = (
+        (forms * len(names) if len(forms) == 1 else forms),
+        (names * len(forms) if len(names) == 1 else names),
+    )
+    return [[cell.format(**space) for cell in cells(form)] for form, space in zip(forms, names, strict=True)]
+
+
+@pytest.mark.parametrize("table", MARKED, ids=[f"{table.page} {table.marker.split()[0]}" for table in MARKED])
+def test_the_figures_of_a_table_are_those_of_its_file(table):
+    wanted = expected(table.marker)
+    shown = [
+        ["*" if said == "*" else cell for cell, said in zip(line, form, strict=True)]
+        for line, form in zip(table.lines, wanted, strict=True)
+    ]
+    assert shown == wanted
+
+
+def test_a_table_of_figures_is_checked_or_says_that_it_is_not():
+    rest = [table for table in ALL if re.search(r"\d", str(unchecked(table))) and UNCHECKED not in table.after]
+    assert [(table.page, table.lines[0]) for table in rest] == []
+
+
+def unchecked(table: Table) -> list[str]:
+    """Cells that are compared with nothing, but for the first of each line, which names it."""
+    forms = expected(table.marker) if table.marker else [["*"] * len(line) for line in table.lines]
+    return [
+        c
+        for line, form in zip(table.lines, forms, strict=True)
+        for c, f in zip(line[1:], form[1:], strict=True)
+        if f == "*"
+    ]
+
+
+def test_every_stored_table_is_checked():
+    kept = {path.name for path in (DOCS / "data/results").glob("*.*")}
+    assert kept == {
+        file for table in MARKED for file in re.findall(r"[\w.-]+\.(?:json|csv)", table.marker.splitlines()[0])
+    }
