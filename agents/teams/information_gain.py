@@ -50,6 +50,7 @@ class InformationGain(FrontierTeam):
         self, agent: str, beliefs: dict[str, Belief], terrain: Terrain, discs: list[Disc]
     ) -> tuple[Plan | None, str]:
         """The plan to the best view, else of a patrol."""
+        self._listen(agent, beliefs)  # to those that have just chosen: robots that swap goals at once swap them back
         robot, belief = self.robots[agent], beliefs[agent]
         spent_m = np.array([*self.banned(robot, belief, {}), *self._views_taken_m(agent, belief)]).reshape(-1, 2)
         claimed_m = np.array([*self.heard_goals_m(agent, beliefs).values()]).reshape(-1, 2)

@@ -12,7 +12,7 @@ from tests.soak.observation_check import ACTIONS, BLOCKS, random_actions
 from twc_env.exploration.episode import Episode
 from twc_env.exploration.macro_actions import CandidateSearch, MacroActions
 from twc_env.exploration.observation.observations import ObservationBuilder
-from twc_env.planning.candidates import features_of, find_candidates
+from twc_env.planning.candidates import features_of, find_candidates, find_views
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
 from twc_env.slam.engine import CooperativeSlam
@@ -216,12 +216,23 @@ def test_the_first_choice_of_views_explores_a_building_and_is_made_anew_every_se
     assert total > 0.95 and kinds == {True, False} and max(spent) > 0
 
 
-def test_goals_of_merged_robots_are_claimed():
-    env = twc_env.parallel_env(map="gen:office:200:5", max_cycles=900, config={**VIEWS, "slam.oracle": "starts"})
-    _, infos = env.reset(seed=0)
-    apart = []
-    while env.agents:
-        _, _, _, _, infos = env.step({a: int(np.argmax(infos[a]["action_mask"])) for a in env.agents})
-        goals_m = env.episode.macro_actions._drivers.goals_m()
-        apart += [np.hypot(*(goals_m[0] - goals_m[1]))]
-    assert np.nanmedian(apart) > 2.0
+def test_goals_of_robots_with_a_common_map_are_claimed(monkeypatch):
+    claims = []
+
+    def find(belief, terrain, finder, slots, range_m, claimed_m, spent_m):
+        claims.append((len(belief.teammates), claimed_m))
+        return find_views(belief, terrain, finder, slots, range_m, claimed_m, spent_m)
+
+    monkeypatch.setattr("twc_env.exploration.macro_actions.find_views", find)
+    for starts in ("starts", "none"):
+        env = twc_env.parallel_env(
+            map="gen:office:200:5", robots=2, max_cycles=100, config={**VIEWS, "slam.oracle": starts}
+        )
+        _, infos = env.reset(seed=0)
+        claims.clear()
+        while env.agents:
+            goals_m = env.episode.macro_actions._drivers.goals_m()
+            _, _, _, _, infos = env.step({a: int(np.argmax(infos[a]["action_mask"])) for a in env.agents})
+        assert any(len(claimed) for mates, claimed in claims if mates) == (starts == "starts")
+        assert not any(len(claimed) for mates, claimed in claims if not mates)
+        assert np.isfinite(goals_m).any()

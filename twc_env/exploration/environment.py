@@ -93,7 +93,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | `team` | (n-1, 5) | [-1, 1] | per teammate: shares my map, bearing / pi, d / (d + 10 m), heading / pi, |
     | | | | age a / (a + 10 s) of the last contact: 0 now, 1 before the first. Contact is that of the |
     | | | | central mapper with the teammate, or with one mapper per robot, of both robots directly |
-    | `frontiers` | (8, 6) | [-1, 1] | candidates, nearest first (views: best first): present, bearing / pi, d / (d + 10 m), |
+    | `frontiers` | (8, 6) | [-1, 1] | candidates, nearest (views: best) first: present, bearing / pi, d / (d + 10 m), |
     | | | | path cost l / (l + 10 m) in metres of open floor (more beside walls), size s / (s + 5 m), |
     | | | | whether some teammate's distance is less than l |
     | `gains` | (8,) | [0, 1] | with `observation.gains`: unknown area a that a scan from each of `frontiers` would |
