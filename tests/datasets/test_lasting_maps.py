@@ -72,6 +72,7 @@ def test_the_file_holds_arrays_and_json_only(tmp_path):
         ({"header": np.array("{}")}, "a header without range_max_m"),
         ({"grid": np.zeros(3, np.int16)}, "a grid of shape"),
         ({"macs": np.array([1.5, 2.5])}, "macs of type float64"),
+        ({"grid_origin_m": np.array([0.0, -1e300])}, "grid_origin_m up to 1e+300 m, and 1e+06 m is too far"),
     ],
 )
 def test_a_file_that_contradicts_itself_is_refused_in_one_line(tmp_path, change, message):

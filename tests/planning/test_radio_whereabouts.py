@@ -54,4 +54,6 @@ def test_transmitters_that_the_others_do_not_hear_say_that_they_are_far_from_the
 def test_a_robot_that_heard_nothing_knows_nothing():
     silent = RadioTrail((0,), np.zeros((1, 2)), (Fingerprint(np.zeros(0, np.int64), np.zeros(0)),))
     assert whereabouts(silent, trail(AHEAD_M, (1,))) is None
-    assert whereabouts(RadioTrail((0,), np.zeros((0, 2)), ()), trail(AHEAD_M, (1,))) is None
+    unknown = RadioTrail((0,), np.zeros((0, 2)), ())
+    assert whereabouts(unknown, trail(AHEAD_M, (1,))) is None
+    assert whereabouts(trail(AHEAD_M, (1,)), unknown) is None

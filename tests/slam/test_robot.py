@@ -5,6 +5,7 @@ import pytest
 
 from twc_env.config import EnvConfig, override
 from twc_env.records.messages import SensorFrame, SignReading
+from twc_env.slam.matching.scan_matching import LineField
 from twc_env.slam.robot import READINGS_MAX, FrontEnds
 
 STEP_M, STEP_RAD = 0.05, 0.05
@@ -94,6 +95,16 @@ def test_a_waiting_robot_keeps_only_its_latest_sign_readings(scan, walls):
     texts = [sign.text for sign in keyframe.signs]
     assert len(texts) == READINGS_MAX
     assert texts.count("A101") == 100
+
+
+@pytest.mark.parametrize("has_lidar", [True, False])
+def test_only_where_no_scans_are_matched_all_walls_around_a_sign_tell_its_facing(scan, walls, monkeypatch, has_lidar):
+    monkeypatch.setattr(LineField, "facing_at", lambda *_: 1.0)
+    monkeypatch.setattr(LineField, "facing_around", lambda *_: 2.0)
+    ends = FrontEnds(override(EnvConfig(), {"robots": 1, "slam.cues.lidar": has_lidar}), 1)
+    signs = (SignReading("A101", 0.0, 2.0),)
+    (first,) = ends.update([SensorFrame(0, 0, 0.0, np.zeros(3), 0.0, scan(walls(*ROOM), np.zeros(3)), None, signs)])
+    assert first.signs[0].facing_rad == (1.0 if has_lidar else 2.0)
 
 
 @pytest.mark.parametrize("backend", ["compiled", "filterpy"])

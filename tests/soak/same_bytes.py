@@ -57,7 +57,9 @@ def _compare(plain: str, found: str) -> None:
 def _digests(switch: dict[str, str], tasks: list[str], seed: int) -> dict[str, str]:
     """Digest of one episode of each task, in a process with these environment variables."""
     call = [sys.executable, "-W", "ignore", "-m", "tests.soak.same_bytes", str(seed), *tasks]
-    done = subprocess.run(call, env={**os.environ, **switch}, capture_output=True, text=True, check=False)
+    set_by_user = {name for each in SWITCHES.values() for name in each}
+    own = {name: value for name, value in os.environ.items() if name not in set_by_user}
+    done = subprocess.run(call, env={**own, **switch}, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{switch}: {done.stderr[-400:]}"
     found: dict[str, str] = json.loads(done.stdout.splitlines()[-1])
     return found

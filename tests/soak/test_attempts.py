@@ -7,6 +7,7 @@ import subprocess
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.soak import attempts
@@ -55,6 +56,12 @@ def test_malformed_input_of_every_kind_is_refused_in_one_line_or_valid(kind, tmp
 def test_equal_seeds_give_equal_attempts():
     first, second, third = ([what for what, _ in map_fuzz.mutated_maps(40, seed)] for seed in (1, 1, 2))
     assert first == second != third
+
+
+def test_numbers_that_a_change_made_too_long_are_not_renumbered():
+    raw = b"VERTEX_SE2 " + b"7" * 5000 + b" 1 2 0\nVERTEX_SE2 3 1 2 0"
+    first, second = graph_fuzz._renumbered(raw, np.random.default_rng(0)).split(b"\n")
+    assert first == raw.split(b"\n")[0] and second != raw.split(b"\n")[1]
 
 
 class OfTwoLines(MapError):

@@ -1,5 +1,8 @@
 """Other bytes with another set of instructions are found; `make soak` plays every task."""
 
+import json
+import subprocess
+
 from tests.soak import same_bytes
 from tests.soak.attempts import attempt_all
 from twc_env.tasks import TASKS
@@ -16,6 +19,17 @@ def test_a_task_that_has_other_bytes_is_named(monkeypatch):
     assert (done.tried, done.accepted) == (pairs, pairs - 1)
     (fault,) = done.wrong
     assert fault.startswith("NumPy without AVX2 and AVX-512, twc/ExploreTwin01-v0: AssertionError: other bytes")
+
+
+def test_what_the_user_has_switched_off_does_not_count_in_the_process_without_a_switch(monkeypatch):
+    def run(call, env, **_):
+        told = json.dumps({name: env.get(name) for name in ("OPENBLAS_CORETYPE", "NUMBA_CPU_NAME")})
+        return subprocess.CompletedProcess(call, 0, told, "")
+
+    monkeypatch.setenv("OPENBLAS_CORETYPE", "Haswell")
+    monkeypatch.setattr(same_bytes.subprocess, "run", run)
+    assert same_bytes._digests({}, [], 0) == {"OPENBLAS_CORETYPE": None, "NUMBA_CPU_NAME": None}
+    assert same_bytes._digests({"NUMBA_CPU_NAME": "generic"}, [], 0)["NUMBA_CPU_NAME"] == "generic"
 
 
 def test_the_digest_covers_what_is_played(monkeypatch):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import twc_env
-from twc_env.errors import ActionError, ConfigError, MapError, TwcError, WorkerError
+from twc_env.errors import ActionError, ConfigError, DataError, MapError, TwcError, WorkerError
 from twc_env.vector.teams import VectorTeams
 
 SMALL = {"lidar.beam_count": 60, "robots": 2, "max_cycles": 25, "observation.map_cells": 36}
@@ -488,6 +488,8 @@ def test_other_environments_go_on_from_a_snapshot_with_the_same_bytes(workers):
         expected, random = on(first, 9), np.random.default_rng(1)
         second.restore(kept)
         assert on(second, 9) == expected
+        with pytest.raises(DataError, match=r"no snapshot of 3 environments: 'actions.2' is missing"):
+            second.restore({name: kept[name] for name in ("seeds", "actions.0", "actions.1")})
         first.send(first.sample(), range(3))
         with pytest.raises(TwcError, match=r"without pending steps"):
             first.snapshot()

@@ -20,6 +20,9 @@ from twc_env.records.messages import Fingerprint, GridMap, SignObservation
 
 FORMAT = "twc_env/lasting-map-1"
 REMEDY = "save the map again"
+FAR_M = 1e6
+"""No place of a building is so far from its map's origin; cells there have no number."""
+_PLACES = ("poses", "scans_m", "sign_places_m", "edge_measured", "grid_origin_m")
 _TYPES = {
     TEXT: ("header",),
     WHOLE: ("sessions_of", "sign_counts", "sign_texts", "mac_counts", "macs", "edge_ends", "grid"),
@@ -127,6 +130,8 @@ def _fault(arrays: dict[str, Array], header: dict) -> str | None:
             return f"{name} of shape {arrays[name].shape}, {shape} is possible"
         if arrays[name].dtype.kind == "f" and name != "sign_facings_rad" and not np.isfinite(arrays[name]).all():
             return f"{name} that are not finite"
+        if name in _PLACES and np.abs(arrays[name]).max(initial=0.0) >= FAR_M:
+            return f"{name} up to {np.abs(arrays[name]).max():.3g} m, and {FAR_M:.0e} m is too far"
     if arrays["grid"].ndim != 2 or (arrays["grid"].size and np.abs(arrays["grid"].astype(np.int64)).max() > 1000):
         return f"a grid of shape {arrays['grid'].shape} and type {arrays['grid'].dtype}"
     if count == 0 or beams == 0:

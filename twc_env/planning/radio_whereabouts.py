@@ -47,11 +47,12 @@ class Whereabouts:
 
 
 def whereabouts(own: RadioTrail, other: RadioTrail) -> Whereabouts | None:
-    """Where the places of the other trail are, by what was heard along one's own; None if nothing was heard."""
+    """Where the places of the other trail are, by what was heard along one's own; None if nothing was heard there, or
+    nothing is known of the other yet."""
     mine, theirs = _evenly(len(own.fingerprints)), _evenly(len(other.fingerprints))
     heard = [own.fingerprints[k] for k in mine]
     macs = np.unique(np.concatenate([each.macs for each in heard])) if heard else np.zeros(0, np.int64)
-    if not len(macs):
+    if not len(macs) or not len(theirs):
         return None
     cells_m, spacing_m = _lattice(own.places_m[mine])
     expected = _expected(own.places_m[mine], _readings(heard, macs), cells_m, spacing_m)

@@ -96,6 +96,7 @@ class RobotFrontEnd:
     def __init__(self, config: EnvConfig, field: LineField):
         """field: line field of its local map."""
         self._field, self._memory_m = field, config.slam.local_map.memory_m
+        self._facing_of = field.facing_at if config.slam.cues.lidar else field.facing_around
         self.taken = 0
         """Number of keyframes taken."""
         self._recent: list[Keyframe] = []
@@ -109,7 +110,7 @@ class RobotFrontEnd:
         for sign in signs:
             angle = heading + sign.bearing_rad
             place = x + sign.range_m * math.cos(angle), y + sign.range_m * math.sin(angle)
-            self._readings.append((sign.text, *place, self._field.facing_at(place, (x, y))))
+            self._readings.append((sign.text, *place, self._facing_of(place, (x, y))))
 
     def signs_seen_from(self, pose_odom: Array) -> tuple[SignObservation, ...]:
         """The signs read since the last keyframe, in the frame of the next keyframe at this pose; clears them."""

@@ -16,18 +16,18 @@ class EpisodeActions:
         self._shape, self._dtype = shape, dtype
         self.seeds: list[int | None] = [None] * count
         """None: no episode has begun."""
-        self._actions: list[list[bytes]] = [[] for _ in range(count)]
+        self._actions = [bytearray() for _ in range(count)]
 
     def begin(self, k: int, seed: int) -> None:
         """Environment k begins the episode of this seed."""
-        self.seeds[k], self._actions[k] = seed, []
+        self.seeds[k], self._actions[k] = seed, bytearray()
 
     def note(self, k: int, actions: Array, has_ended: bool) -> None:
         """Environment k gets these actions; has_ended: as the first of its next episode."""
         if has_ended and (seed := self.seeds[k]) is not None:
             self.begin(k, seed + len(self.seeds))
-        self._actions[k].append(actions.tobytes())
+        self._actions[k] += actions.tobytes()
 
     def of(self, k: int) -> Array:
         """(steps, ...) actions of environment k since its episode began."""
-        return np.frombuffer(b"".join(self._actions[k]), self._dtype).reshape(-1, *self._shape)
+        return np.frombuffer(bytes(self._actions[k]), self._dtype).reshape(-1, *self._shape)

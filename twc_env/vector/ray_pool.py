@@ -34,29 +34,39 @@ class RayPool:
     def __init__(self, workers: int, shape: tuple, arrays: SharedArrays, episodes: EpisodeActions, address: str):
         """workers: actors; 0: one per core of the cluster. shape: arguments of `SharedArrays`.
 
-        Raises DataError as `connected` does, or if a machine of the cluster has other code.
+        Raises DataError as `connected` does.
         """
         self._arrays, self._episodes, self._shape = arrays, episodes, shape
         self._connection = ExitStack()
         self._ray = self._connection.enter_context(connected(address))
         cores = int(self._ray.cluster_resources().get("CPU", 1))
         self.workers = min(shape[0], workers or cores)
+        self._actors: list[Any] = []
         self._waiting: dict[Any, tuple[int, _Order]] = {}
         """Reference of a result -> actor and order."""
         self._losses = 0
 
     def start(self, config: dict, buildings: tuple[str, ...]) -> None:
-        """Start the actors."""
+        """Start the actors. Raises DataError, and closes the connection, if one does not start or if its machine has
+        other code."""
         self._task = self._shape, config, buildings
-        free = int(self._ray.available_resources().get("CPU", 0))
-        self._actors = [self._new_actor(number, float(free >= self.workers)) for number in range(self.workers)]
-        for digest in self._ray.get([actor.code.remote() for actor in self._actors]):
-            if digest != code_digest():
-                self.close()
+        with ExitStack() as unless_started:
+            unless_started.callback(self.close)
+            free = int(self._ray.available_resources().get("CPU", 0))
+            self._actors = [self._new_actor(number, float(free >= self.workers)) for number in range(self.workers)]
+            try:
+                digests = self._ray.get([actor.code.remote() for actor in self._actors])
+            except self._ray.exceptions.RayError as error:
                 raise DataError(
-                    f"a machine of the Ray cluster has other code ({digest}) than this one ({code_digest()}): install "
-                    "the same version of twc_env everywhere"
+                    f"a worker of the Ray cluster does not start ({type(error).__name__}): twc_env must be installed "
+                    "on all its machines, and their memory must suffice"
+                ) from error
+            if other := set(digests) - {code_digest()}:
+                raise DataError(
+                    f"a machine of the Ray cluster has other code ({other.pop()}) than this one ({code_digest()}): "
+                    "install the same version of twc_env everywhere"
                 )
+            unless_started.pop_all()
 
     def _new_actor(self, number: int, cores: float) -> Any:
         """cores: reserved for it. Without any it also starts on a cluster that has none left, such as one that has just

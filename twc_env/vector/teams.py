@@ -37,7 +37,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, robot_configs, to_dict
 from twc_env.config.checks import whole_number
-from twc_env.errors import ActionError, ConfigError, TwcError
+from twc_env.errors import ActionError, ConfigError, DataError, TwcError
 from twc_env.exploration.actions import action_array
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
@@ -159,8 +159,12 @@ class VectorTeams:
     def restore(self, arrays: Mapping[str, Array]) -> dict[str, Array]:
         """Play the episodes of a `snapshot` again up to where they were; returns observations as `reset` does.
 
-        Takes the time of these steps. arrays: of as many environments with the same settings.
+        Takes the time of these steps. arrays: of as many environments with the same settings. Raises DataError for the
+        arrays of anything else.
         """
+        for name in ("seeds", *(f"actions.{k}" for k in self._all)):
+            if name not in arrays:
+                raise DataError(f"no snapshot of {self.count} environments: {name!r} is missing; snapshot() has it")
         self.reset(arrays["seeds"].tolist())
         played, step = [arrays[f"actions.{k}"] for k in self._all], 0
         while ids := [k for k in self._all if step < len(played[k])]:

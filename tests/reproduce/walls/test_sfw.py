@@ -3,6 +3,7 @@ import pytest
 
 from tests.real_data import DATA, needs_data
 from twc_env.config import radio_preset
+from twc_env.errors import DataError
 from twc_env.maps import load_map
 from twc_env.metrics import path_length_m
 from twc_env.metrics.k_visibility import score_structure
@@ -129,6 +130,14 @@ def test_the_engine_drives_the_route_and_believes_it_was_there():
     assert np.linalg.norm(drive.true_m[:, None] - way, axis=2).min(axis=1).max() < 0.1
     assert 0.001 < drive.error_m(drive.slam_m) < 0.1 < drive.error_m(drive.odometry_m)
     assert drive.error_m(drive.radio_m) <= drive.error_m(drive.odometry_m) + 0.5
+
+
+def test_a_drive_that_ends_before_its_path_is_no_drive():
+    plan = load_map("sfw-e1")
+    way = wall_following_route(plan)[:40]
+    into_the_wall = way[:1] + np.linspace(0.0, 30.0, 40)[:, None] * [1.0, 0.0]
+    with pytest.raises(DataError, match=r"does not reach the end of the path through 'sfw-e1'"):
+        slam_walk(plan, into_the_wall, 20, radio_preset("sfw"), seed=0)
 
 
 @pytest.mark.parametrize(

@@ -171,10 +171,24 @@ def test_the_facing_of_a_wall_points_to_the_observer(walls, scan):
     field = field_of(room, scan, np.zeros(3))
     seen_from = np.array([0.3, 0.2])
     for position, facing in [((3, 0), math.pi), ((-3, 0), 0.0), ((0, 2), -math.pi / 2), ((0, -2), math.pi / 2)]:
-        found = field.facing_at(np.array(position, float), seen_from)
-        assert abs(math.remainder(found - facing, 2 * math.pi)) < 0.02
-    assert math.isnan(field.facing_at(np.zeros(2), seen_from))
-    assert math.isnan(field.facing_at(np.array([400.0, -400.0]), seen_from))
+        for found in (field.facing_at(position, seen_from), field.facing_around(position, seen_from)):
+            assert abs(math.remainder(found - facing, 2 * math.pi)) < 0.02
+    for nowhere in (np.zeros(2), np.array([400.0, -400.0])):
+        assert math.isnan(field.facing_at(nowhere, seen_from)) and math.isnan(field.facing_around(nowhere, seen_from))
+
+
+def test_a_short_askew_piece_of_wall_does_not_turn_the_facing_of_the_walls_around(walls, scan):
+    frame = (0.4, -2), (0.4, -1.9), (0.5, -1.9), (0.5, -2)
+    room, random, askew = walls((-3, -2), *frame, (3, -2), (3, 2), (-3, 2)), np.random.default_rng(0), []
+    for _ in range(60):
+        field, pose = LineField(26.0, 0.1, RANGE_MAX_M), np.array([random.uniform(-2, 2), random.uniform(-1, 1), 0.0])
+        ranges_m = scan(room, pose)
+        field.add(pose[None], (ranges_m + random.normal(0.0, 0.01, len(ranges_m)))[None])
+        for x in (-2.7, -1.0, 0.25, 0.65, 2.7):
+            found = field.facing_at((x, -2.0), pose[:2]), field.facing_around((x, -2.0), pose[:2])
+            askew.append(np.abs(np.array(found) - math.pi / 2) > 0.2)
+    alone, around = np.mean(askew, axis=0)
+    assert around < alone / 2 and alone > 0.05
 
 
 def test_moving_the_field_clears_the_walls_and_matches_at_the_new_position(office, scan):

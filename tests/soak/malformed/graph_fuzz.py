@@ -25,6 +25,9 @@ _ODD_LINES = (
     "EDGE_SE2 7 3 1e7 0 0 1e-6 0 0 1e-6 0 1e-6", "EDGE_SE2 700 701 1 0 0 1 0 0 1 0 1", "EDGE2 1 9 0 0 0 1 0 1 1 0 0",
 )  # fmt: skip
 
+_DIGITS_MAX = 1000
+"""Python reads no longer numbers; another change may have made some."""
+
 
 def mutated_graphs(count: int, seed: int = 0) -> Iterator[Attempt]:
     """Optimise `count` mutated graphs by all methods in turn; equal seeds give the same files."""
@@ -92,7 +95,8 @@ def _renumbered(raw: bytes, random: np.random.Generator) -> bytes:
     lines = [line.split(b" ") for line in raw.splitlines()]
     for words in lines:
         for k in range(1, min(len(words), 3 if words[0].startswith(b"EDGE") else 2)):
-            words[k] = b"%d" % (begin + step * int(words[k])) if words[k].isdigit() else words[k]
+            is_number = words[k].isdigit() and len(words[k]) < _DIGITS_MAX
+            words[k] = b"%d" % (begin + step * int(words[k])) if is_number else words[k]
     return b"\n".join(map(b" ".join, lines))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig, EnvConfig, RadioConfig, RadioSlamConfig
+from twc_env.errors import DataError
 from twc_env.records.geometry import compose, inverse, poses_along, transform_points, travelled_m
 from twc_env.records.messages import SensorFrame, WifiScan
 from twc_env.reproduce.routes import steer
@@ -46,7 +47,10 @@ class Drive:
 
 
 def slam_walk(plan: Floorplan, way_m: Array, count: int, radio: RadioConfig, seed: int) -> Drive:
-    """Drive along a path (points, 2)."""
+    """Drive along a path (points, 2), steered by the true pose: all estimates are of the same drive.
+
+    Raises DataError if the robot does not reach its end.
+    """
     config = dataclasses.replace(_CONFIG, map=plan.name, radio=radio)
     world, engine = World(config, plan), make_engine(config, 1)
     heading = math.atan2(*(way_m[3] - way_m[0])[::-1])
@@ -62,6 +66,8 @@ def slam_walk(plan: Floorplan, way_m: Array, count: int, radio: RadioConfig, see
         if command is None:
             break
         world.step(np.array([command]))
+    else:
+        raise DataError(f"the robot does not reach the end of the path through {plan.name!r}: make it free of walls")
     places = np.array(true)[:, :2]
     odometry = poses_along(np.array([frame.odometry for frame in frames[1:]]).reshape(-1, 3))
     travel = travelled_m(places)

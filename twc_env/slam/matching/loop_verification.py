@@ -25,9 +25,9 @@ SIGN_STD, NEAR_STD, OPEN_STD = (0.2, 0.2, 0.1), (2.0, 2.0, 0.5), (50.0, 50.0, 0.
 """Prior standard deviation of the candidate's guess [m, m, rad]: from a shared sign, from proximity, and from proximity
 if the match is loose. A shared sign fixes the position along a corridor. Proximity does not: guesses share their errors
 (drift, WiFi), so wrong closures would be consistent."""
-SIGN_ALONE_STD = (0.12, 0.12, 0.1)
+SIGN_ALONE_STD = (0.1, 0.12, 0.065)
 """Standard deviation of a shared sign without scan matching [m, m, rad]. Measured on training buildings for pairs with
-one sign in common: 0.11, 0.13, 0.085."""
+one sign in common: 0.09, 0.12, 0.06."""
 ANYWHERE = ("wifi", "lidar")
 """Recognisers whose guess contains at most a rotation: matches are searched at every heading within WIDE_WINDOW_M."""
 WIDE_WINDOW_M = 3.0

@@ -15,7 +15,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import LidarConfig, LocalMapConfig
 from twc_env.errors import ConfigError, DataError
-from twc_env.kernels.compiled import BindsAnew, Lent, borrowing_kernel, bound, parts_of
+from twc_env.kernels.compiled import BindsAnew, Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.records.array_validation import validated_points, validated_pose, validated_rows
 from twc_env.records.geometry import beam_directions
 from twc_env.slam.matching.line_equations import line_scratch
@@ -38,6 +38,8 @@ FIELD_SIDE_MAX = 10_000
 NOTHING_DRAWN = np.array([NOWHERE, NOWHERE, 0, 0, 0])
 SIGN_TO_WALL_M = 0.3
 """Maximum distance of a sign from the wall it is assigned to."""
+HALF_DIAGONAL = 0.71
+"""A wall this near to the middle of a cell [cells] passes through it."""
 STOP_M, STOP_RAD = 1e-3, 5e-4
 """A smaller step ends the iteration ..."""
 TRACKING_STOP_M, TRACKING_STOP_RAD = 2e-3, 1e-3
@@ -137,6 +139,32 @@ def _facing(field, x, y, from_x, from_y):
     line = lines[line_in(cell)]
     nx, ny = np.float64(line[0]), np.float64(line[1])
     return math.atan2(ny, nx) if nx * (from_x - x) + ny * (from_y - y) >= 0.0 else math.atan2(-ny, -nx)
+
+
+@kernel
+def _facing_around(cells, lines, origin, inverse_m, x, y, from_x, from_y):
+    """See `LineField.facing_around`: the medoid of what the cells around tell that a wall passes through."""
+    column, row = math.floor((x - origin[0]) * inverse_m), math.floor((y - origin[1]) * inverse_m)
+    reach = math.ceil(SIGN_TO_WALL_M * inverse_m)
+    told, count = np.empty((2 * reach + 1) ** 2), 0
+    for i in range(max(row - reach, 0), min(row + reach + 1, cells.shape[0])):
+        for j in range(max(column - reach, 0), min(column + reach + 1, cells.shape[1])):
+            away = math.hypot(origin[0] + (j + 0.5) / inverse_m - x, origin[1] + (i + 0.5) / inverse_m - y)
+            if away > SIGN_TO_WALL_M or distance_in(cells[i, j]) > HALF_DIAGONAL / inverse_m:
+                continue
+            line = lines[line_in(cells[i, j])]
+            nx, ny = np.float64(line[0]), np.float64(line[1])
+            is_seen = nx * (from_x - x) + ny * (from_y - y) >= 0.0
+            told[count] = math.atan2(ny, nx) if is_seen else math.atan2(-ny, -nx)
+            count += 1
+    best, least = math.nan, math.inf
+    for i in range(count):
+        total = 0.0
+        for j in range(count):
+            total += abs((told[i] - told[j] + math.pi) % (2.0 * math.pi) - math.pi)
+        if total < least:
+            best, least = told[i], total
+    return best
 
 
 def matching_room(beams: int) -> tuple:
@@ -254,6 +282,12 @@ class LineField(BindsAnew):
         if self._facing is None:
             self._facing = bound(_facing, Lent((self._cells, self._lines, self._origin_m, self._inverse_m)), *now)
         return self._facing(*now)
+
+    def facing_around(self, position: Sequence[float] | Array, seen_from: Sequence[float] | Array) -> float:
+        """The same by all walls within SIGN_TO_WALL_M: a single piece of two or three end points, as at a corner, may
+        be askew by half a radian, which only a match of scans would find."""
+        at = *map(float, position), *map(float, seen_from)
+        return float(_facing_around(self._cells, self._lines, self._origin_m, self._inverse_m, *at))
 
     @property
     def parts(self) -> tuple[Array, Array, Array, float, Array, Array]:

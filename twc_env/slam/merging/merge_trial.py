@@ -21,9 +21,9 @@ from twc_env.slam.pose_graph.frame_covariance import frame_stds
 from twc_env.slam.pose_graph.robust_back_end import revise
 from twc_env.slam.pose_graph.solver import GATE, Graph, residuals, squared_errors
 
-STD_MAX = np.array([0.5, math.radians(5.0)])
-"""Maximum standard deviation [m, rad] of the relative pose of robots that are merged: half of the error at which a
-merge counts as wrong."""
+STD_MAX = np.array([1.0, math.radians(10.0)]) / 3.0
+"""Maximum standard deviation [m, rad] of the relative pose of robots that are merged: a third of the error at which a
+merge counts as wrong, as errors above three deviations are rare, and those above two are not."""
 SPLIT_RATIO = 1.4
 """Robots of one map are split where the standard deviation exceeds this multiple of STD_MAX."""
 NEAR_M, NEAR_RAD = 1.4, 0.35
