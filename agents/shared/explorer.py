@@ -293,11 +293,11 @@ class Explorer(ABC):
         return as_action(speed, turn_rate, own)
 
     def _is_shut_in(self, robot: ExplorerRobot, belief: Belief) -> bool:
-        """Whether a robot without a goal has looked around once and waits, each `retry_s` anew, for a door to open."""
+        """Whether a robot without a goal waits for a door to open, after half a turn every `retry_s`."""
         if not self._has_doors or robot.goal_kind:
             return False
         tick_s, rate_rad_s = self.dynamics.time_step_s, LOOK_AROUND * robot.follower.dynamics.turn_rate_max_rad_s
-        return (belief.step * tick_s) % self.explorer.retry_s > 2.0 * math.pi / rate_rad_s
+        return (belief.step * tick_s) % self.explorer.retry_s > math.pi / rate_rad_s
 
     def _has_to_wait(self, robot: ExplorerRobot, belief: Belief) -> bool:
         """Whether a teammate with right of way (a lower number) is close ahead."""

@@ -10,9 +10,6 @@ from twc_env.records.messages import Belief
 
 from .explorer_state import ExplorerConfig, ExplorerRobot
 
-NEAR_M = 1.5
-"""What is nearer than this is no goal of a tour."""
-
 
 class Tours:
     """Chooses tour goals, because maps merge where two robots have both been."""
@@ -24,8 +21,7 @@ class Tours:
         self, robot: ExplorerRobot, belief: Belief, terrain: Terrain, discs: list[Disc], banned: list[Array],
         random: np.random.Generator,
     ) -> Plan | None:  # fmt: skip
-        """The plan to the most valuable goal: signs, and positions not visited for long; to what is near only if the
-        robot is shut in with it."""
+        """The plan to the most valuable goal: signs, and positions not visited for long."""
         explorer = self._explorer
         if robot.goal_kind == "tour":  # keep the goal, update the path
             labels = np.zeros_like(terrain.labels)
@@ -42,15 +38,10 @@ class Tours:
         penalty = np.concatenate([[np.inf], worth.max() - worth])
         for place in banned:
             penalty[1:][np.hypot(*(places - place).T) < explorer.failed_radius_m] = np.inf
+        penalty[1:][np.hypot(*(places - robot.pose[:2]).T) < 1.5] = np.inf
         for k, place in enumerate(places):
             self._mark(labels, terrain, place, k + 1)
-        away_m = np.hypot(*(places - robot.pose[:2]).T)
-        for near_m in (NEAR_M, explorer.tour_arrival_m):
-            far = np.concatenate([[np.inf], np.where(away_m < near_m, np.inf, penalty[1:])])
-            plan = self._finder.cheapest(terrain, robot.pose[:2], labels, far, discs)
-            if plan is not None:
-                break
-        return plan
+        return self._finder.cheapest(terrain, robot.pose[:2], labels, penalty, discs)
 
     def _tour_places(self, belief: Belief, terrain: Terrain) -> tuple[Array, Array]:
         """Open positions on a lattice and at signs (k, 2), and the bonus of each (k,)."""

@@ -51,7 +51,7 @@ class InformationGain(FrontierTeam):
         if not len(frontiers.labels):
             return self.patrol(agent, beliefs, terrain, discs)
         seen_m = self._views_taken_m(agent, belief)
-        views = ViewGain(terrain, self._range_m)
+        views = ViewGain(terrain, self._range_m, closes_walls=True)
         for goal_m in self.heard_goals_m(agent, beliefs).values():
             views.claim(goal_m)
         is_new = all(math.dist(place, robot.goal_m) >= self.explorer.failed_radius_m for place in seen_m)
