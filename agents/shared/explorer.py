@@ -31,6 +31,9 @@ from twc_env.records.messages import Belief, GridMap
 from .explorer_state import UNSEEN, ExplorerConfig, ExplorerRobot, Failure
 from .openings import is_open_behind, open_bearing
 
+LOOK_AROUND = 0.6
+"""Share of its turn rate with which a robot turns on the spot."""
+
 
 class Explorer(ABC):
     """Navigation of a team; `best_plan` of a subclass decides where each robot goes."""
@@ -40,8 +43,8 @@ class Explorer(ABC):
         """Of the team; that of each robot is with its follower."""
         self._own = [own.dynamics for own in robot_configs(config)]
         self.explorer = explorer or ExplorerConfig()
-        has_doors = config.clutter.door_share > 0.0
-        self._finished_s = self.explorer.finished_doors_s if has_doors else self.explorer.finished_s
+        self._has_doors = config.clutter.door_share > 0.0
+        self._finished_s = self.explorer.finished_doors_s if self._has_doors else self.explorer.finished_s
         self.finder = PathFinder()
         self.reset(0, ())
 
@@ -163,16 +166,23 @@ class Explorer(ABC):
             return robot.replan and step % 2 == 0
         if robot.goal_kind == "wait":
             return True
+        if self._has_doors and robot.goal_kind in ("", "tour"):
+            return True  # a door may have opened
         if not robot.goal_kind or not robot.follower.has_path:
             return robot.replan
         if robot.goal_kind == "frontier" and not is_frontier(belief.grid, robot.goal_m, explorer.arrival_m):
             return True
         return path_is_blocked(belief.grid, robot.follower.ahead(robot.pose, 3.0), robot.radius_m)
 
-    def _terrain(self, agent: str, beliefs: dict[str, Belief], squeeze: float = 1.0) -> Terrain:
-        """The terrain of the robot's map for `squeeze` times its radius; shared by robots with the same map."""
+    def _terrain(
+        self, agent: str, beliefs: dict[str, Belief], squeeze: float = 1.0, trusts_scan: bool = False
+    ) -> Terrain:
+        """The terrain of the robot's map for `squeeze` times its radius; shared by robots with the same map, unless it
+        `trusts_scan` (`Terrain.of`)."""
         belief = beliefs[agent]
         radius_m = squeeze * self.robots[agent].radius_m
+        if trusts_scan:
+            return Terrain.of(belief, radius_m, trusts_scan)
         key = radius_m, belief.grid
         if key in self._terrains and self._terrains[key][0] == belief.step:
             return self._terrains[key][1]
@@ -182,10 +192,18 @@ class Explorer(ABC):
         return terrain
 
     def _plan(self, agent: str, beliefs: dict[str, Belief]) -> None:
-        """Choose goal and path of one robot: a frontier, else a tour, else any with a smaller robot radius."""
+        """Choose goal and path of one robot: a frontier, else a tour, else any with a smaller robot radius.
+
+        Where there are doors, a robot without a frontier also looks where its scan sees through walls of the map: one
+        that was shut for long is a wall there until long after it has opened.
+        """
         robot = self.robots[agent]
         robot.replan = False
-        plan, kind = self._planned(agent, beliefs, 1.0)
+        plan, kind = self._planned(agent, beliefs, self._terrain(agent, beliefs))
+        if self._has_doors and kind in ("tour", ""):
+            beyond, beyond_kind = self._planned(agent, beliefs, self._terrain(agent, beliefs, trusts_scan=True))
+            if plan is None or beyond_kind not in ("tour", ""):
+                plan, kind = beyond, beyond_kind
         step = beliefs[agent].step
         will_retry = any(f.until_step > step and f.count < self.explorer.tries for f in robot.failures)
         robot.is_idle = kind in ("tour", "") and not will_retry
@@ -194,7 +212,9 @@ class Explorer(ABC):
             robot.goal_kind, robot.goal_m, robot.replan = kind, robot.pose[:2].copy(), False
             return
         if plan is None:  # enclosed according to the map: noise may have narrowed a gap
-            plan, kind = self._planned(agent, beliefs, self.explorer.squeeze)
+            plan, kind = self._planned(
+                agent, beliefs, self._terrain(agent, beliefs, self.explorer.squeeze, self._has_doors)
+            )
         if plan is None:  # no goal: drop failures, look around, and try again
             robot.goal_kind = ""
             robot.failures.clear()
@@ -207,8 +227,7 @@ class Explorer(ABC):
         robot.goal_m, robot.goal_kind = goal, kind
         robot.follower.start(plan.path_m)
 
-    def _planned(self, agent: str, beliefs: dict[str, Belief], squeeze: float) -> tuple[Plan | None, str]:
-        terrain = self._terrain(agent, beliefs, squeeze)
+    def _planned(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> tuple[Plan | None, str]:
         return self.best_plan(agent, beliefs, terrain, self._discs(self.robots[agent], beliefs[agent], terrain))
 
     @abstractmethod
@@ -265,13 +284,20 @@ class Explorer(ABC):
                 x, y = 0.6 * math.cos(bearing), 0.6 * math.sin(bearing)
                 speed, turn_rate = drive_to(x, y, belief.ranges_m, own)
             robot.escape_bearing = math.remainder(bearing - turn_rate * self.dynamics.time_step_s, 2 * math.pi)
-        elif robot.goal_kind == "wait":
+        elif robot.goal_kind == "wait" or self._is_shut_in(robot, belief):
             speed, turn_rate = 0.0, 0.0
         elif robot.arrived_step >= 0 or not robot.goal_kind:
-            speed, turn_rate = 0.0, 0.6 * own.turn_rate_max_rad_s  # look around: turning creates keyframes
+            speed, turn_rate = 0.0, LOOK_AROUND * own.turn_rate_max_rad_s  # look around: turning creates keyframes
         else:
             speed, turn_rate = robot.follower.command(robot.pose, belief.ranges_m, self._has_to_wait(robot, belief))
         return as_action(speed, turn_rate, own)
+
+    def _is_shut_in(self, robot: ExplorerRobot, belief: Belief) -> bool:
+        """Whether a robot without a goal waits for a door to open, after half a turn every `retry_s`."""
+        if not self._has_doors or robot.goal_kind:
+            return False
+        tick_s, rate_rad_s = self.dynamics.time_step_s, LOOK_AROUND * robot.follower.dynamics.turn_rate_max_rad_s
+        return (belief.step * tick_s) % self.explorer.retry_s > math.pi / rate_rad_s
 
     def _has_to_wait(self, robot: ExplorerRobot, belief: Belief) -> bool:
         """Whether a teammate with right of way (a lower number) is close ahead."""

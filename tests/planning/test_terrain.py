@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from twc_env.planning import Disc, PathFinder, Terrain, is_frontier, path_is_blocked
 from twc_env.planning.terrain import OPEN_COST
-from twc_env.records.messages import GridMap
+from twc_env.records.messages import UNSEEN_M, GridMap
 
 CELL_M = 0.1
 
@@ -243,3 +243,39 @@ def test_planning_on_a_large_map_stays_within_a_few_milliseconds():
         Terrain(grid_of(kind), 0.2)
         finder.cheapest(terrain, point(20, 20), labels, np.zeros(2))
     assert (time.process_time() - start) / 5 < 0.05
+
+
+def scan_in(kind, row, column, heading_rad, beams=360, reach_m=10.0):
+    """Ranges (beams,) of a scan from the middle of a cell."""
+    ranges_m = np.full(beams, -reach_m)
+    x, y = point(row, column)
+    for k in range(beams):
+        angle = heading_rad + 2 * np.pi * k / beams
+        for away in np.arange(0.0, reach_m, 0.02):
+            r, c = int((y + away * np.sin(angle) + 2.0) / CELL_M), int((x + away * np.cos(angle) - 3.0) / CELL_M)
+            if kind[r, c] == 2:
+                ranges_m[k] = away
+                break
+    return ranges_m
+
+
+def test_a_door_that_the_scan_sees_through_is_open_and_other_walls_stay():
+    shut, pose = room(), np.array([*point(30, 20), 0.7])
+    shut[:, 40] = 2
+    ranges_m = scan_in(two_rooms(9), 30, 20, 0.7)
+    before, after = Terrain(grid_of(shut), 0.2), Terrain(grid_of(shut), 0.2, None, (pose, ranges_m))
+    opened = np.argwhere((before.kind == 2) & (after.kind == 1)) - 1  # without the border
+    assert set(opened[:, 1]) == {40} and set(opened[:, 0]) <= set(range(26, 35))
+    plans = [
+        PathFinder().cheapest(terrain, pose[:2], goal_labels(terrain, point(40, 65)), np.zeros(2))
+        for terrain in (before, after)
+    ]
+    assert plans[0] is None and plans[1] is not None
+
+
+def test_a_scan_without_information_or_that_ends_at_the_walls_opens_none():
+    shut, pose = room(), np.array([*point(30, 20), 0.7])
+    shut[:, 40] = 2
+    without = Terrain(grid_of(shut), 0.2)
+    for ranges_m in (scan_in(shut, 30, 20, 0.7), np.full(360, UNSEEN_M), np.zeros(0)):
+        assert np.array_equal(Terrain(grid_of(shut), 0.2, None, (pose, ranges_m)).kind, without.kind)

@@ -34,6 +34,19 @@ def test_known_floor_shows_nothing_and_walls_hide():
     assert ViewGain(walled, 2.0).area_m2(np.array([[4.5, 5.0]]))[0] == 0.0
 
 
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_nothing_is_seen_through_a_slanting_wall_if_walls_are_closed(is_turned):
+    rows, columns = np.mgrid[:100, :100]
+    log_odds = np.where(columns + rows < 100, -50, 0).astype(np.int16)
+    log_odds[columns + rows == 100] = 50
+    terrain = Terrain(GridMap(log_odds[:, ::-1] if is_turned else log_odds, np.zeros(2), CELL_M), 0.2)
+    places_m = np.array([[4.5, 4.5], [5.9, 3.3]])
+    places_m[:, 0] = 10.0 - places_m[:, 0] if is_turned else places_m[:, 0]
+    assert (ViewGain(terrain, 2.5).area_m2(places_m) > 0.5).all()
+    assert (ViewGain(terrain, 2.5, closes_walls=True).area_m2(places_m) == 0.0).all()
+    assert ViewGain(half_known(), 2.0, closes_walls=True).area_m2(np.array([[5.0, 5.0]]))[0] > 5.0
+
+
 def test_what_another_robot_will_see_is_not_counted_again():
     views, place = ViewGain(half_known(), 2.0), np.array([5.0, 5.0])
     views.claim(place)

@@ -107,7 +107,7 @@ def find_views(
     is_free = np.isfinite(lengths_m)
     for place in spent_m:
         is_free &= np.hypot(*(places_m - place).T) >= SPENT_M
-    views = ViewGain(terrain, range_m)
+    views = ViewGain(terrain, range_m, closes_walls=True)
     for place in claimed_m:
         views.claim(place)
     free = np.flatnonzero(is_free)

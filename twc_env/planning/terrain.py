@@ -59,6 +59,31 @@ def _clear_discs(kind, discs):
 
 
 @kernel
+def _open_seen_through(kind, row, column, heading, ranges, behind, reach, is_met):
+    """Mark as free the walls that the scan (beams,) from (row, column) [cells] passes through, further than `behind`
+    before it ends, except within `reach` cells of where beams end; is_met (h, w) bool must be false.
+
+    Negative ranges met no wall (`SensorFrame.ranges_m`).
+    """
+    height, width = kind.shape
+    beams = ranges.shape[0]
+    for b in range(beams):
+        if ranges[b] > 0.0:
+            angle = heading + 2.0 * math.pi * b / beams
+            r, c = math.floor(row + ranges[b] * math.sin(angle)), math.floor(column + ranges[b] * math.cos(angle))
+            is_met[max(r - reach, 0) : max(r + reach + 1, 0), max(c - reach, 0) : max(c + reach + 1, 0)] = True
+    for b in range(beams):
+        angle = heading + 2.0 * math.pi * b / beams
+        dr, dc = 0.5 * math.sin(angle), 0.5 * math.cos(angle)
+        for k in range(int(2.0 * (abs(ranges[b]) - behind))):
+            r, c = math.floor(row + k * dr), math.floor(column + k * dc)
+            if r < 1 or c < 1 or r >= height - 1 or c >= width - 1:
+                break
+            if kind[r, c] == WALL and not is_met[r, c]:
+                kind[r, c] = FREE
+
+
+@kernel
 def _squared_clearance(kind, reach, across, squared):
     """Fill squared (h, w) with the squared distance [cells^2] to the nearest wall, exact up to `reach`.
 
@@ -209,9 +234,18 @@ class Terrain:
     """... or this plus the radius, if that is more."""
     WALL_PRICE = 20
     """Cost factor at the least clearance."""
+    BEHIND_M, BESIDE_CELLS = 0.3, 1
+    """A beam that ends further behind a wall, with none that ends this near to the wall, shows that it is gone."""
 
-    def __init__(self, grid: GridMap, robot_radius_m: float, robots_m: Array | None = None):
-        """robots_m (k, 2): positions of robots in the map frame, where walls of `grid` are ignored."""
+    def __init__(
+        self,
+        grid: GridMap,
+        robot_radius_m: float,
+        robots_m: Array | None = None,
+        scan: tuple[Array, Array] | None = None,
+    ):
+        """robots_m (k, 2): positions of robots in the map frame, where walls of `grid` are ignored; scan: the pose (3,)
+        and ranges (beams,) [m] of one that sees through doors that have opened since they were drawn."""
         self.resolution_m = cell = float(grid.resolution_m)
         row_low, row_high, column_low, column_high = _known_bounds(grid.log_odds)
         self.origin_m = np.asarray(grid.origin_m, float) + (np.array([column_low, row_low]) - 1) * cell
@@ -221,6 +255,10 @@ class Terrain:
         if robots_m is not None and len(robots_m):
             discs = np.column_stack([self.to_cells(robots_m), np.full(len(robots_m), 1.2 * robot_radius_m / cell)])
             _clear_discs(self.kind, discs)
+        if scan is not None and len(scan[1]):
+            (row, column), ranges = self.to_cells(scan[0][:2]), np.asarray(scan[1], float) / cell
+            args = row, column, float(scan[0][2]), ranges, self.BEHIND_M / cell, self.BESIDE_CELLS
+            _open_seen_through(self.kind, *args, np.zeros(shape, np.bool_))
         reach = math.ceil(max(self.COMFORT_M, robot_radius_m + self.EASE_M) / cell)
         squared = np.empty(shape, np.float32)
         _squared_clearance(self.kind, reach, np.empty(shape, np.float32), squared)
@@ -231,10 +269,12 @@ class Terrain:
         self.clusters = _frontiers(self.kind, self.cost, self.labels, np.empty((self.kind.size // 2 + 1, 2), np.int32))
 
     @classmethod
-    def of(cls, belief: Belief, robot_radius_m: float) -> Terrain:
-        """The terrain of a robot's map, with its own and its teammates' positions."""
+    def of(cls, belief: Belief, robot_radius_m: float, trusts_scan: bool = False) -> Terrain:
+        """The terrain of a robot's map, with its own and its teammates' positions; trusts_scan: without the walls that
+        its last scan sees through."""
         poses = np.array([belief.pose_map_robot, *belief.teammates.values()])
-        return cls(belief.grid, robot_radius_m, poses[:, :2])
+        scan = (poses[0], belief.ranges_m) if trusts_scan and belief.ranges_m is not None else None
+        return cls(belief.grid, robot_radius_m, poses[:, :2], scan)
 
     @property
     def frontier_sizes(self) -> Array:

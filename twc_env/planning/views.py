@@ -76,10 +76,16 @@ class ViewGain:
     Unknown cells are taken for free, as no wall is known there (Burgard et al. 2005; Gonzalez-Banos and Latombe 2002).
     """
 
-    def __init__(self, terrain: Terrain, range_m: float, beams: int = 90):
+    def __init__(self, terrain: Terrain, range_m: float, beams: int = 90, closes_walls: bool = False):
+        """closes_walls: rays do not pass between wall cells that touch at a corner, as those of walls that do not run
+        along the grid do."""
         self._terrain, self._reach, self._beams = terrain, range_m / terrain.resolution_m, beams
         margin = math.ceil(self._reach)
         self._kind = np.pad(terrain.kind, margin, constant_values=UNKNOWN)
+        if closes_walls:
+            is_wall = self._kind == WALL
+            self._kind[1:][is_wall[:-1]] = self._kind[:, 1:][is_wall[:, :-1]] = WALL
+            self._kind[1:, 1:][is_wall[:-1, :-1]] = WALL
         self._margin = margin
         self.is_claimed = np.zeros(self._kind.shape, np.bool_)
         """Unknown cells that do not count, of the terrain with a margin of the range."""

@@ -8,6 +8,7 @@ from twc_env.agents.shared.explorer_state import ExplorerConfig
 from twc_env.agents.teams.nearest_frontier import NearestFrontier
 
 from twc_env import EnvConfig
+from twc_env.config import override
 from twc_env.records.messages import Belief, GridMap, KnownSign
 
 CELL_M = 0.1
@@ -229,3 +230,41 @@ def test_a_robot_plans_on_its_own_map_even_if_its_teammate_holds_another():
     }
     open_cells = [int((team._terrain(agent, beliefs).cost > 0).sum()) for agent in agents]
     assert open_cells[1] > 4 * open_cells[0]
+
+
+SHUT = [row.replace("#                  #", "#        #         #") for row in TWO_ROOMS]
+
+
+def with_doors(maze, share=0.5):
+    maze.policy = NearestFrontier(override(EnvConfig(robots=1), {"clutter.door_share": share}))
+    maze.policy.reset(0, maze.agents)
+    return maze
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_robot_leaves_by_a_door_that_is_still_a_wall_of_its_map(share):
+    maze = with_doors(Maze(SHUT, [(1.5, 1.5, 0.0)]), share)
+    maze.run(150)
+    maze.seen[0][maze.seen[0] > 0] = 20_000  # shut for so long that the map takes long to notice the change
+    middle = maze.wall.shape[0] // 2
+    maze.wall[middle - 4 : middle + 5, 45:50] = False
+    write, maze.look = maze.look, lambda: None
+    for _ in range(300):
+        maze.advance()
+        if maze.step % 4 == 0:
+            known = maze.seen[0].copy()
+            write()
+            maze.seen[0][known == 20_000] = 20_000
+    assert (maze.poses[0][0] > 5.0) == (share > 0.0)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_robot_shut_in_a_closet_looks_around_and_then_waits_for_the_door(share):
+    maze = with_doors(Maze(["####", "#  #", "#  #", "####"], [(1.0, 1.0, 0.0)]), share)
+    turns = []
+    for _ in range(400):
+        before = maze.poses[0][2]
+        maze.advance()
+        turns.append(abs(math.remainder(maze.poses[0][2] - before, 2 * math.pi)) > 0.01)
+    assert np.mean(turns[:30]) > 0.9
+    assert (np.mean(turns) < 0.5) == (share > 0.0)
