@@ -69,7 +69,7 @@ class InformationGain(FrontierTeam):
         cells = np.floor(terrain.to_cells(frontiers.places_m)).astype(int)
         labels[cells[:, 0], cells[:, 1]] = len(rows) + 1 + np.arange(len(cells))
         count = len(rows) + len(cells)
-        lengths_m, places_m = self.ways.nearest_of_labels(terrain, labels, count)
+        lengths_m, places_m = self.finder.nearest_of_labels(terrain, labels, count)
         candidates = np.flatnonzero(np.isfinite(lengths_m))
         for place in [*self.banned(robot, belief, {}), *seen_m]:
             candidates = candidates[np.hypot(*(places_m[candidates] - place).T) >= self.explorer.failed_radius_m]

@@ -107,7 +107,8 @@ def _frontiers(kind, cost, labels, cells):
     """Label the clusters (8-connected) of free cells beside unknown ones; only enterable cells keep their label.
 
     labels (h, w) int32 must be zero; cells (k, 2) is scratch. Returns (clusters + 1, 3): size, mean row and mean column
-    of the enterable cells; row 0 is unused. Clusters without enterable cells are omitted.
+    of the enterable cells; row 0 is unused; and the flat indices (n,) int32 of these cells. Clusters without enterable
+    cells are omitted.
     """
     height, width = kind.shape
     found = 0
@@ -131,10 +132,14 @@ def _frontiers(kind, cost, labels, cells):
             continue
         count += 1
         _flood_fill(cost, labels, cells[k, 0], cells[k, 1], count, clusters)
+    enterable, size = np.empty(found, np.int32), 0
     for k in range(found):
         if cost[cells[k, 0], cells[k, 1]] == 0:
             labels[cells[k, 0], cells[k, 1]] = 0
-    return clusters[: count + 1]
+        else:
+            enterable[size] = cells[k, 0] * width + cells[k, 1]
+            size += 1
+    return clusters[: count + 1], enterable[:size].copy()
 
 
 @kernel
@@ -224,11 +229,15 @@ class Terrain:
         reach = math.ceil(max(self.COMFORT_M, robot_radius_m + self.EASE_M) / cell)
         squared = np.empty(shape, np.float32)
         _squared_clearance(self.kind, reach, np.empty(shape, np.float32), squared)
-        self.cost = np.empty(shape, np.int16)
+        self.cost = np.empty(shape, np.uint8)
         limit = (robot_radius_m + self.MARGIN_M) / cell
         _fill_cost(self.kind, squared, _cost_factors(limit, reach), self.cost)
         self.labels = np.zeros(shape, np.int32)
-        self.clusters = _frontiers(self.kind, self.cost, self.labels, np.empty((self.kind.size // 2 + 1, 2), np.int32))
+        cells = np.empty((self.kind.size // 2 + 1, 2), np.int32)
+        self.clusters, self.frontier_cells = _frontiers(self.kind, self.cost, self.labels, cells)
+        """Size, mean row and mean column of each frontier; flat indices (k,) of the enterable cells of all."""
+        self.lengths_from: dict[int, Array | None] = {}
+        """By flat cell, see `PathFinder.lengths_to_frontiers_m`."""
 
     @classmethod
     def of(cls, belief: Belief, robot_radius_m: float) -> Terrain:
@@ -293,4 +302,4 @@ def _cost_factors(limit_cells: float, reach_cells: int) -> Array:
     distance = np.sqrt(np.arange(reach_cells * reach_cells + 1))
     near = np.clip((reach_cells - distance) / max(reach_cells - limit_cells, 1e-9), 0.0, 1.0)
     price = OPEN_COST + (Terrain.WALL_PRICE - OPEN_COST) * near**3
-    return np.where(distance < limit_cells, 0, np.round(price)).astype(np.int16)
+    return np.where(distance < limit_cells, 0, np.round(price)).astype(np.uint8)
