@@ -141,7 +141,7 @@ class FrontierTeam(Explorer):
 
     def plan_to_place(self, terrain: Terrain, agent: str, place_m: Array, discs: list[Disc], reach_m: float = 0.5):
         """The path to the open floor within `reach_m` of a place; None if there is none."""
-        labels = np.zeros_like(terrain.labels)
+        labels = terrain.no_labels()
         part = terrain.patch(place_m, reach_m)
         labels[part][terrain.cost[part] > 0] = 1
         return self.finder.cheapest(terrain, self.robots[agent].pose[:2], labels, np.zeros(2), discs)

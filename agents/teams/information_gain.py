@@ -60,7 +60,7 @@ class InformationGain(FrontierTeam):
             plan = self.plan_to_place(terrain, agent, robot.goal_m, discs, 0.2)
             if plan is not None:
                 return plan, robot.goal_kind
-        labels = np.zeros_like(terrain.labels)
+        labels = terrain.no_labels()
         stride = max(1, round(SPACING_M / terrain.resolution_m))
         rows, columns = (
             stride * k + stride // 2 for k in np.nonzero(terrain.cost[stride // 2 :: stride, stride // 2 :: stride])

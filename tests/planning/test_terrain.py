@@ -195,6 +195,16 @@ def test_of_several_cells_of_a_label_that_are_as_near_the_first_that_was_reached
         assert np.allclose(terrain.to_cells(places_m[label]) - 0.5, np.divmod(first, labels.shape[1]))
 
 
+def test_the_label_of_most_cells_near_each_of_many_places_is_the_least_of_several_as_frequent():
+    terrain, rng = Terrain(grid_of(patchy(np.random.default_rng(5))), 0.2), np.random.default_rng(6)
+    places_m, expected = point(20, 20) + rng.uniform(-8.0, 8.0, (500, 2)), []
+    for place in places_m:
+        near = terrain.labels[terrain.patch(place, 0.5)]
+        expected.append(np.bincount(near[near > 0]).argmax() if (near > 0).any() else 0)
+    assert len(set(expected)) > 10
+    assert np.array_equal(terrain.labels_near(places_m, 0.5), expected)
+
+
 def test_lengths_to_frontiers_are_searched_once_per_place_and_are_those_of_a_search():
     rng = np.random.default_rng(4)
     terrain, finder = Terrain(grid_of(patchy(rng)), 0.2), PathFinder()

@@ -373,7 +373,7 @@ class PathFinder:
 
         `nearest_of_labels` and `nearest_to` read the result of the last search.
         """
-        self.cheapest(terrain, start_m, terrain.labels, np.full(len(terrain.clusters), np.inf), discs)
+        self.cheapest(terrain, start_m, terrain.no_labels(), np.full(1, np.inf), discs)
         return self._begun is not None
 
     def spread_to_frontiers(self, terrain: Terrain, start_m: Array, is_wanted: Array, count_max: int) -> bool:
