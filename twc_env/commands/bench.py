@@ -127,8 +127,8 @@ def _bench_peers(options: argparse.Namespace) -> dict:
 
 def _bench_teams(options: argparse.Namespace) -> list[dict[str, Any]]:
     from twc_env.agents.roster import TEAMS
-    from twc_env.bench.team_planning import bench_teams
     from twc_env.config import override
+    from twc_env.suite.planning_costs import bench_teams
     from twc_env.tasks import task_config
 
     task = options.teams if options.teams.startswith("twc/") else f"twc/{options.teams}"

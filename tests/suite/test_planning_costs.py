@@ -1,13 +1,13 @@
 """The cost of scripted teams."""
 
-from twc_env.bench.team_planning import bench_teams
 from twc_env.config import override
+from twc_env.suite.planning_costs import bench_teams
 from twc_env.tasks import task_config
 
 
 def test_planning_and_environment_of_each_team_are_measured_apart(monkeypatch):
     clock = iter(range(10_000))
-    monkeypatch.setattr("twc_env.bench.team_planning.time.process_time", lambda: float(next(clock)))
+    monkeypatch.setattr("twc_env.suite.planning_costs.time.process_time", lambda: float(next(clock)))
     config = override(task_config("twc/ExploreQuick-v1"), {"max_cycles": 10})
     lines: list[str] = []
     random, wall = bench_teams(config, ["random", "wall-follower"], 2, lines.append)
