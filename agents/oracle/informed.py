@@ -104,7 +104,7 @@ class Informed(Explorer):
         return None, "wait"
 
     def _plan_to(self, terrain: Terrain, here: Array, place_m: Array, discs: list[Disc]) -> Plan | None:
-        labels = np.zeros_like(terrain.labels)
+        labels = terrain.no_labels()
         part = terrain.patch(place_m, THERE_M / 2)
         labels[part][terrain.cost[part] > 0] = 1
         return self.finder.cheapest(terrain, here, labels, np.zeros(2), discs)

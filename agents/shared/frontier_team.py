@@ -55,11 +55,10 @@ class Frontiers:
     @cached_property
     def teammate_lengths_m(self) -> Array:
         """(teammates, k) path length from each teammate, in the order of `Belief.teammates`."""
-        count = len(self.terrain.frontier_sizes) - 1
         lengths_m = np.full((len(self.belief.teammates), len(self.labels)), UNREACHABLE_M)
         for row, pose in zip(lengths_m, self.belief.teammates.values(), strict=True):
-            if self.finder.spread(self.terrain, np.asarray(pose, float)[:2]):
-                found, _ = self.finder.nearest_of_labels(self.terrain, self.terrain.labels, count)
+            found = self.finder.lengths_to_frontiers_m(self.terrain, np.asarray(pose, float)[:2])
+            if found is not None:
                 row[:] = np.minimum(found[self.labels], UNREACHABLE_M)
         return lengths_m
 
@@ -127,8 +126,8 @@ class FrontierTeam(Explorer):
         none = Frontiers(belief, terrain, np.zeros(0, int), np.zeros(0), np.zeros((0, 2)), self.ways)
         if len(sizes) < 2:
             return none
-        self.ways.cheapest(terrain, robot.pose[:2], np.zeros_like(terrain.labels), np.zeros(1), discs)
-        lengths_m, places_m = self.ways.nearest_of_labels(terrain, terrain.labels, len(sizes) - 1)
+        self.finder.spread(terrain, robot.pose[:2], discs)
+        lengths_m, places_m = self.finder.nearest_of_labels(terrain, terrain.labels, len(sizes) - 1)
         is_usable = np.isfinite(lengths_m) & (sizes >= explorer.frontier_cells_last)
         is_usable[0] = False
         for place in self.banned(robot, belief, {}):
@@ -145,7 +144,7 @@ class FrontierTeam(Explorer):
 
     def plan_to_place(self, terrain: Terrain, agent: str, place_m: Array, discs: list[Disc], reach_m: float = 0.5):
         """The path to the open floor within `reach_m` of a place; None if there is none."""
-        labels = np.zeros_like(terrain.labels)
+        labels = terrain.no_labels()
         part = terrain.patch(place_m, reach_m)
         labels[part][terrain.cost[part] > 0] = 1
         return self.finder.cheapest(terrain, self.robots[agent].pose[:2], labels, np.zeros(2), discs)

@@ -24,7 +24,7 @@ class Tours:
         """The plan to the most valuable goal: signs, and positions not visited for long."""
         explorer = self._explorer
         if robot.goal_kind == "tour":  # keep the goal, update the path
-            labels = np.zeros_like(terrain.labels)
+            labels = terrain.no_labels()
             if self._mark(labels, terrain, robot.goal_m, 1):
                 plan = self._finder.cheapest(terrain, robot.pose[:2], labels, np.zeros(2), discs)
                 if plan is not None:
@@ -32,7 +32,7 @@ class Tours:
         places, bonus = self._tour_places(belief, terrain)
         if not len(places):
             return None
-        labels = np.zeros_like(terrain.labels)
+        labels = terrain.no_labels()
         age_s = self._absence_s(robot, places, belief.step)
         worth = np.minimum(age_s, 600.0) * explorer.tour_speed_m_s + bonus + random.uniform(0.0, 5.0, len(places))
         penalty = np.concatenate([[np.inf], worth.max() - worth])

@@ -54,7 +54,7 @@ class InformationGain(FrontierTeam):
         robot, belief = self.robots[agent], beliefs[agent]
         spent_m = np.array([*self.banned(robot, belief, {}), *self._views_taken_m(agent, belief)]).reshape(-1, 2)
         claimed_m = np.array([*self.heard_goals_m(agent, beliefs).values()]).reshape(-1, 2)
-        found = find_views(belief, terrain, self.ways, OFFERED, self._range_m, claimed_m, spent_m)
+        found = find_views(belief, terrain, self.finder, OFFERED, self._range_m, claimed_m, spent_m, discs)
         for place_m in found.frontiers_m:
             plan = self.plan_to_place(terrain, agent, place_m, discs, 0.2)
             if plan is not None:

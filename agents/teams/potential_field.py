@@ -42,12 +42,11 @@ class PotentialField(FrontierTeam):
             places_m = places_m[terrain.is_open(places_m)]
             others_m = np.array([pose[:2] for pose in belief.teammates.values()]).reshape(-1, 2)
             lowest, best = _potential(frontiers.lengths_m, frontiers.sizes_m, robot.pose[:2], others_m), None
-            count = len(terrain.frontier_sizes) - 1
             for place in places_m:
-                if not self.ways.spread(terrain, place):
+                lengths_m = self.ways.lengths_to_frontiers_m(terrain, place)
+                if lengths_m is None:
                     continue
-                lengths_m = self.ways.nearest_of_labels(terrain, terrain.labels, count)[0][frontiers.labels]
-                value = _potential(lengths_m, frontiers.sizes_m, place, others_m)
+                value = _potential(lengths_m[frontiers.labels], frontiers.sizes_m, place, others_m)
                 if value < lowest:
                     lowest, best = value, place
             plan = None if best is None else self.plan_to_place(terrain, agent, best, discs, 0.2)

@@ -89,7 +89,7 @@ class RRT(FrontierTeam):
             for tree, step_m in zip(trees, (LOCAL_STEP_M, GLOBAL_STEP_M), strict=True)
         ]
         points_m = _clustered(np.vstack([self._points_m[agent], *found]))
-        is_wide = np.isin([terrain.label_near(point, CLUSTER_M / 2) for point in points_m], frontiers.labels)
+        is_wide = np.isin(terrain.labels_near(points_m, CLUSTER_M / 2), frontiers.labels)
         points_m = points_m[is_wide]  # elsewhere, a tree has met a gap too narrow for a robot
         views = ViewGain(terrain, GAIN_RADIUS_M, beams=48)
         for goal_m in self.heard_goals_m(agent, beliefs).values():

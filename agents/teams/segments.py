@@ -7,6 +7,8 @@ crowd one room; within its segment, a robot takes the nearest frontier. A robot 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray as Array
 from scipy.ndimage import distance_transform_edt, label, minimum_filter
@@ -32,10 +34,18 @@ STAY_M = 5.0
 class Segments(FrontierTeam):
     """Segments are computed and assigned anew whenever a robot decides."""
 
+    def reset(self, seed: int, agents: Sequence[str]) -> None:
+        """Discard all state."""
+        super().reset(seed, agents)
+        self._segmented: tuple[Terrain, Array] | None = None
+        """The latest terrain and its segments: robots of a group that decide together have the same."""
+
     def choose(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> int | None:
         """The nearest frontier of the segment assigned to this robot."""
         belief, terrain = beliefs[agent], frontiers.terrain
-        segments = segmented(terrain)
+        if self._segmented is None or self._segmented[0] is not terrain:
+            self._segmented = terrain, segmented(terrain)
+        segments = self._segmented[1]
         segment = _at(terrain, segments, frontiers.places_m)
         lengths_m = frontiers.all_lengths_m
         names = np.unique(segment)

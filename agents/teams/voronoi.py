@@ -34,8 +34,7 @@ class Voronoi(NearestFrontier):
         return np.where(is_mine, 0.0, self.explorer.claim_penalty_m)
 
     def _lengths_m(self, terrain: Terrain, pose: Array) -> Array:
-        count = len(terrain.frontier_sizes)
-        if not self._ways.spread(terrain, np.asarray(pose, float)[:2]):
-            return np.full(count, UNREACHABLE_M)
-        lengths_m, _ = self._ways.nearest_of_labels(terrain, terrain.labels, count - 1)
-        return np.minimum(lengths_m, UNREACHABLE_M)
+        lengths_m = self._ways.lengths_to_frontiers_m(terrain, np.asarray(pose, float)[:2])
+        return (
+            np.full(len(terrain.clusters), UNREACHABLE_M) if lengths_m is None else np.minimum(lengths_m, UNREACHABLE_M)
+        )

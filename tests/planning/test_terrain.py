@@ -149,6 +149,83 @@ def test_a_reused_finder_returns_the_same_plans_as_a_new_one():
             assert np.array_equal(plans[0].path_m, plans[1].path_m)
 
 
+def patchy(rng):
+    """A room with walls and unknown cells strewn over it."""
+    kind = room(int(rng.integers(40, 70)), int(rng.integers(40, 90)))
+    kind[rng.random(kind.shape) < 0.006] = 2
+    kind[rng.random(kind.shape) < 0.01] = 0
+    return kind
+
+
+def test_a_search_that_goes_on_where_the_last_one_has_ended_finds_the_same_as_a_new_one():
+    rng, found = np.random.default_rng(3), 0
+    for _ in range(10):
+        terrain = Terrain(grid_of(patchy(rng)), 0.2)
+        finder, start, count = PathFinder(), point(*rng.integers(10, 30, 2)), len(terrain.clusters)
+        discs = [Disc(*point(*rng.integers(10, 30, 2)), 0.6, 30)] if rng.random() < 0.5 else []
+        for _ in range(6):
+            penalty = np.where(rng.random(count) < 0.7, np.inf, rng.uniform(0.0, 3.0, count))
+            asked = terrain, start, terrain.labels, penalty, discs
+            plan, new = finder.cheapest(*asked), PathFinder().cheapest(*asked)
+            assert (plan is None) == (new is None)
+            if plan is not None:
+                found += 1
+                assert np.array_equal(plan.path_m, new.path_m)
+                assert (plan.length_m, plan.label) == (new.length_m, new.label)
+        new = PathFinder()
+        for each in (finder, new):
+            assert each.spread(terrain, start, discs)
+        nearest = [each.nearest_of_labels(terrain, terrain.labels, count - 1) for each in (finder, new)]
+        assert np.array_equal(nearest[0][0], nearest[1][0]) and np.array_equal(nearest[0][1], nearest[1][1])
+    assert found > 20
+
+
+def test_of_several_cells_of_a_label_that_are_as_near_the_first_that_was_reached_counts():
+    terrain, finder = Terrain(grid_of(room()), 0.2), PathFinder()
+    labels = np.zeros_like(terrain.labels)
+    labels[::3, ::4] = 1
+    labels[26, 20] = labels[26, 22] = labels[36, 20] = 2
+    assert finder.spread(terrain, point(30, 20))
+    lengths_m, places_m = finder.nearest_of_labels(terrain, labels, 2)
+    reached = finder._opened[: finder._counts[2]]
+    for label in (1, 2):
+        of_label = [cell for cell in reached if labels.reshape(-1)[cell] == label]
+        first = min(of_label, key=lambda cell: finder._spent[cell])  # of equal ones, min takes the first
+        assert lengths_m[label] == pytest.approx(finder._spent[first] * CELL_M / 10)
+        assert np.allclose(terrain.to_cells(places_m[label]) - 0.5, np.divmod(first, labels.shape[1]))
+
+
+def test_the_label_of_most_cells_near_each_of_many_places_is_the_least_of_several_as_frequent():
+    terrain, rng = Terrain(grid_of(patchy(np.random.default_rng(5))), 0.2), np.random.default_rng(6)
+    places_m, expected = point(20, 20) + rng.uniform(-8.0, 8.0, (500, 2)), []
+    for place in places_m:
+        near = terrain.labels[terrain.patch(place, 0.5)]
+        expected.append(np.bincount(near[near > 0]).argmax() if (near > 0).any() else 0)
+    assert len(set(expected)) > 10
+    assert np.array_equal(terrain.labels_near(places_m, 0.5), expected)
+
+
+def test_lengths_to_frontiers_are_searched_once_per_place_and_are_those_of_a_search():
+    rng = np.random.default_rng(4)
+    terrain, finder = Terrain(grid_of(patchy(rng)), 0.2), PathFinder()
+    lengths_m = finder.lengths_to_frontiers_m(terrain, point(20, 20))
+    assert PathFinder().lengths_to_frontiers_m(terrain, point(20, 20)) is lengths_m
+    finder.spread(terrain, point(20, 20))
+    assert np.array_equal(finder.nearest_of_labels(terrain, terrain.labels, len(lengths_m) - 1)[0], lengths_m)
+    assert np.isfinite(lengths_m).sum() > 3
+    assert finder.lengths_to_frontiers_m(terrain, np.array([-50.0, -50.0])) is None
+
+
+def test_a_full_queue_of_a_search_grows(monkeypatch):
+    terrain = Terrain(grid_of(room()), 0.2)
+    monkeypatch.setattr("twc_env.planning.path_finder.WAITING", 40)
+    finder, ample = PathFinder(), PathFinder()
+    ample._waiting = np.empty((4000, 2), np.int32)
+    asked = terrain, point(30, 20), goal_labels(terrain, point(50, 70)), np.zeros(2)
+    assert np.array_equal(finder.cheapest(*asked).path_m, ample.cheapest(*asked).path_m)
+    assert len(finder._waiting) > 40
+
+
 def test_path_costs_equal_those_of_a_plain_dijkstra():
     kind = two_rooms(8)
     kind[20:22, 50:60] = 2

@@ -28,6 +28,7 @@ def add_arguments(speed: argparse.ArgumentParser) -> None:
         "  twc-env bench --training ExploreQuick-v1\n"
         "  twc-env bench --training ExploreQuick-v1 --workers 2\n"
         "  twc-env bench --memory\n"
+        "  twc-env bench --teams ExploreOffice-v1 --episodes 1 --json runs/teams.json\n"
         "  twc-env bench --vector --map twin-02 --steps 1000\n"
         "  twc-env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer"
     )
@@ -66,6 +67,12 @@ def add_arguments(speed: argparse.ArgumentParser) -> None:
         "inference and update; with one process by CPU time; other settings are those of training (extra train)",
     )
     instead.add_argument("--memory", action="store_true", help="memory of an environment of each task of the suite v1")
+    instead.add_argument(
+        "--teams",
+        metavar="TASK",
+        help="CPU time of an episode of each scripted team in a task such as ExploreOffice-v1: of planning and of the "
+        "environment",
+    )
     instead.add_argument("--long", action="store_true", help="step times along one long episode, in tenths")
     speed.add_argument("--workers", type=natural, help="with --training: processes (default: 1, with --ray all cores)")
     add_ray(speed, "; with --training")
@@ -90,6 +97,8 @@ def _bench(options: argparse.Namespace) -> None:
         from twc_env.bench.memory import bench_memory
 
         figures = {"memory": bench_memory(SUITES["v1"], report=_report)}
+    elif options.teams:
+        figures = {"teams": _bench_teams(options)}
     elif options.training:
         figures = dict(_bench_training(options))
     elif options.vector:
@@ -101,7 +110,7 @@ def _bench(options: argparse.Namespace) -> None:
     else:
         figures = bench(config, options.episodes, report=_report)
     for key, value in figures.items():
-        if key in ("scaling", "vector", "memory"):
+        if key in ("scaling", "vector", "memory", "teams"):
             print(aligned(value, terminal_width()))
         else:
             print(f"{key:<28} {value:,.3f}" if isinstance(value, float) else f"{key:<28} {value}")
@@ -114,6 +123,17 @@ def _bench_peers(options: argparse.Namespace) -> dict:
 
     figures = bench_peers(report=_report) if options.peers else {}
     return figures | bench_large_reset() | {"scaling": bench_scaling(report=_report)}
+
+
+def _bench_teams(options: argparse.Namespace) -> list[dict[str, Any]]:
+    from twc_env.agents.roster import TEAMS
+    from twc_env.config import override
+    from twc_env.suite.planning_costs import bench_teams
+    from twc_env.tasks import task_config
+
+    task = options.teams if options.teams.startswith("twc/") else f"twc/{options.teams}"
+    config = override(task_config(task), assignments(options.set))
+    return bench_teams(config, tuple(TEAMS), options.episodes, report=_report)
 
 
 def _bench_training(options: argparse.Namespace) -> dict[str, float]:

@@ -177,7 +177,10 @@ class MacroActions:
 
         is_alive: (robots,) bool.
         """
-        is_free = ~self._drivers.is_driving & (self._stay_until <= self._ticks)
+        is_driving = self._drivers.is_driving
+        if self._ticks < self._deadline and all(is_driving.tolist()):  # as in most steps
+            return False
+        is_free = ~is_driving & (self._stay_until <= self._ticks)
         late, awaited = self._ticks >= self._deadline, is_free[is_alive]
         has_come = awaited.all() if self._action.timing == "synchronous" else awaited.any()
         due = late or (len(awaited) > 0 and has_come)

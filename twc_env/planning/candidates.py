@@ -4,12 +4,13 @@ nearest known sign and the nearest teammate."""
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.planning.path_finder import PathFinder
+from twc_env.planning.path_finder import Disc, PathFinder
 from twc_env.planning.terrain import Terrain
 from twc_env.planning.views import ViewGain
 from twc_env.records.geometry import between
@@ -82,6 +83,7 @@ def find_views(
     range_m: float,
     claimed_m: Array,
     spent_m: Array,
+    discs: Iterable[Disc] = (),
 ) -> Candidates:
     """At most `count_max` views with the greatest gain for their way, the nearest sign and the nearest teammate.
 
@@ -89,11 +91,11 @@ def find_views(
     better one are left out. Looked for as far as the `count_max` nearest frontiers.
 
     claimed_m (k, 2): places to which others go; what they will show does not count. spent_m (k, 2): where the robot
-    was for a view or could not go: what it did not see there, it will not see.
+    was for a view or could not go: what it did not see there, it will not see. discs: as in `PathFinder.cheapest`.
     """
     here = belief.pose_map_robot
     sizes = terrain.frontier_sizes
-    if not finder.spread_to_frontiers(terrain, here[:2], sizes >= CELLS_MIN, count_max):
+    if not finder.spread_to_frontiers(terrain, here[:2], sizes >= CELLS_MIN, count_max, discs):
         return NOTHING
     lengths_m, places_m = finder.nearest_of_labels(terrain, terrain.labels, len(sizes) - 1)
     usable = np.flatnonzero(np.isfinite(lengths_m) & (sizes >= CELLS_MIN))
@@ -102,9 +104,10 @@ def find_views(
     cells = np.column_stack([stride * each + stride // 2 for each in open_rows])
     ways_m = finder.ways_to(terrain, cells)
     places_m = np.vstack([terrain.to_metres(cells + 0.5), places_m[usable]])
+    last_m = np.sort(lengths_m[usable])[count_max - 1] if len(usable) >= count_max else np.inf
     lengths_m = np.concatenate([ways_m, lengths_m[usable]])
     sizes_m = np.concatenate([np.zeros(len(cells)), sizes[usable] * terrain.resolution_m])
-    is_free = np.isfinite(lengths_m)
+    is_free = np.isfinite(lengths_m) & (lengths_m <= last_m)
     for place in spent_m:
         is_free &= np.hypot(*(places_m - place).T) >= SPENT_M
     views = ViewGain(terrain, range_m, closes_walls=True)

@@ -345,7 +345,7 @@ class Drivers:
             discs.append(Disc(x, y, FELT_RADIUS_M, FELT_COST))
         for squeeze in (1.0, NARROW_FACTOR):
             terrain = terrain_of(belief, squeeze)
-            labels = np.zeros_like(terrain.labels)
+            labels = terrain.no_labels()
             labels[terrain.patch(goal_m, GOAL_SQUARE_SHARE * float(own[_ARRIVAL_M]))] = 1
             plan = self._finder.cheapest(terrain, here_m, labels, np.zeros(2), discs)
             if plan is not None:

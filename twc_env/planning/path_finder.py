@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from weakref import ReferenceType, ref
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.kernels.compiled import kernel
-from twc_env.planning.terrain import OPEN_COST, Terrain
+from twc_env.planning.terrain import Terrain
 
 UNITS_PER_CELL = 10
 """Path costs are integers; a straight step over cells of `OPEN_COST` has this cost."""
@@ -26,6 +27,14 @@ BUCKETS = 1024
 """More than the greatest edge cost, `DIAGONAL * COST_MAX`."""
 FAR = np.int32(2**30)
 """Path cost of cells not reached."""
+NOWHERE = 8
+"""The step by which a search came to its start."""
+LOW_BITS = (1 << 15) - 1
+WAITING = 1 << 16
+"""Entries of the queue at first; open floor of 2,000 m2 needs some 3,000."""
+_NOW, _ENTRIES, _OPENED, _SETTLED, _USED, _FREE = range(6)
+"""State of a search between calls: path cost, entries in the queue, cells opened and settled, entries of the queue that
+were ever used, and the first that is free again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,96 +94,124 @@ def _nearest_enterable(cost, row, column, reach):
 
 
 @kernel
+def _begin(start, spent, came, opened, head, waiting, counts):
+    """Reset a search to flat cell `start`; the arrays are those of `_cheapest_goal`, which the last one has used."""
+    for k in range(counts[_OPENED]):
+        spent[opened[k]] = FAR
+    head[:] = -1
+    spent[start], came[start], opened[0] = 0, NOWHERE, start
+    waiting[0, 0], waiting[0, 1], head[0] = start, -1, 0
+    counts[_NOW], counts[_ENTRIES], counts[_OPENED], counts[_SETTLED] = 0, 1, 1, 0
+    counts[_USED], counts[_FREE] = 1, -1
+
+
+@kernel
 def _cheapest_goal(
-    cost, labels, penalty, awaited, left, least_edge, start, spent, parent, following, preceding, opened, opened_count
-):
-    """Dijkstra with a bucket queue from flat cell `start` to the labelled cell of least path cost + penalty[label].
+    cost, labels, penalty, awaited, left, has_goals, spent, came, opened, settled, head, waiting, counts
+):  # fmt: skip
+    """Dijkstra with a bucket queue to the labelled cell of least path cost + penalty[label].
 
     It ends early once `left` of the labels for which `awaited` (labels,) is 1 were reached, and all cells as near; if
-    left is 0, never. Labels reached become 0 there.
+    left is 0, never. Without `has_goals` it goes on to the end. cost, labels (h, w) have a closed border.
 
-    cost, labels (h, w) have a closed border; `least_edge` is the least edge cost. The other arrays are flat scratch
-    that persists between calls: `spent` must be FAR except at opened[:opened_count]. Returns (goal or -1, its path
-    cost, count of cells opened).
+    A search goes on where the last one of the same costs and start has ended, after a look at the cells that were
+    settled then. Flat arrays keep its state: `spent` (FAR at cells not opened), `came` (the step by which each was
+    reached), opened and settled cells in this order, the queue `waiting` (n, 2: cell, next entry of its bucket) from
+    `head`, and `counts`. Entries of cells that have become cheaper stay in the queue and are skipped. Returns (goal or
+    -1, whether `waiting` is full: then the call has to be repeated with a longer one).
     """
-    width = cost.shape[1]
+    best, best_total, last = np.int64(-1), np.int64(FAR), np.int64(FAR)
+    is_awaited = awaited.copy()
     flat, label_of = cost.reshape(-1), labels.reshape(-1)
-    for k in range(opened_count):
-        spent[opened[k]] = FAR
-    steps = np.array([1, -1, width, -width, width + 1, width - 1, -width + 1, -width - 1], np.int64)
-    head = np.full(BUCKETS, -1, np.int32)
-    spent[start], parent[start], following[start], preceding[start] = 0, -1, -1, -1
-    head[0], opened[0] = start, start
-    count, waiting, now = 1, 1, 0
-    best, best_total, last = -1, FAR, int(FAR)
-    while waiting:
-        cell = head[now % BUCKETS]
-        if cell < 0:
+    for k in range(counts[_SETTLED] if has_goals else 0):
+        seen, now = np.int64(settled[k]), np.int64(spent[settled[k]])
+        if now >= best_total or now > last:
+            return best, False
+        label = label_of[seen]
+        if label > 0:
+            if now + penalty[label] < best_total:
+                best, best_total = seen, now + penalty[label]
+            if left > 0 and is_awaited[label]:
+                is_awaited[label] = 0
+                left -= 1
+                if left == 0:
+                    last = now
+    now, entries, used, free = counts[_NOW], counts[_ENTRIES], counts[_USED], counts[_FREE]
+    opened_count, settled_count = np.uint64(counts[_OPENED]), np.uint64(counts[_SETTLED])
+    one, width = np.uint64(1), np.uint64(cost.shape[1])
+    steps = np.array([one, -one, width, -width, width + one, width - one, one - width, -width - one], np.uint64)
+    prices = np.zeros(8, np.int64)
+    room, is_full = waiting.shape[0] - 8, False
+    while entries > 0:
+        bucket = np.uint64(now & (BUCKETS - 1))
+        first = head[bucket]
+        if first < 0:
             now += 1
             continue
         if now >= best_total or now > last:
             break
-        head[now % BUCKETS] = following[cell]
-        if following[cell] >= 0:
-            preceding[following[cell]] = -1
-        preceding[cell] = -2  # settled
-        waiting -= 1
-        label = label_of[cell]
-        if label > 0 and now + penalty[label] < best_total:
-            best, best_total = cell, now + penalty[label]
-        if left > 0 and label > 0 and awaited[label]:
-            awaited[label] = 0
-            left -= 1
-            if left == 0:
-                last = now
+        if used > room:
+            is_full = True
+            break
+        cell = np.uint64(waiting[np.uint64(first), 0])
+        head[bucket], waiting[np.uint64(first), 1], free = waiting[np.uint64(first), 1], free, np.int64(first)
+        entries -= 1
+        if spent[cell] != now:
+            continue
+        settled[settled_count] = cell
+        settled_count += one
+        if has_goals:
+            label = label_of[cell]
+            if label > 0:
+                if now + penalty[label] < best_total:
+                    best, best_total = np.int64(cell), now + penalty[label]
+                if left > 0 and is_awaited[label]:
+                    is_awaited[label] = 0
+                    left -= 1
+                    if left == 0:
+                        last = now
+        # A diagonal step is the sum of two straight ones, and needs both of their cells enterable.
+        for k in range(4):
+            prices[k] = STRAIGHT * np.int64(flat[cell + steps[k]])
+        for k in range(4, 8):
+            is_open = prices[2 + (k - 4) // 2] != 0 and prices[k % 2] != 0
+            prices[k] = DIAGONAL * np.int64(flat[cell + steps[k]]) if is_open else 0
         for k in range(8):
-            neighbour = cell + steps[k]
+            neighbour, through = cell + steps[k], now + prices[k]
             old = spent[neighbour]
-            if old <= now + least_edge:
-                continue
-            factor = flat[neighbour]
-            if factor == 0:
-                continue
-            if k >= 4:  # a diagonal step needs both adjacent cells enterable
-                down = cell + (width if k < 6 else -width)
-                side = neighbour - (down - cell)
-                if flat[down] == 0 or flat[side] == 0:
-                    continue
-            through = now + (STRAIGHT if k < 4 else DIAGONAL) * factor
-            if through >= old:
+            if prices[k] == 0 or through >= old:
                 continue
             if old == FAR:
-                opened[count] = neighbour
-                count += 1
-                waiting += 1
+                opened[opened_count] = neighbour
+                opened_count += one
+            entry = free
+            if free >= 0:
+                free = np.int64(waiting[np.uint64(free), 1])
             else:
-                before, after = preceding[neighbour], following[neighbour]
-                if before >= 0:
-                    following[before] = after
-                else:
-                    head[old % BUCKETS] = after
-                if after >= 0:
-                    preceding[after] = before
-            bucket = through % BUCKETS
-            spent[neighbour], parent[neighbour] = through, cell
-            following[neighbour], preceding[neighbour] = head[bucket], -1
-            if head[bucket] >= 0:
-                preceding[head[bucket]] = neighbour
-            head[bucket] = neighbour
-    return best, (spent[best] if best >= 0 else FAR), count
+                entry = used
+                used += 1
+            bucket = np.uint64(through & (BUCKETS - 1))
+            spent[neighbour], came[neighbour] = through, k
+            waiting[np.uint64(entry), 0], waiting[np.uint64(entry), 1] = neighbour, head[bucket]
+            head[bucket] = entry
+            entries += 1
+    counts[_NOW], counts[_ENTRIES], counts[_USED], counts[_FREE] = now, entries, used, free
+    counts[_OPENED], counts[_SETTLED] = opened_count, settled_count
+    return best, is_full
 
 
 @kernel
-def _backtrack(parent, goal, width):
+def _backtrack(came, goal, width):
     """Cells (k, 2) of the path from the start to `goal`."""
-    length, cell = 0, goal
-    while cell >= 0:
-        length, cell = length + 1, parent[cell]
+    steps = np.array([1, -1, width, -width, width + 1, width - 1, -width + 1, -width - 1], np.int64)
+    length, cell = 1, goal
+    while came[cell] != NOWHERE:
+        length, cell = length + 1, cell - steps[came[cell]]
     path = np.empty((length, 2), np.int32)
     cell = goal
     for k in range(length - 1, -1, -1):
         path[k, 0], path[k, 1] = cell // width, cell % width
-        cell = parent[cell]
+        cell -= steps[came[cell]] if k > 0 else 0
     return path
 
 
@@ -215,13 +252,36 @@ def _shortcut(path, cost):
 
 
 @kernel
-def _least_per_label(labels, spent, opened, opened_count, least, cell_of):
-    """Fill `least` and `cell_of` (count + 1,): path cost to and flat index of the nearest opened cell of each label."""
+def _least_per_label(labels, cells, spent, opened, opened_count, least, cell_of):
+    """Fill `least` and `cell_of` (count + 1,): path cost to and flat index of the nearest opened cell of each label, or
+    of several as near, the first opened. cells (k,): flat indices of the labelled ones."""
     label_of = labels.reshape(-1)
+    is_tied, tied = np.zeros(least.shape[0], np.bool_), 0
+    for k in range(cells.shape[0]):
+        cell = cells[k]
+        label, cost = label_of[cell], spent[cell]
+        if label >= least.shape[0] or cost > least[label] or cost == FAR:
+            continue
+        tied -= is_tied[label]
+        is_tied[label] = cost == least[label]
+        tied += is_tied[label]
+        least[label], cell_of[label] = cost, cell
+    if tied == 0:
+        return
+    is_marked = np.zeros(LOW_BITS + 1, np.bool_)  # by the low bits of a cell, to look at few of those opened
+    for k in range(cells.shape[0]):
+        label = label_of[cells[k]]
+        if label < least.shape[0] and is_tied[label] and spent[cells[k]] == least[label]:
+            is_marked[cells[k] & LOW_BITS] = True
     for k in range(opened_count):
-        label = label_of[opened[k]]
-        if 0 < label < least.shape[0] and spent[opened[k]] < least[label]:
-            least[label], cell_of[label] = spent[opened[k]], opened[k]
+        if is_marked[opened[k] & LOW_BITS]:
+            cell = opened[k]
+            label = label_of[cell]
+            if 0 < label < least.shape[0] and is_tied[label] and spent[cell] == least[label]:
+                is_tied[label], cell_of[label] = False, cell
+                tied -= 1
+                if tied == 0:
+                    return
 
 
 @kernel
@@ -248,15 +308,25 @@ class Plan:
 
 
 class PathFinder:
-    """Path search; its scratch memory is reused between searches."""
+    """Path search; its scratch memory is reused between searches.
+
+    A search from the same place of the same terrain around the same discs as the last one goes on where that ended.
+    """
 
     START_REACH_M = 0.6
     """If the robot's cell is closed, the search starts at the nearest enterable one within this distance."""
 
     def __init__(self) -> None:
-        self._capacity = 0
-        self._opened_count = 0
-        self._undo_cell, self._undo_cost = np.empty(200_000, np.int64), np.empty(200_000, np.int16)
+        self._spent, self._came = np.zeros(0, np.int32), np.zeros(0, np.uint8)
+        self._opened, self._settled = np.zeros((2, 0), np.int32)
+        self._head, self._waiting = np.empty(BUCKETS, np.int32), np.empty((WAITING, 2), np.int32)
+        self._counts = np.zeros(6, np.int64)
+        self._begun: tuple[ReferenceType[Array], int, tuple[Disc, ...]] | None = None
+        """Costs, start and discs of the last search."""
+        self._undo_cell, self._undo_cost = np.empty(200_000, np.int64), np.empty(200_000, np.uint8)
+
+    def __reduce__(self) -> tuple[type[PathFinder], tuple[()]]:
+        return PathFinder, ()
 
     def cheapest(
         self,
@@ -273,54 +343,69 @@ class PathFinder:
         infinite to exclude a label. The costs of `discs` apply to this search only. awaited: labels (labels,) int8,
         and how many of them end the search once they are reached.
         """
-        self._reserve(terrain.cost.size)
-        cell = terrain.resolution_m
-        row, column = np.floor(terrain.to_cells(start_m)).astype(int)
-        start = _nearest_enterable(terrain.cost, row, column, round(self.START_REACH_M / cell))
+        start, discs = self._start(terrain, start_m), tuple(discs)
+        self._begin(terrain, start, discs)
         if start < 0:
-            self._spent[self._opened[: self._opened_count]] = FAR
-            self._opened_count = 0
             return None
-        units = UNITS_PER_CELL / cell
+        units = UNITS_PER_CELL / terrain.resolution_m
         penalty = np.minimum(np.asarray(penalty_m, float) * units, float(FAR)).astype(np.int32)
-        discs = tuple(discs)
+        has_goals = awaited[1] > 0 or bool((penalty < FAR).any())
         changed = self._raise_costs(terrain, discs) if discs else 0
-        goal, spent, self._opened_count = _cheapest_goal(
-            terrain.cost, labels, penalty, *awaited, STRAIGHT * OPEN_COST, start, self._spent, self._parent,
-            self._following, self._preceding, self._opened, self._opened_count,
-        )  # fmt: skip
+        goal, is_full = -1, True
+        while is_full:
+            goal, is_full = _cheapest_goal(
+                terrain.cost, labels, penalty, *awaited, has_goals, self._spent, self._came, self._opened,
+                self._settled, self._head, self._waiting, self._counts,
+            )  # fmt: skip
+            if is_full:
+                self._waiting = np.vstack([self._waiting, np.empty_like(self._waiting)])
         corners = np.empty((0, 2))
         if goal >= 0:
-            corners = _shortcut(_backtrack(self._parent, goal, terrain.cost.shape[1]), terrain.cost)
+            corners = _shortcut(_backtrack(self._came, goal, terrain.cost.shape[1]), terrain.cost)
         if changed:
             _restore_costs(terrain.cost, self._undo_cell, self._undo_cost, changed)
         if goal < 0:
             return None
-        return Plan(terrain.to_metres(corners), spent / units, int(labels.reshape(-1)[goal]))
+        return Plan(terrain.to_metres(corners), int(self._spent[goal]) / units, int(labels.reshape(-1)[goal]))
 
-    def spread(self, terrain: Terrain, start_m: Array) -> bool:
+    def spread(self, terrain: Terrain, start_m: Array, discs: Iterable[Disc] = ()) -> bool:
         """Search all cells reachable from start_m (2,); False if there are none.
 
         `nearest_of_labels` and `nearest_to` read the result of the last search.
         """
-        self.cheapest(terrain, start_m, np.zeros_like(terrain.labels), np.zeros(1))
-        return self._opened_count > 0
+        self.cheapest(terrain, start_m, terrain.no_labels(), np.full(1, np.inf), discs)
+        return self._begun is not None
 
-    def spread_to_frontiers(self, terrain: Terrain, start_m: Array, is_wanted: Array, count_max: int) -> bool:
+    def spread_to_frontiers(
+        self, terrain: Terrain, start_m: Array, is_wanted: Array, count_max: int, discs: Iterable[Disc] = ()
+    ) -> bool:
         """`spread` until the `count_max` nearest of the frontiers for which is_wanted (clusters + 1,) were found.
 
         Afterwards `nearest_of_labels` is right for these; others are further away than all of them, or not reached.
         """
         penalty_m = np.full(len(is_wanted), np.inf)  # no goal: the search goes on
         awaited = is_wanted.astype(np.int8), min(count_max, int(is_wanted.sum()))
-        self.cheapest(terrain, start_m, terrain.labels, penalty_m, (), awaited)
-        return self._opened_count > 0
+        self.cheapest(terrain, start_m, terrain.labels, penalty_m, discs, awaited)
+        return self._begun is not None
+
+    def lengths_to_frontiers_m(self, terrain: Terrain, start_m: Array) -> Array | None:
+        """(clusters + 1,) path cost [m] from a place to each frontier, infinite to those out of reach; None if the
+        place is closed. A terrain remembers them: robots of a group ask for the same."""
+        start = self._start(terrain, start_m)
+        if start not in terrain.lengths_from:
+            is_open = self.spread(terrain, start_m)
+            found = self.nearest_of_labels(terrain, terrain.labels, len(terrain.clusters) - 1)[0]
+            terrain.lengths_from[start] = found if is_open else None
+        return terrain.lengths_from[start]
 
     def nearest_of_labels(self, terrain: Terrain, labels: Array, count: int) -> tuple[Array, Array]:
         """(count + 1,) path cost [m] to the nearest cell of each label, infinite if there is none, and (count + 1, 2)
         its centre in the map frame."""
         least, cell_of = np.full(count + 1, FAR, np.int32), np.full(count + 1, -1, np.int64)
-        _least_per_label(labels, self._spent, self._opened, self._opened_count, least, cell_of)
+        cells = terrain.frontier_cells if labels is terrain.labels else np.flatnonzero(labels)
+        _least_per_label(
+            labels, cells.astype(np.int32, copy=False), self._spent, self._opened, self._counts[_OPENED], least, cell_of
+        )
         lengths_m = np.where(cell_of >= 0, least * (terrain.resolution_m / UNITS_PER_CELL), np.inf)
         width = terrain.cost.shape[1]
         return lengths_m, terrain.to_metres(np.column_stack([cell_of // width, cell_of % width]) + 0.5)
@@ -334,8 +419,12 @@ class PathFinder:
         """(2,) centre of the reachable cell with the least Euclidean distance to a point; None if there is none."""
         row, column = terrain.to_cells(point_m)
         width = terrain.cost.shape[1]
-        cell = _nearest_opened(row, column, width, self._opened, self._opened_count)
+        cell = _nearest_opened(row, column, width, self._opened, self._counts[_OPENED])
         return None if cell < 0 else terrain.to_metres(np.array([cell // width + 0.5, cell % width + 0.5]))
+
+    def _start(self, terrain: Terrain, start_m: Array) -> int:
+        row, column = np.floor(terrain.to_cells(start_m)).astype(int)
+        return int(_nearest_enterable(terrain.cost, row, column, round(self.START_REACH_M / terrain.resolution_m)))
 
     def _raise_costs(self, terrain: Terrain, discs: tuple[Disc, ...]) -> int:
         values = np.array([[d.x_m, d.y_m, d.radius_m, d.extra] for d in discs])
@@ -343,10 +432,19 @@ class PathFinder:
         values[:, 2] /= terrain.resolution_m
         return _add_discs(terrain.cost, values, self._undo_cell, self._undo_cost)
 
-    def _reserve(self, size: int) -> None:
-        if size <= self._capacity:
+    def _begin(self, terrain: Terrain, start: int, discs: tuple[Disc, ...]) -> None:
+        """Begin a search at flat cell `start`, unless the last one began alike; a negative one is no search."""
+        begun, size = self._begun, terrain.cost.size
+        if begun is not None and begun[0]() is terrain.cost and begun[1:] == (start, discs):
             return
-        self._capacity = size + size // 2
-        self._spent = np.full(self._capacity, FAR, np.int32)
-        self._parent, self._following, self._preceding, self._opened = np.empty((4, self._capacity), np.int32)
-        self._opened_count = 0
+        if size > len(self._spent):
+            self._spent, self._came = np.full(size + size // 2, FAR, np.int32), np.empty(size + size // 2, np.uint8)
+            self._opened, self._settled = np.empty((2, size + size // 2), np.int32)
+            self._counts[_OPENED] = 0
+        self._begun = None if start < 0 else (ref(terrain.cost), start, discs)
+        if start < 0:
+            self._spent[self._opened[: self._counts[_OPENED]]] = FAR
+            self._counts[_OPENED] = 0
+        else:
+            own = self._spent, self._came, self._opened, self._head, self._waiting, self._counts
+            _begin(start, *own)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -40,9 +41,9 @@ def _classify(log_odds, row_low, column_low, free_below, wall_above, kind):
     """Fill the interior of kind (h, w) with UNKNOWN, FREE or WALL; kind[1, 1] is cell (row_low, column_low)."""
     height, width = kind.shape
     for r in range(1, height - 1):
-        for c in range(1, width - 1):
-            value = log_odds[row_low + r - 1, column_low + c - 1]
-            kind[r, c] = WALL if value > wall_above else (FREE if value < free_below else UNKNOWN)
+        line, source = kind[r, 1 : width - 1], log_odds[row_low + r - 1, column_low : column_low + width - 2]
+        for c in range(width - 2):
+            line[c] = WALL * np.int8(source[c] > wall_above) + FREE * np.int8(source[c] < free_below)
 
 
 @kernel
@@ -84,47 +85,46 @@ def _open_seen_through(kind, row, column, heading, ranges, behind, reach, is_met
 
 
 @kernel
-def _squared_clearance(kind, reach, across, squared):
-    """Fill squared (h, w) with the squared distance [cells^2] to the nearest wall, exact up to `reach`.
+def _fill_cost(kind, reach, cost_of_squared, cost):
+    """Fill cost (h, w) with the cost factors by squared clearance [cells^2]; 0 where no robot's centre may enter.
 
-    Separable Euclidean distance transform, along rows into across (h, w), then along columns.
+    The clearance, exact up to `reach`, is a separable Euclidean distance transform: along rows, then along columns,
+    with the rows within reach of the present one in a ring, so that they stay in the inner caches.
     """
     height, width = kind.shape
-    far = np.float32(2 * reach * reach)
-    base = np.empty(width, np.float32)
-    for r in range(height):
-        line, source, has_wall = across[r], kind[r], False
-        for c in range(width):
-            base[c] = np.float32(0.0) if source[c] == WALL else far
-            has_wall |= source[c] == WALL
-            line[c] = base[c]
-        for d in range(1, reach + 1 if has_wall else 0):
-            d2 = np.float32(d * d)
-            low, high = line[: width - d], line[d:]
-            right, left = base[d:], base[: width - d]
-            for c in range(width - d):
-                low[c] = min(low[c], right[c] + d2)
-            for c in range(width - d):
-                high[c] = min(high[c], left[c] + d2)
-    for r in range(height):
-        out, line = squared[r], across[r]
-        for c in range(width):
-            out[c] = line[c]
-        for d in range(1, reach + 1):
-            d2 = np.float32(d * d)
-            above, below = across[max(r - d, 0)], across[min(r + d, height - 1)]
+    far, ring = np.uint16(reach * reach), 2 * reach + 1
+    across, has_wall = np.empty((ring, width), np.uint16), np.zeros(ring, np.bool_)
+    base, squared = np.empty(width, np.uint16), np.empty(width, np.uint16)
+    for last in range(height + reach):
+        if last < height:
+            line, source = across[last % ring], kind[last]
+            found = False
             for c in range(width):
-                out[c] = min(out[c], min(above[c], below[c]) + d2)
-
-
-@kernel
-def _fill_cost(kind, squared, cost_of_squared, cost):
-    """Fill cost (h, w) with the cost factors; 0 for cells that no robot's centre may enter."""
-    height, width = kind.shape
-    top = cost_of_squared.shape[0] - 1
-    for r in range(height):
+                base[c] = np.uint16(0) if source[c] == WALL else far
+                line[c] = base[c]
+                found |= source[c] == WALL
+            has_wall[last % ring] = found
+            for d in range(1, reach + 1 if found else 0):
+                d2 = np.uint16(d * d)
+                low, high = line[: width - d], line[d:]
+                right, left = base[d:], base[: width - d]
+                for c in range(width - d):
+                    low[c] = min(low[c], np.uint16(right[c] + d2))
+                for c in range(width - d):
+                    high[c] = min(high[c], np.uint16(left[c] + d2))
+        r = last - reach
+        if r < 0:
+            continue
+        squared[:] = across[r % ring]
+        for other in range(max(r - reach, 0), min(r + reach + 1, height)):
+            if other == r or not has_wall[other % ring]:
+                continue
+            line, d2 = across[other % ring], np.uint16((other - r) * (other - r))
+            for c in range(width):
+                squared[c] = min(squared[c], np.uint16(line[c] + d2))
+        out, source = cost[r], kind[r]
         for c in range(width):
-            cost[r, c] = cost_of_squared[min(int(squared[r, c]), top)] if kind[r, c] == FREE else 0
+            out[c] = cost_of_squared[squared[c]] if source[c] == FREE else 0
 
 
 @kernel
@@ -132,20 +132,23 @@ def _frontiers(kind, cost, labels, cells):
     """Label the clusters (8-connected) of free cells beside unknown ones; only enterable cells keep their label.
 
     labels (h, w) int32 must be zero; cells (k, 2) is scratch. Returns (clusters + 1, 3): size, mean row and mean column
-    of the enterable cells; row 0 is unused. Clusters without enterable cells are omitted.
+    of the enterable cells; row 0 is unused; and the flat indices (n,) int32 of these cells. Clusters without enterable
+    cells are omitted.
     """
     height, width = kind.shape
-    found = 0
+    found, is_frontier = 0, np.zeros(width, np.uint8)
     for r in range(1, height - 1):
+        line, any_in_row = kind[r], 0
+        up, down, left, right = kind[r - 1, 1 : width - 1], kind[r + 1, 1 : width - 1], line[: width - 2], line[2:]
+        own, inner = line[1 : width - 1], is_frontier[1 : width - 1]
+        for c in range(width - 2):  # without branches, many cells at once; UNKNOWN is the least kind
+            inner[c] = (own[c] == FREE) & (min(min(up[c], down[c]), min(left[c], right[c])) == UNKNOWN)
+        for c in range(width - 2):
+            any_in_row += inner[c]
+        if any_in_row == 0:
+            continue
         for c in range(1, width - 1):
-            if kind[r, c] == FREE and (
-                kind[r - 1, c] == UNKNOWN
-                or kind[r + 1, c] == UNKNOWN
-                or kind[r, c - 1] == UNKNOWN
-                or kind[r, c + 1] == UNKNOWN
-            ):
-                if found == cells.shape[0]:
-                    break
+            if is_frontier[c] and found < cells.shape[0]:
                 labels[r, c] = -1
                 cells[found, 0], cells[found, 1] = r, c
                 found += 1
@@ -156,10 +159,14 @@ def _frontiers(kind, cost, labels, cells):
             continue
         count += 1
         _flood_fill(cost, labels, cells[k, 0], cells[k, 1], count, clusters)
+    enterable, size = np.empty(found, np.int32), 0
     for k in range(found):
         if cost[cells[k, 0], cells[k, 1]] == 0:
             labels[cells[k, 0], cells[k, 1]] = 0
-    return clusters[: count + 1]
+        else:
+            enterable[size] = cells[k, 0] * width + cells[k, 1]
+            size += 1
+    return clusters[: count + 1], enterable[:size].copy()
 
 
 @kernel
@@ -183,6 +190,28 @@ def _flood_fill(cost, labels, row, column, label, clusters):
                     stack.append((i, j))
     clusters[label, 1] /= enterable
     clusters[label, 2] /= enterable
+
+
+@kernel
+def _labels_near(labels, middles, reach, size, found):
+    """Fill found (k,) with the label of most cells in the square of half side `reach` around cells middles (k, 2)."""
+    height, width = labels.shape
+    counts = np.zeros(size, np.int32)
+    for k in range(middles.shape[0]):
+        rows = max(middles[k, 0] - reach, 0), min(middles[k, 0] + reach + 1, height)
+        columns = max(middles[k, 1] - reach, 0), min(middles[k, 1] + reach + 1, width)
+        best = 0
+        for r in range(rows[0], rows[1]):
+            for c in range(columns[0], columns[1]):
+                label = labels[r, c]
+                if label > 0:
+                    counts[label] += 1
+                    if counts[label] > counts[best] or (counts[label] == counts[best] and label < best):
+                        best = label
+        for r in range(rows[0], rows[1]):
+            for c in range(columns[0], columns[1]):
+                counts[labels[r, c]] = 0
+        found[k] = best
 
 
 @kernel
@@ -260,13 +289,10 @@ class Terrain:
             args = row, column, float(scan[0][2]), ranges, self.BEHIND_M / cell, self.BESIDE_CELLS
             _open_seen_through(self.kind, *args, np.zeros(shape, np.bool_))
         reach = math.ceil(max(self.COMFORT_M, robot_radius_m + self.EASE_M) / cell)
-        squared = np.empty(shape, np.float32)
-        _squared_clearance(self.kind, reach, np.empty(shape, np.float32), squared)
-        self.cost = np.empty(shape, np.int16)
-        limit = (robot_radius_m + self.MARGIN_M) / cell
-        _fill_cost(self.kind, squared, _cost_factors(limit, reach), self.cost)
-        self.labels = np.zeros(shape, np.int32)
-        self.clusters = _frontiers(self.kind, self.cost, self.labels, np.empty((self.kind.size // 2 + 1, 2), np.int32))
+        self.cost = np.empty(shape, np.uint8)
+        _fill_cost(self.kind, reach, _cost_factors((robot_radius_m + self.MARGIN_M) / cell, reach), self.cost)
+        self.lengths_from: dict[int, Array | None] = {}
+        """By flat cell, see `PathFinder.lengths_to_frontiers_m`."""
 
     @classmethod
     def of(cls, belief: Belief, robot_radius_m: float, trusts_scan: bool = False) -> Terrain:
@@ -275,6 +301,31 @@ class Terrain:
         poses = np.array([belief.pose_map_robot, *belief.teammates.values()])
         scan = (poses[0], belief.ranges_m) if trusts_scan and belief.ranges_m is not None else None
         return cls(belief.grid, robot_radius_m, poses[:, :2], scan)
+
+    @cached_property
+    def _found(self) -> tuple[Array, Array, Array]:
+        """Labels, clusters and cells of the frontiers; whoever plans to a place does not need them."""
+        labels, cells = self.no_labels(), np.empty((self.kind.size // 2 + 1, 2), np.int32)
+        return labels, *_frontiers(self.kind, self.cost, labels, cells)
+
+    @property
+    def labels(self) -> Array:
+        """(h, w) int32: the label of each enterable frontier cell, 0 for all others."""
+        return self._found[0]
+
+    @property
+    def clusters(self) -> Array:
+        """(clusters + 1, 3): size, mean row and mean column of each frontier; label 0 is none."""
+        return self._found[1]
+
+    @property
+    def frontier_cells(self) -> Array:
+        """(k,) int32: flat indices of the cells that have a label."""
+        return self._found[2]
+
+    def no_labels(self) -> Array:
+        """(h, w) int32 zeros, to mark goals in; memory is only touched where it is used."""
+        return np.zeros(self.cost.shape, np.int32)
 
     @property
     def frontier_sizes(self) -> Array:
@@ -303,9 +354,13 @@ class Terrain:
 
     def label_near(self, point_m: Array, reach_m: float) -> int:
         """Label of the frontier with most cells in the square of half side `reach_m` around a point; 0 if none."""
-        patch = self.labels[self.patch(point_m, reach_m)]
-        found = patch[patch > 0]
-        return int(np.bincount(found).argmax()) if len(found) else 0
+        return int(self.labels_near(np.asarray(point_m)[None], reach_m)[0])
+
+    def labels_near(self, points_m: Array, reach_m: float) -> Array:
+        """(k,) int64: `label_near` of each of points_m (k, 2)."""
+        middles, found = np.floor(self.to_cells(points_m)).astype(np.int64), np.zeros(len(points_m), np.int64)
+        _labels_near(self.labels, middles, round(reach_m / self.resolution_m), len(self.clusters), found)
+        return found
 
     def is_open(self, points_m: Array) -> Array:
         """(k,) whether each of points_m (k, 2) lies in an enterable cell."""
@@ -333,4 +388,4 @@ def _cost_factors(limit_cells: float, reach_cells: int) -> Array:
     distance = np.sqrt(np.arange(reach_cells * reach_cells + 1))
     near = np.clip((reach_cells - distance) / max(reach_cells - limit_cells, 1e-9), 0.0, 1.0)
     price = OPEN_COST + (Terrain.WALL_PRICE - OPEN_COST) * near**3
-    return np.where(distance < limit_cells, 0, np.round(price)).astype(np.int16)
+    return np.where(distance < limit_cells, 0, np.round(price)).astype(np.uint8)
