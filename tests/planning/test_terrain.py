@@ -161,9 +161,11 @@ def test_a_search_that_goes_on_where_the_last_one_has_ended_finds_the_same_as_a_
     rng, found = np.random.default_rng(3), 0
     for _ in range(10):
         terrain = Terrain(grid_of(patchy(rng)), 0.2)
-        finder, start, count = PathFinder(), point(*rng.integers(10, 30, 2)), len(terrain.clusters)
-        discs = [Disc(*point(*rng.integers(10, 30, 2)), 0.6, 30)] if rng.random() < 0.5 else []
-        for _ in range(6):
+        finder, count = PathFinder(), len(terrain.clusters)
+        starts = [point(*rng.integers(10, 30, 2)) for _ in range(2)]
+        around = [Disc(*point(*rng.integers(10, 30, 2)), 0.6, 30)], []
+        for k in range(12):
+            start, discs = starts[k // 6], around[k // 3 % 2]
             penalty = np.where(rng.random(count) < 0.7, np.inf, rng.uniform(0.0, 3.0, count))
             asked = terrain, start, terrain.labels, penalty, discs
             plan, new = finder.cheapest(*asked), PathFinder().cheapest(*asked)
@@ -183,16 +185,21 @@ def test_a_search_that_goes_on_where_the_last_one_has_ended_finds_the_same_as_a_
 def test_of_several_cells_of_a_label_that_are_as_near_the_first_that_was_reached_counts():
     terrain, finder = Terrain(grid_of(room()), 0.2), PathFinder()
     labels = np.zeros_like(terrain.labels)
-    labels[::3, ::4] = 1
-    labels[26, 20] = labels[26, 22] = labels[36, 20] = 2
+    around = (-5, 0), (0, -5), (0, 5), (5, 0)  # of the start, in the order of memory
+    pairs = [(a, b) for a in range(4) for b in range(a)]
     assert finder.spread(terrain, point(30, 20))
-    lengths_m, places_m = finder.nearest_of_labels(terrain, labels, 2)
-    reached = finder._opened[: finder._counts[2]]
-    for label in (1, 2):
-        of_label = [cell for cell in reached if labels.reshape(-1)[cell] == label]
-        first = min(of_label, key=lambda cell: finder._spent[cell])  # of equal ones, min takes the first
-        assert lengths_m[label] == pytest.approx(finder._spent[first] * CELL_M / 10)
-        assert np.allclose(terrain.to_cells(places_m[label]) - 0.5, np.divmod(first, labels.shape[1]))
+    opened, is_last_in_memory = finder._opened[: finder._counts[2]].tolist(), []
+    for pair in pairs:
+        labels[:] = 0
+        cells = [(31 + around[k][0], 21 + around[k][1]) for k in pair]
+        for cell in cells:
+            labels[cell] = 1
+        lengths_m, places_m = finder.nearest_of_labels(terrain, labels, 1)
+        first = min(cells, key=lambda cell: opened.index(cell[0] * labels.shape[1] + cell[1]))
+        assert lengths_m[1] == pytest.approx(0.5)
+        assert np.allclose(terrain.to_cells(places_m[1]) - 0.5, first)
+        is_last_in_memory.append(first == max(cells))
+    assert any(is_last_in_memory)
 
 
 def test_the_label_of_most_cells_near_each_of_many_places_is_the_least_of_several_as_frequent():
