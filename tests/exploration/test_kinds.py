@@ -202,7 +202,7 @@ VIEWS = {
 
 
 def test_the_first_choice_of_views_explores_a_building_and_is_made_anew_every_second():
-    env = twc_env.parallel_env(map="gen:office:120:5", max_cycles=600, config=VIEWS)
+    env = twc_env.parallel_env(map="gen:office:200:5", max_cycles=600, config=VIEWS)
     seen, infos = env.reset(seed=0)
     total, kinds, spent = 0.0, set(), []
     while env.agents:
