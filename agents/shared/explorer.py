@@ -166,7 +166,7 @@ class Explorer(ABC):
             return robot.replan and step % 2 == 0
         if robot.goal_kind == "wait":
             return True
-        if self._has_doors and robot.goal_kind in ("", "tour"):
+        if self._has_doors and robot.goal_kind in ("", "tour") and step % max(1, round(explorer.door_s / tick)) == 0:
             return True  # a door may have opened
         if not robot.goal_kind or not robot.follower.has_path:
             return robot.replan

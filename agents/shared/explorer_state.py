@@ -18,6 +18,8 @@ class ExplorerConfig:
     check_s: float = 0.5
     """Period of checking goals and paths against the newest map, and of replanning if they are no longer valid."""
     replan_s: float = 4.0
+    door_s: float = 1.0
+    """Where there are doors, a robot without a frontier plans this often."""
     frontier_cells_min: int = 5
     """Smaller frontiers are visited only if no other is left."""
     frontier_cells_last: int = 3
