@@ -23,7 +23,7 @@ from typing import NamedTuple
 import pytest
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGES = ["results.md", "lasting_maps.md", "structure_from_wifi.md", "ocr.md"]
+PAGES = ["results.md", "lasting_maps.md", "structure_from_wifi.md", "ocr.md", "learning.md"]
 UNCHECKED = "*Not checked against a stored file"
 
 
