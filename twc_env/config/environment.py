@@ -70,7 +70,7 @@ class ActionConfig(Checked):
     frontier_slots: int = number(8, 1, 64)
     goals: str = choice("frontiers", "views", is_later=True)
     """What `frontier` actions choose from: the nearest `frontiers`, or the `views`, places on open floor and frontiers,
-    that would show most unknown floor for the way there (docs/frames.md)."""
+    that would show most unknown floor for the way there (docs/learning.md)."""
     waypoint_reach_m: float = number(5.0, 0.5, 100.0)
     """Distance of the goal for an action of length 1."""
     decision_max_s: float = number(10.0, 0.1, 600.0)
