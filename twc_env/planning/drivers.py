@@ -15,6 +15,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig
 from twc_env.kernels.compiled import kernel
+from twc_env.planning.candidates import GAIN_MIN_M2
 from twc_env.planning.felt_obstacles import FeltObstacles, shown
 from twc_env.planning.follow import LOOK_AHEAD_M, drive_to, look_ahead_point, room_around_m, steer_along
 from twc_env.planning.moving_obstacles import MovingObstacles
@@ -41,8 +42,6 @@ TEAMMATE_RADIUS_M, TEAMMATE_COST, TEAMMATE_RANGE_M = 0.6, 12, 6.0
 """Teammates up to `TEAMMATE_RANGE_M` away raise the traversal cost within `TEAMMATE_RADIUS_M`."""
 FELT_RADIUS_M, FELT_COST = 0.35, 30
 """What a robot bumped into without seeing it raises the traversal cost within `FELT_RADIUS_M`."""
-VIEW_ARRIVAL_M, VIEW_MIN_M2 = 0.35, 0.3
-"""A view that would show less has been taken."""
 CHECK_LENGTH_M, CHECK_STEP_M = 3.0, 0.1
 """Length of the path that is checked for walls, and the spacing of the points on it."""
 NARROW_FACTOR = 0.6
@@ -170,7 +169,7 @@ def _drive_with_map(own, path, pose, ranges, points, log_odds, origin, resolutio
         if own[_KIND] == _FRONTIER:
             is_mapped = not has_frontier_near(log_odds, row, column, reach, FREE_BELOW)
         elif own[_KIND] == _VIEW:
-            enough = math.ceil(VIEW_MIN_M2 / (resolution * resolution))
+            enough = math.ceil(GAIN_MIN_M2 / (resolution * resolution))
             is_mapped = shows_little(log_odds, row, column, own[_VIEW_M] / resolution, WALL_ABOVE, enough)
         if own[_CORNERS] > 0 and not is_mapped and (own[_TICKS] + 1) % own[_REPLAN_TICKS] != 0:
             is_blocked = _is_blocked(own, path, pose, log_odds, origin, resolution)
@@ -240,7 +239,7 @@ class Drivers:
         """
         own, (x, y) = self._state[robot], belief.pose_map_robot[:2]
         own[_STATUS], own[_GOAL_X : _GOAL_Y + 1], own[_KIND] = DRIVING, goal_m, KINDS.index(kind)
-        own[_ARRIVAL_M] = {"teammate": TEAMMATE_ARRIVAL_M, "view": VIEW_ARRIVAL_M}.get(kind, arrival_m)
+        own[_ARRIVAL_M] = TEAMMATE_ARRIVAL_M if kind == "teammate" else arrival_m
         own[_TICKS] = own[_BACK_OUT_TICKS] = own[_CORNERS] = 0
         own[_ANCHOR_X], own[_ANCHOR_Y], own[_ANCHOR_TICK] = x, y, 0
         own[_VERSION], own[_TEAMMATES] = map_id(belief)
