@@ -19,8 +19,7 @@ from .team_notes import TeamNotes
 from .weights import fill
 
 SHARPER = 10.0
-"""Factor on the logits at play. Policies explore while they train; in 80 validation buildings of ExploreQuick-v1 one
-mapped .773 of the floor over time so, and .765 as in training."""
+"""Factor on the logits at play: policies explore while they train, which costs floor."""
 Choose = Callable[[dict, int], dict]
 """Observations and time steps gone by -> actions."""
 

@@ -25,8 +25,7 @@ from twc_env.records.messages import Belief
 from ..shared.frontier_team import FrontierTeam
 
 CHOOSE_S = 0.5
-"""Period of choosing. With 4 s, and a goal kept while it showed something, robots mapped .04 to .10 less of the floor
-over time in validation buildings of ExploreQuick-v1 and ExploreWard-v1."""
+"""Period of choosing; docs/learning.md has what a shorter one is worth to a rule that ranks the same views."""
 OFFERED = 8
 """Views that are tried in turn if the best cannot be reached."""
 

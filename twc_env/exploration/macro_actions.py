@@ -108,14 +108,15 @@ class MacroActions:
         own = robot_configs(config)
         self._radii_m = [each.dynamics.robot_radius_m for each in own]
         self._drivers = Drivers(
-            [each.dynamics for each in own], self._finder, config.people.count > 0, config.clutter.furniture > 0,
-            config.lidar.range_max_m,
-        )  # fmt: skip
+            [each.dynamics for each in own], self._finder, config.people.count > 0, config.clutter.furniture > 0
+        )
         self._search = CandidateSearch(config, self._finder)
         self._are_candidates_used = config.action.kind == "frontier" or config.observation.frontiers
         self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()
         """(robots,) whether the robot's action counts in the next step; if not, it still executes its last one."""
         self._stay_until = np.zeros(count, np.int64)
+        self._is_view = np.zeros(count, bool)
+        """Whether the last goal of each robot was a view."""
         self._terrains: dict[tuple[float, GridMap], Terrain] = {}
         self._terrains_of: Sequence[Belief] = ()
         """The beliefs of which the terrains are."""
@@ -143,10 +144,14 @@ class MacroActions:
     def look(self, beliefs: Sequence[Belief]) -> None:
         """Update the candidates of the robots that decide now, unless nothing shows or chooses them."""
         self._forget_terrains(beliefs)
-        for robot, place_m in self._drivers.views_left(beliefs, self.is_deciding):
-            self._search.spend(robot, place_m, beliefs[robot])
-        if self._are_candidates_used:
-            self._search.look(beliefs, self.is_deciding, self._terrains, self._drivers.goals_m())
+        if not self._are_candidates_used:
+            return
+        is_driving, goals_m = self._drivers.is_driving, self._drivers.goals_m
+        for robot in np.flatnonzero(self._is_view & self.is_deciding & ~is_driving).tolist():
+            if self._drivers.is_of(robot, beliefs[robot]):
+                self._search.spend(robot, goals_m[robot].copy(), beliefs[robot])
+        claimed_m = np.where((self._is_view & is_driving)[:, None], goals_m, np.nan)
+        self._search.look(beliefs, self.is_deciding, self._terrains, claimed_m)
 
     def assign(self, actions: Mapping[str, object], agents: Sequence[str], beliefs: Sequence[Belief]) -> None:
         """Set the goals of the robots that decide; actions of the others are only checked.
@@ -200,12 +205,12 @@ class MacroActions:
             return "place", wanted if place is None else place
         candidates, slots = self.candidates[robot], self._action.frontier_slots
         if value < len(candidates.frontiers_m):
-            return "view" if candidates.is_view else "frontier", candidates.frontiers_m[value]
+            return "view" if candidates.are_views else "frontier", candidates.frontiers_m[value]
         place = {slots + SIGN: candidates.sign_m, slots + TEAMMATE: candidates.teammate_m}.get(value)
         return None if place is None else ("teammate" if value == slots + TEAMMATE else "place", place)
 
     def _begin(self, robot: int, belief: Belief, goal: tuple[str, Array] | None) -> None:
-        self._stay_until[robot] = 0
+        self._stay_until[robot], self._is_view[robot] = 0, goal is not None and goal[0] == "view"
         if goal is None:
             self._drivers.stop(robot)
             self._stay_until[robot] = self._ticks + max(1, round(self._action.stay_s * self._seconds))

@@ -50,8 +50,8 @@ class Candidates:
     """(2,) nearest robot in the same map."""
     gains_m2: Array
     """(k,) unknown area that a scan from there would show (`ViewGain`); 0 if it was not asked for."""
-    is_view: bool = False
-    """Whether a goal is reached once a scan from there would show nothing new, rather than when a frontier is gone."""
+    are_views: bool = False
+    """Whether they are views, which robots drive to, rather than frontiers, which are reached once they are gone."""
 
 
 NOTHING = Candidates(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, bool), None, None, np.zeros(0))
@@ -130,7 +130,7 @@ def find_views(
 
 
 def _beside(
-    belief: Belief, places_m: Array, lengths_m: Array, sizes_m: Array, gains_m2: Array, is_view: bool = False
+    belief: Belief, places_m: Array, lengths_m: Array, sizes_m: Array, gains_m2: Array, are_views: bool = False
 ) -> Candidates:
     """Goals with what else a robot may choose."""
     here = belief.pose_map_robot
@@ -144,7 +144,7 @@ def _beside(
         _nearest([s.position_m for s in belief.signs], here, SIGN_AWAY_M),
         _nearest([pose[:2] for pose in belief.teammates.values()], here, 0.0),
         gains_m2,
-        is_view,
+        are_views,
     )
 
 

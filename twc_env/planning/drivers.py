@@ -15,13 +15,11 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig
 from twc_env.kernels.compiled import kernel
-from twc_env.planning.candidates import GAIN_MIN_M2
 from twc_env.planning.felt_obstacles import FeltObstacles, shown
 from twc_env.planning.follow import LOOK_AHEAD_M, drive_to, look_ahead_point, room_around_m, steer_along
 from twc_env.planning.moving_obstacles import MovingObstacles
 from twc_env.planning.path_finder import Disc, PathFinder
 from twc_env.planning.terrain import Terrain, has_frontier_near, is_wall_near
-from twc_env.planning.views import shows_little
 from twc_env.records.geometry import compose, inverse, transform_points
 from twc_env.records.messages import Belief
 from twc_env.records.team_messages import TeamBeliefs
@@ -51,14 +49,12 @@ IDLE, DRIVING, ARRIVED, FAILED = range(4)
 STATUS = "idle", "driving", "arrived", "failed"
 FREE_BELOW, WALL_ABOVE = Terrain.FREE_BELOW, Terrain.WALL_ABOVE
 
-_STATUS, _GOAL_X, _GOAL_Y, _KIND, _ARRIVAL_M, _TICKS, _BACK_OUT_TICKS = range(7)
+_STATUS, _GOAL_X, _GOAL_Y, _IS_FRONTIER, _ARRIVAL_M, _TICKS, _BACK_OUT_TICKS = range(7)
 _ANCHOR_X, _ANCHOR_Y, _ANCHOR_TICK, _VERSION, _TEAMMATES, _X, _Y, _HEADING, _CORNERS, _SEGMENT = range(7, 17)
-_SPEED_MAX, _TURN_MAX, _TIME_STEP, _RADIUS, _CHECK_TICKS, _REPLAN_TICKS, _STUCK_S, _BACK_OUT, _VIEW_M = range(17, 26)
-_COLUMNS = 26
+_SPEED_MAX, _TURN_MAX, _TIME_STEP, _RADIUS, _CHECK_TICKS, _REPLAN_TICKS, _STUCK_S, _BACK_OUT = range(17, 25)
+_COLUMNS = 25
 """Columns of `Drivers._state`: goal, place where the robot was last seen to move, map and pose of the last step,
 corners of its path and the segment it is on; then constants of the robot."""
-KINDS = "place", "frontier", "view", "teammate"
-_PLACE, _FRONTIER, _VIEW, _MATE = range(4)
 _NOTHING, _MAP, _PATH, _WAY_OUT = range(4)
 """What a robot needs in a time step: nothing, a look at its map, a new path, or a way out."""
 
@@ -80,8 +76,7 @@ def _follow(own, path, ranges, points, command):
 def _tick(own, path, pose, ranges, points, is_mapped, is_blocked, command):
     """One time step of a robot that drives; returns what it needs.
 
-    is_mapped, is_blocked: whether its frontier is gone, or its view shows nothing any more, and whether its path is
-    closed, if this is a step of the check.
+    is_mapped, is_blocked: whether its frontier is gone and its path is closed, if this is a step of the check.
     """
     own[_X], own[_Y], own[_HEADING] = pose[0], pose[1], pose[2]
     own[_TICKS] += 1
@@ -91,15 +86,12 @@ def _tick(own, path, pose, ranges, points, is_mapped, is_blocked, command):
             own[_STATUS] = FAILED
         return _WAY_OUT
     is_check = own[_TICKS] % own[_CHECK_TICKS] == 0
-    if own[_KIND] == _FRONTIER and is_check:
+    if own[_IS_FRONTIER] and is_check:
         has_arrived = is_mapped
     else:
-        is_there = math.hypot(own[_GOAL_X] - own[_X], own[_GOAL_Y] - own[_Y]) <= own[_ARRIVAL_M]
-        has_arrived = is_there or (own[_KIND] == _VIEW and is_mapped)
+        has_arrived = math.hypot(own[_GOAL_X] - own[_X], own[_GOAL_Y] - own[_Y]) <= own[_ARRIVAL_M]
     if has_arrived:
         own[_STATUS] = ARRIVED
-        if own[_KIND] == _VIEW and own[_CORNERS] > 0:  # roll on until the next goal is set
-            _follow(own, path, ranges, points, command)
         return _NOTHING
     if math.hypot(own[_X] - own[_ANCHOR_X], own[_Y] - own[_ANCHOR_Y]) > STUCK_M:
         own[_ANCHOR_X], own[_ANCHOR_Y], own[_ANCHOR_TICK] = own[_X], own[_Y], own[_TICKS]
@@ -164,13 +156,10 @@ def _drive_with_map(own, path, pose, ranges, points, log_odds, origin, resolutio
     """`_tick` of one robot that may look at its map. reach: `ARRIVAL_M` in cells."""
     is_mapped = is_blocked = False
     if (own[_TICKS] + 1) % own[_CHECK_TICKS] == 0:
-        row = math.floor((own[_GOAL_Y] - origin[1]) / resolution)
-        column = math.floor((own[_GOAL_X] - origin[0]) / resolution)
-        if own[_KIND] == _FRONTIER:
+        if own[_IS_FRONTIER]:
+            row = math.floor((own[_GOAL_Y] - origin[1]) / resolution)
+            column = math.floor((own[_GOAL_X] - origin[0]) / resolution)
             is_mapped = not has_frontier_near(log_odds, row, column, reach, FREE_BELOW)
-        elif own[_KIND] == _VIEW:
-            enough = math.ceil(GAIN_MIN_M2 / (resolution * resolution))
-            is_mapped = shows_little(log_odds, row, column, own[_VIEW_M] / resolution, WALL_ABOVE, enough)
         if own[_CORNERS] > 0 and not is_mapped and (own[_TICKS] + 1) % own[_REPLAN_TICKS] != 0:
             is_blocked = _is_blocked(own, path, pose, log_odds, origin, resolution)
     return _tick(own, path, pose, ranges, points, is_mapped, is_blocked, command)
@@ -181,10 +170,9 @@ class Drivers:
 
     def __init__(
         self, dynamics: Sequence[DynamicsConfig], finder: PathFinder, waits_for_people: bool = False,
-        feels: bool = False, view_m: float = 0.0,
+        feels: bool = False,
     ):  # fmt: skip
-        """waits_for_people: slow down while something moves close to a robot; feels: avoid what one bumped into;
-        view_m: how far scans reach, for goals that are views."""
+        """waits_for_people: slow down while something moves close to a robot; feels: avoid what one bumped into."""
         self._dynamics, self._finder = dynamics, finder
         self._obstacles = [MovingObstacles(own) for own in dynamics] if waits_for_people else None
         self._felt = [FeltObstacles(own) for own in dynamics] if feels else []
@@ -197,7 +185,7 @@ class Drivers:
             stuck_s = STUCK_S * max(1.0, 1.0 / own.speed_max_m_s)
             row[_SPEED_MAX:] = (
                 own.speed_max_m_s, own.turn_rate_max_rad_s, tick_s, own.robot_radius_m, *periods, stuck_s,
-                max(1, round(BACK_OUT_S / tick_s)), view_m,
+                max(1, round(BACK_OUT_S / tick_s)),
             )  # fmt: skip
         self._paths = np.zeros((len(dynamics), 8, 2))
         self._points, self._needs = np.empty((0, 2)), np.zeros(len(dynamics), np.int64)
@@ -208,22 +196,14 @@ class Drivers:
         """(robots,) bool: whether each is on its way; new at each call."""
         return self._state[:, _STATUS] == DRIVING
 
+    @property
     def goals_m(self) -> Array:
-        """(robots, 2) frontier or view to which each drives, in its map frame; NaN for others."""
-        state = self._state
-        is_bound = (state[:, _STATUS] == DRIVING) & ((state[:, _KIND] == _FRONTIER) | (state[:, _KIND] == _VIEW))
-        return np.where(is_bound[:, None], state[:, _GOAL_X : _GOAL_Y + 1], np.nan)
+        """(robots, 2) the last goal of each, in its map as of its last time step."""
+        return self._state[:, _GOAL_X : _GOAL_Y + 1]
 
-    def views_left(self, beliefs: Sequence[Belief], is_asked: Array) -> list[tuple[int, Array]]:
-        """Robots for which is_asked (robots,) that have taken their view or cannot, and the place (2,) of it in their
-        present map."""
-        state = self._state
-        is_over = is_asked & (state[:, _KIND] == _VIEW) & (state[:, _STATUS] >= ARRIVED)
-        return [
-            (robot, state[robot, _GOAL_X : _GOAL_Y + 1].copy())
-            for robot in np.flatnonzero(is_over).tolist()
-            if (state[robot, _VERSION], state[robot, _TEAMMATES]) == map_id(beliefs[robot])
-        ]
+    def is_of(self, robot: int, belief: Belief) -> bool:
+        """Whether a robot has the map still in which its goal is."""
+        return (self._state[robot, _VERSION], self._state[robot, _TEAMMATES]) == map_id(belief)
 
     def status(self, robot: int) -> str:
         """ "idle", "driving", "arrived" or "failed"."""
@@ -234,11 +214,11 @@ class Drivers:
     ) -> None:
         """Send a robot to goal_m (2,) in the map frame.
 
-        kind: "place", "frontier" (has arrived once the frontier is mapped), "view" (also once a scan from there would
-        show nothing new) or "teammate" (arrives at `TEAMMATE_ARRIVAL_M`).
+        kind: "place", "frontier" (has arrived once the frontier is mapped) or "teammate" (arrives at
+        `TEAMMATE_ARRIVAL_M`).
         """
         own, (x, y) = self._state[robot], belief.pose_map_robot[:2]
-        own[_STATUS], own[_GOAL_X : _GOAL_Y + 1], own[_KIND] = DRIVING, goal_m, KINDS.index(kind)
+        own[_STATUS], own[_GOAL_X : _GOAL_Y + 1], own[_IS_FRONTIER] = DRIVING, goal_m, kind == "frontier"
         own[_ARRIVAL_M] = TEAMMATE_ARRIVAL_M if kind == "teammate" else arrival_m
         own[_TICKS] = own[_BACK_OUT_TICKS] = own[_CORNERS] = 0
         own[_ANCHOR_X], own[_ANCHOR_Y], own[_ANCHOR_TICK] = x, y, 0

@@ -43,33 +43,6 @@ def _count_each(kind, is_claimed, cells, reach, beams, stamp, counts):
         counts[i] = _count_unknown(kind, is_claimed, cells[i, 0], cells[i, 1], reach, beams, stamp, i + 1, False)
 
 
-@kernel
-def shows_little(log_odds, row, column, reach, wall_above, enough):
-    """Whether a scan from a cell would show fewer than `enough` unknown cells of the grid or outside of it.
-
-    As `_count_unknown`, of 90 beams of length `reach` [cells], on the grid as it is: an unknown cell has no log-odds.
-    """
-    height, width = log_odds.shape
-    span = int(reach) + 1
-    is_counted = np.zeros((2 * span + 1, 2 * span + 1), np.bool_)
-    found = 0
-    for b in range(90):
-        angle = 2.0 * math.pi * b / 90
-        dr, dc = math.sin(angle), math.cos(angle)
-        for k in range(1, int(reach) + 1):
-            i, j = math.floor(k * dr + 0.5), math.floor(k * dc + 0.5)
-            r, c = row + i, column + j
-            is_inside = 0 <= r < height and 0 <= c < width
-            if is_inside and log_odds[r, c] > wall_above:
-                break
-            if (not is_inside or log_odds[r, c] == 0) and not is_counted[i + span, j + span]:
-                is_counted[i + span, j + span] = True
-                found += 1
-                if found >= enough:
-                    return False
-    return True
-
-
 class ViewGain:
     """Unknown area that scans from places would show; what is outside the known part of the map does not count.
 
