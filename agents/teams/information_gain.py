@@ -33,7 +33,7 @@ OFFERED = 8
 class InformationGain(FrontierTeam):
     """A robot drives to the best view and decides anew while it drives."""
 
-    told_kinds = ("place", "frontier")
+    told_kinds = ("place",)
 
     def __init__(self, config: EnvConfig):
         super().__init__(config)
