@@ -24,6 +24,7 @@ from twc_env.pictures.video import film_name
 from twc_env.records.class_file import digest_of, is_in_file
 from twc_env.records.json_values import plain, write_json
 from twc_env.records.messages import Contacts, SensorFrame
+from twc_env.running.command_start import is_interruption
 from twc_env.running.finished_parts import code_digest
 from twc_env.running.output_folder import alone_in
 
@@ -109,8 +110,10 @@ def explore(
                 _film(film, step, env)
             if watch is not None:
                 watch(step, env.episode.coverage)
-    except KeyboardInterrupt:
-        was_interrupted = True
+    except (KeyboardInterrupt, SystemError) as error:
+        was_interrupted = is_interruption(error)
+        if not was_interrupted:
+            raise
     finally:
         unregister(COMPILER_EVENT, compiling)
     result = env.result()

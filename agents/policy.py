@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.errors import ConfigError, did_you_mean
+from twc_env.errors import ConfigError, one_of
 from twc_env.records.class_file import class_in, is_in_file
 from twc_env.records.messages import Belief
 
@@ -55,9 +55,9 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     Raises ConfigError for an unknown name, and unless `action.kind` is `velocity`.
     """
     if name not in TEAMS and name != LEARNED and not is_in_file(str(name)):
-        known = f"choose one of {', '.join(policy_names())}, {LEARNED}, or FILE.py:CLASS"
         begun = [team for team in TEAMS if team.startswith(str(name))]
-        raise ConfigError(f"unknown agent {name!r}; {known}{did_you_mean(name, begun or TEAMS)}")
+        known = begun or [*policy_names(), LEARNED, "or FILE.py:CLASS"]
+        raise ConfigError(f"unknown agent {name!r}{one_of(name, known, 'choose one of')}")
     config = config or EnvConfig()
     if config.action.kind != "velocity":
         raise ConfigError(

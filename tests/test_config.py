@@ -22,7 +22,7 @@ from twc_env.config import (
     to_dict,
     world_preset,
 )
-from twc_env.errors import ConfigError, did_you_mean
+from twc_env.errors import ConfigError, did_you_mean, one_of
 
 
 def numeric_fields():
@@ -333,3 +333,11 @@ def test_a_setting_that_is_gone_is_read_at_its_last_value_only():
 )
 def test_an_unknown_name_is_answered_with_the_only_one_that_contains_it(typed, meant):
     assert did_you_mean(typed, ["ExploreQuick-v1", "ExploreWarehouses-v1"]) == meant
+
+
+def test_an_unknown_name_is_answered_with_the_few_that_begin_alike_or_with_all():
+    names = ["beam_count", "beam_divergence_rad", "range_max_m"]
+    meant, known = "; did you mean 'beam_count' or 'beam_divergence_rad'?", f"; known are {', '.join(names)}"
+    assert one_of("noise", names) == known
+    assert one_of("beams", names) == known + meant
+    assert one_of("beams", [*names, *"abcdef"]) == meant

@@ -12,7 +12,7 @@ from typing import Any
 import twc_env
 from twc_env import TASKS, task_config
 from twc_env import config as configuration
-from twc_env.errors import ConfigError, DataError, TwcError, WorkerError, did_you_mean
+from twc_env.errors import ConfigError, DataError, TwcError, WorkerError, did_you_mean, one_of
 from twc_env.records.json_values import table_of, write_json
 from twc_env.running.output_folder import alone_in
 
@@ -101,7 +101,7 @@ def task_id(name: str) -> str:
     """The id of a task named with or without `twc/`. Raises ConfigError for an unknown one."""
     known = {short: each for each in TASKS for short in (each, each.partition("/")[2])}
     if name not in known:
-        raise ConfigError(f"unknown task {name!r}; known are {', '.join(TASKS)}{did_you_mean(name, known)}")
+        raise ConfigError(f"unknown task {name!r}{did_you_mean(name, known) or one_of(name, TASKS)}")
     return known[name]
 
 

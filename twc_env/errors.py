@@ -5,6 +5,8 @@ from collections.abc import Iterable
 
 _LINE_MAX = 1200
 """Characters of a message; of longer ones, which name values without end, the middle is left out."""
+_MEANT_MAX, _FEW = 3, 8
+"""More names than the first are no suggestion, more than the second too many to list beside one."""
 
 UNFIT = (TypeError, ValueError, OverflowError, RecursionError)
 """What reading or converting a value from outside may raise: of another type, no number, beyond what a float holds, or
@@ -12,12 +14,21 @@ nested too deeply."""
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """End of a message about an unknown name: the most similar known name, or else the only one that contains it, or ""
-    if there is none."""
+    """End of a message about an unknown name: the most similar known name, or else the few that contain it or begin
+    with the same four letters, or "" if there are none."""
+    names, typed = list(known), str(name).lower()
+    around = [whole for whole in names if len(typed) > 2 and typed in whole.lower()]
+    alike = [whole for whole in names if len(typed) > 3 and whole.lower().startswith(typed[:4])]
+    near = difflib.get_close_matches(str(name), names, n=1) or (around if len(around) == 1 else alike)
+    return f"; did you mean {' or '.join(map(repr, near))}?" if 0 < len(near) <= _MEANT_MAX else ""
+
+
+def one_of(name: object, known: Iterable[str], among: str = "known are") -> str:
+    """End of a message about an unknown name: what it probably means, and all known names if they are few or nothing
+    is alike."""
     names = list(known)
-    around = [whole for whole in names if len(str(name)) > 2 and str(name).lower() in whole.lower()]
-    near = difflib.get_close_matches(str(name), names, n=1) or (around if len(around) == 1 else [])
-    return f"; did you mean {near[0]!r}?" if near else ""
+    near = did_you_mean(name, names)
+    return f"; {among} {', '.join(names)}{near}" if names and (not near or len(names) <= _FEW) else near
 
 
 class TwcError(ValueError):

@@ -103,9 +103,12 @@ def _unknown(name: str) -> str:
     split, _, number = lower.partition("/")
     drawn = [recipe for recipe in (lower, f"{split}/{number:0>4}") if is_of_split(recipe) or recipe.startswith("gen:")]
     near = drawn or difflib.get_close_matches(lower, names, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
+    if near:
+        return f"no map named {name!r} and no such file; did you mean {near[0]!r}?"
+    if Path(name).suffix or len(Path(name).parts) > 1:
+        return f"there is no map file {name!r}; `twc-env maps list` has the bundled and generated ones"
     return (
-        f"no map named {name!r} and no such file; {hint}bundled maps: {', '.join(names)}; "
+        f"no map named {name!r} and no such file; bundled maps: {', '.join(names)}; "
         "generated ones: gen:office:800:7, train/0007"
     )
 

@@ -146,9 +146,8 @@ SUITES: dict[str, tuple[str, ...]] = {"v1": tuple(task for task in TASKS if task
 def task_config(task: str) -> EnvConfig:
     """The complete configuration of a standard task. Raises ConfigError for an unknown id."""
     from twc_env.config import EnvConfig, override
-    from twc_env.errors import ConfigError, did_you_mean
+    from twc_env.errors import ConfigError, one_of
 
     if not isinstance(task, str) or task not in TASKS:
-        near = did_you_mean(str(task), TASKS)
-        raise ConfigError(f"unknown task {task!r}; known are {', '.join(TASKS)}{near}")
+        raise ConfigError(f"unknown task {task!r}{one_of(task, TASKS)}")
     return override(EnvConfig(), TASKS[task])

@@ -13,7 +13,7 @@ from twc_env.agents.picture import Film
 from twc_env import DataError
 from twc_env.__main__ import main
 from twc_env.config import digest, from_dict, override
-from twc_env.datasets.logs.g2o import read_g2o
+from twc_env.datasets.logs.pose_graph_file import read_pose_graph
 from twc_env.datasets.logs.tum import read_tum
 from twc_env.exploration.assessment.result_table import text_of
 from twc_env.exploration.drawing.episode_map import placed_in_building
@@ -66,7 +66,7 @@ def test_trajectories_have_one_pose_per_step_and_the_graph_its_keyframes(run_fol
     times_s, poses = read_tum(run_folder / "run" / "trajectories" / "robot_1_true.tum")
     assert len(poses) == 61
     assert times_s[-1] == pytest.approx(6.0)
-    assert len(read_g2o(run_folder / "run" / "pose_graph.g2o")["nodes"]) >= 4
+    assert len(read_pose_graph(run_folder / "run" / "pose_graph.g2o").poses) >= 4
 
 
 def test_the_picture_is_not_blank(run_folder):

@@ -70,11 +70,14 @@ def test_a_missing_command_is_an_error_that_refers_to_the_help(capsys):
     assert "twc-env --help says more" in capsys.readouterr().err
 
 
-def test_an_unknown_option_is_an_error_with_the_usage_of_the_command(capsys):
+def test_an_unknown_option_is_an_error_of_one_line_and_a_lacking_argument_one_with_the_usage(capsys):
     with pytest.raises(SystemExit):
         twc_env.__main__.main(["reproduce", "solver", "--walks", "1"])
-    told = capsys.readouterr().err
-    assert "usage: twc-env reproduce solver" in told and "unrecognized arguments: --walks 1" in told
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("twc-env reproduce solver: error: unrecognized arguments: --walks 1; twc-env reproduce")
+    with pytest.raises(SystemExit):
+        twc_env.__main__.main(["optimise"])
+    assert capsys.readouterr().err.startswith("usage: twc-env optimise")
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ def test_too_little_memory_is_told_in_one_line(error, monkeypatch, capsys):
 
 
 def test_a_folder_without_a_run_is_named(tmp_path, refusal):
-    assert f"{tmp_path} is no run folder (no frames.npz): `twc-env" in refusal(main, ["replay", str(tmp_path)])
+    assert f"{tmp_path} is no run folder (no frames.npz): name a log" in refusal(main, ["replay", str(tmp_path)])
 
 
 @pytest.mark.parametrize("arguments", ["bench --episodes 0", "bench --robots x", "record --out r --steps 0"])
@@ -98,11 +98,10 @@ def _write_episode(path, env, wander):
     write_frame_log(path, env.config, steps)
 
 
-@pytest.mark.parametrize("kind", ["compiled", "filterpy"])
-def test_replay_finds_the_same_poses_as_the_episode(kind, tmp_path, wander, capsys):
+def test_replay_finds_the_same_poses_as_the_episode(tmp_path, wander, capsys):
     env = twc_env.parallel_env(map="twin-01", robots=2, max_cycles=50)
     _write_episode(tmp_path / "frames.npz", env, wander)
-    arguments = ["replay", str(tmp_path / "frames.npz"), "--filter", kind, "--out", str(tmp_path / "out")]
+    arguments = ["replay", str(tmp_path / "frames.npz"), "--out", str(tmp_path / "out")]
     assert main([*arguments, "--json", str(tmp_path / "replay.json")]) == 0
     poses = json.loads((tmp_path / "replay.json").read_text())["final_poses"]
     for pose, agent in zip(poses, env.possible_agents, strict=True):
@@ -142,23 +141,6 @@ def test_a_frame_log_is_recognised_by_its_content(tmp_path, capsys):
     (tmp_path / "frames.npz").rename(tmp_path / "monday.frames")
     assert main(["replay", str(tmp_path / "monday.frames")]) == 0
     assert "settings digest" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("recorded_with", "arguments", "used"),
-    [
-        ("filterpy", [], "filterpy"),
-        ("compiled", ["--set", "slam.odometry_filter.backend=filterpy"], "filterpy"),
-        ("filterpy", ["--filter", "compiled"], "compiled"),
-    ],
-)
-def test_replay_uses_the_filter_of_the_log_unless_overridden(recorded_with, arguments, used, tmp_path):
-    settings = {"map": "twin-01", "robots": 1, "slam.odometry_filter.backend": recorded_with}
-    env = twc_env.parallel_env(config=settings)
-    env.reset(seed=0)
-    write_frame_log(tmp_path / "frames.npz", env.config, [env.frames])
-    assert main(["replay", str(tmp_path), *arguments, "--json", str(tmp_path / "replay.json")]) == 0
-    assert json.loads((tmp_path / "replay.json").read_text())["filter"] == used
 
 
 def test_a_recording_replays_to_the_same_estimates_and_is_scored_against_its_own_truth(tmp_path, capsys):

@@ -38,7 +38,7 @@ def test_maps_that_do_not_fit_stay_apart_with_a_reason(files, tmp_path, capsys):
     ("arguments", "message"),
     [
         (["a.yaml"], "merging takes two maps or more"),
-        (["nothing.yaml", "sfw-e3"], "no map named"),
+        (["nothing.yaml", "sfw-e3"], "there is no map file 'nothing.yaml'"),
         (["sfw-e3", "sfw-e4", "--resolution", "0"], "--resolution must be 0.005 to 10 m per pixel; got 0"),
     ],
 )

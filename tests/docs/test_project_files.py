@@ -75,7 +75,7 @@ def test_the_image_runs_the_command_as_a_user_without_rights_and_with_compiled_k
 def test_without_make_the_same_targets_are_built_with_the_same_extras():
     code = "import make, json; print(json.dumps(make.TARGETS))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True)
-    makefile = (ROOT / "Makefile").read_text()
+    makefile = re.sub(r"\\\n\s*", "", (ROOT / "Makefile").read_text())
     make_pins = ("-c", "constraints.txt")
     for target, (mark, packages, commands) in eval(done.stdout).items():
         rule = re.search(rf"^{re.escape(mark)}:.*?(?=^\S)", makefile, re.DOTALL | re.MULTILINE)

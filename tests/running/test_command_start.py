@@ -77,3 +77,17 @@ def test_other_programs_get_a_keyboard_interrupt(tmp_path):
     for command in (("-m", "stranger"), ("-c", program)):
         done = interrupted(tmp_path, "colorsys", *command)
         assert (done.returncode, done.stdout, done.stderr) == (0, "tidied up\n", "")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGTERM is of POSIX")
+def test_a_signal_that_compiled_code_turns_into_a_system_error_is_an_interruption():
+    code = (
+        "import os, signal, sys\nfrom twc_env.running.command_line import exit_status\n"
+        "def work(signals):\n    try:\n        for number in signals:\n            os.kill(os.getpid(), number)\n"
+        "    except KeyboardInterrupt as error:\n        raise SystemError('an exception set') from error\n"
+        "    raise SystemError('a fault')\n"
+        "print(exit_status(lambda: work([signal.SIGTERM])))\ntry:\n    exit_status(lambda: work([]))\n"
+        "except SystemError as error:\n    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("143\na fault\n", "interrupted\n")

@@ -41,7 +41,7 @@ def test_missing_cues_are_reported_for_all_or_for_one_robot(mapper_of):
 
 def test_robots_without_a_common_map_are_reported(mapper_of):
     lines = diagnostics_of(mapper_of((0, "A301", -50.0), (1, "B101", -60.0)))
-    assert lines == ["no common map of [0] and [1]; 0 closures wait for others that agree"]
+    assert lines == ["no common map of robot 0 and robot 1: neither recognised the other's"]
 
 
 @pytest.mark.parametrize(

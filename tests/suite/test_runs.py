@@ -78,7 +78,7 @@ def test_entries_are_all_teams_in_the_same_buildings_building_by_building(tiny):
 def test_tasks_are_chosen_by_their_whole_or_short_names(tiny):
     assert suite_tasks("v1", None) == tiny
     assert suite_tasks("v1", ["TinyTwo-v1", "twc/TinyTwo-v1"]) == (tiny[1],)
-    with pytest.raises(ConfigError, match=r"v1 has no task 'TinyTwo'; .* did you mean 'TinyTwo-v1'"):
+    with pytest.raises(ConfigError, match=r"v1 has no task 'TinyTwo'; did you mean 'TinyTwo-v1'"):
         suite_tasks("v1", ["TinyTwo"])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twc_env.errors import ConfigError, did_you_mean
+from twc_env.errors import ConfigError, one_of
 from twc_env.records.json_values import check_folder, write_json
 from twc_env.running.options import add_json
 from twc_env.running.terminal import aligned
@@ -46,8 +46,8 @@ def _optimise(options: argparse.Namespace) -> int:
     from twc_env.slam.graph_optimisation.whole_graph import METHODS, optimise_graph
 
     if options.robust not in METHODS and not is_in_file(options.robust):
-        among = f"choose from {', '.join(METHODS)}, or FILE.py:CLASS{did_you_mean(options.robust, METHODS)}"
-        raise ConfigError(f"unknown method {options.robust!r} for --robust; {among}")
+        among = one_of(options.robust, [*METHODS, "or FILE.py:CLASS"], "choose from")
+        raise ConfigError(f"unknown method {options.robust!r} for --robust{among}")
     check_folder(options.out)
     graph = read_pose_graph(options.graph)
     for remark in graph.remarks:

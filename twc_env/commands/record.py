@@ -6,6 +6,7 @@ import argparse
 
 from twc_env.records.json_values import check_folder
 from twc_env.running.command_line import INTERRUPTED
+from twc_env.running.command_start import is_interruption
 from twc_env.running.options import add_folder, add_set, assignments, count, natural
 from twc_env.running.output_folder import alone_in
 from twc_env.running.terminal import end_line, show_count, tell
@@ -44,8 +45,10 @@ def _record(options: argparse.Namespace) -> int:
             env.step(actions)
             log.append((env.frames, env.contacts))
             show_count(len(log) - 1, env.config.max_cycles, " steps", every=50)
-    except KeyboardInterrupt:
-        was_interrupted = True
+    except (KeyboardInterrupt, SystemError) as error:
+        was_interrupted = is_interruption(error)
+        if not was_interrupted:
+            raise
         end_line()
     steps, contacts = zip(*log, strict=True)
     true_poses = env.episode.record.true_poses[: len(steps)]

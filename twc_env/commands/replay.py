@@ -106,11 +106,6 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
     replay.add_argument(
         "--truth", type=Path, metavar="FILE", help="truth.npz, to also print the team's trajectory error"
     )
-    replay.add_argument(
-        "--filter",
-        choices=("compiled", "filterpy"),
-        help="odometry filter: compiled kernel, or filterpy's EKF as a reference (default: as in the log)",
-    )
     add_set(replay)
     add_lasting(replay)
     replay.add_argument(
@@ -154,7 +149,7 @@ def _replay(options: argparse.Namespace) -> None:
             raise DataError(f"there is no {what} {log}: `twc-env explore --out RUN` writes one")
         is_own_run = log.is_dir() and not is_bag(log)
         if is_own_run and not is_export and not (log / "frames.npz").exists():
-            raise DataError(f"{log} is no run folder (no frames.npz): `twc-env explore --out RUN` writes one")
+            raise DataError(f"{log} is no run folder (no frames.npz): name a log, or a folder of `explore --out`")
         if len(options.logs) > 1 and (is_own_run or log.suffix == ".npz"):
             raise DataError(f"{log} is of a whole team: give it alone; several logs are laser logs, one of each robot")
     if options.list:
@@ -234,11 +229,9 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     config = source.config
     if not options.allow_code:
         refuse_code(config, logs[0], asked)
-    chosen = {} if options.filter is None else {"slam.odometry_filter.backend": options.filter}
-    if options.localise:
-        chosen["slam.mode"] = "localisation"
-        if options.save is not None:
-            raise DataError("--save writes a map, and --localise changes none: leave one of them out")
+    chosen = {"slam.mode": "localisation"} if options.localise else {}
+    if options.localise and options.save is not None:
+        raise DataError("--save writes a map, and --localise changes none: leave one of them out")
     config = override(config, {**asked, **chosen, **prior_setting(options)})
     is_told = options.json != TERMINAL
     _say_what_is_ignored(config)
@@ -261,7 +254,6 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     figures = {
         "log": " ".join(map(str, logs)),
         "steps": len(source.steps),
-        "filter": config.slam.odometry_filter.backend,
         "groups": [list(group.robots) for group in team.groups],
         "keyframes": [len(team.keyframe_steps(robot)) for robot in range(done.robots)],
         "closures_accepted": sum(c.status == "accepted" for c in team.closures),

@@ -77,7 +77,7 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
     task.add_argument("--max-cycles", type=count, help="time steps per episode (default: as the task says, else 500)")
     add_set(task)
     parser.add_argument(
-        "--steps", type=int, default=steps, help="total decisions of all robots, rounded up (default: %(default)s)"
+        "--steps", type=count, default=steps, help="total decisions of all robots, rounded up (default: %(default)s)"
     )
     parser.add_argument(
         "--workers",
@@ -85,7 +85,7 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
         help="worker processes (default: 2, with --ray one per core of the cluster; 0: none, run in this process)",
     )
     add_ray(parser, "; the result is the same, also if workers or machines are lost")
-    parser.add_argument("--seed", type=int, default=0, help="of network, buildings and episodes")
+    parser.add_argument("--seed", type=natural, default=0, help="of network, buildings and episodes")
     tuned = parser.add_argument_group("hyperparameters", "defaults and their reasons: Settings of training/*.py")
     tuned.add_argument("--learning-rate", type=number(0.0, 1.0), metavar="RATE", help="initial step size of Adam")
     tuned.add_argument("--clip", type=number(0.0, 10.0), help="clip range of the probability ratio")
@@ -126,9 +126,7 @@ def _train(options: argparse.Namespace) -> int:
         else:
             from twc_env.training import ppo as algorithm
 
-    if options.steps < 1:
-        raise DataError(f"--steps must be at least 1; got {options.steps}")
-    if not 0 <= options.seed < SEEDS:
+    if options.seed >= SEEDS:
         raise DataError(f"--seed must be 0 to {SEEDS - 1}; got {options.seed}")
     if options.hidden_size is not None and options.hidden_size % 4:
         raise DataError(f"--hidden-size must be a multiple of the 4 heads of the attention; got {options.hidden_size}")

@@ -8,6 +8,7 @@ from twc_env.commands.team_options import add_team, agent_names, team_config
 from twc_env.errors import ConfigError
 from twc_env.records.json_values import TERMINAL, write_json
 from twc_env.running.command_line import INTERRUPTED
+from twc_env.running.command_start import is_interruption
 from twc_env.running.options import natural, number
 
 _WATCH_HELP = """\
@@ -88,8 +89,10 @@ def _watch(options: argparse.Namespace) -> int:
         while not options.close and window.answer():
             env.render()
             window.wait()
-    except KeyboardInterrupt:
-        was_interrupted = True
+    except (KeyboardInterrupt, SystemError) as error:
+        was_interrupted = is_interruption(error)
+        if not was_interrupted:
+            raise
     result = env.result()
     env.close()
     write_json(options.json, result.figures)

@@ -21,7 +21,7 @@ from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.robots import overrides_of, team_of
 from twc_env.config.world import LidarConfig, RadioConfig
 from twc_env.config.world_presets import WORLD_PRESETS
-from twc_env.errors import ConfigError, did_you_mean
+from twc_env.errors import ConfigError, one_of
 from twc_env.records.class_file import is_in_file
 from twc_env.records.json_values import table_of
 from twc_env.records.whole_file import file_path
@@ -304,7 +304,10 @@ def _from_text(value, old, where: str):
         raise ConfigError(f"{where} must be {KINDS[type(old)]}; got {value!r}") from None
 
 
-RETIRED: dict[tuple[str, ...], object] = {("slam", "place_recognition", "meets_by_wifi"): False}
+RETIRED: dict[tuple[str, ...], object] = {
+    ("slam", "odometry_filter", "backend"): "compiled",
+    ("slam", "place_recognition", "meets_by_wifi"): False,
+}
 """Settings that no longer exist, with the only value that files may still give them; digests count them as before."""
 RENAMED = {"mask_mates": "mask_teammates", "sightings_check": "mutual_observations_check"}
 """Settings of earlier versions and their present names."""
@@ -313,4 +316,4 @@ RENAMED = {"mask_mates": "mask_teammates", "sightings_check": "mutual_observatio
 def _near(key, known) -> str:
     if isinstance(key, str) and RENAMED.get(key) in known:
         return f": it is now {RENAMED[key]}"
-    return did_you_mean(key, known) or (f"; known are {', '.join(known)}" if known else "")
+    return one_of(key, known)

@@ -13,9 +13,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from twc_env.errors import ConfigError, DataError, did_you_mean
+from twc_env.errors import ConfigError, DataError, one_of
 from twc_env.pictures.style import style
 from twc_env.records.json_values import TERMINAL, check_folder, plain, write_json
+from twc_env.running.command_start import is_interruption
 from twc_env.running.finished_parts import FinishedParts
 from twc_env.running.options import parse_seeds
 from twc_env.running.terminal import aligned, end_line, show_line, tell, terminal_width
@@ -198,8 +199,8 @@ class _Some(argparse.Action):
         words = [word.strip() for value in values for word in ([value] if value in known else value.split(","))]
         for word in filter(None, words):
             if word not in known:
-                among = f"choose from {', '.join(self.default)}{did_you_mean(word, known)}"
-                raise argparse.ArgumentError(self, f"unknown choice {word!r}; {among}")
+                among = one_of(word, self.default, "choose from")
+                raise argparse.ArgumentError(self, f"unknown choice {word!r}{among}")
         names = list(dict.fromkeys(known[word] for word in words if word)) or self.default
         setattr(namespace, self.dest, names)
 
@@ -230,9 +231,10 @@ def main(name: str, module, options: argparse.Namespace) -> None:
     runner = Runner(name, options.cache, settings)
     try:
         rows = plain(module.rows(options, runner))
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
         end_line()
-        tell("finished parts are kept: the same command continues from there")
+        if is_interruption(error):
+            tell("finished parts are kept: the same command continues from there")
         raise
     finally:
         end_line()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from twc_env._version import __version__
-from twc_env.errors import did_you_mean
+from twc_env.errors import did_you_mean, one_of
 
 
 class Paragraphs(argparse.HelpFormatter):
@@ -78,6 +78,8 @@ def folded(line: str, width: int) -> list[str]:
     return [*above, *(f"{part} \\" for part in parts[:-1]), parts[-1]]
 
 
+USAGE_LINES_MAX = 4
+
 Fill = Callable[[argparse.ArgumentParser], None]
 """Adds description and arguments to a parser."""
 
@@ -115,15 +117,17 @@ class Parser(argparse.ArgumentParser):
         return namespace, unknown
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        try:
-            super()._check_value(action, value)
-        except argparse.ArgumentError as error:
-            error.message += did_you_mean(value, map(str, action.choices or ()))
-            raise
+        choices = action.choices
+        if choices is not None and value not in choices:
+            raise argparse.ArgumentError(
+                action, f"{value!r} is unknown{one_of(value, map(str, choices), 'choose from')}"
+            )
 
     def error(self, message: str) -> NoReturn:
-        """Reject arguments, and refer to the help."""
-        super().error(f"{message}; {self.prog} --help says more")
+        """Reject arguments in a line, and refer to the help; a short usage is shown where something lacks."""
+        usage = self.format_usage()
+        shown = usage if "required" in message and usage.count("\n") <= USAGE_LINES_MAX else ""
+        self.exit(2, f"{shown}{self.prog}: error: {message}; {self.prog} --help says more\n")
 
 
 def add_version(parser: argparse.ArgumentParser) -> None:

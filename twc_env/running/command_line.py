@@ -18,6 +18,7 @@ from twc_env.running.command_start import (
     end_when_interrupted,
     end_work,
     interrupted_status,
+    is_interruption,
     is_loading,
 )
 from twc_env.running.user_code import told_of_user_code
@@ -67,10 +68,10 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted", 
         except OSError:
             _silence()
         return 2
-    except KeyboardInterrupt:
-        sys.stderr.write(f"{remark}\n")
-        return interrupted_status()
-    except Exception as error:
+    except (KeyboardInterrupt, Exception) as error:
+        if is_interruption(error):
+            sys.stderr.write(f"{remark}\n")
+            return interrupted_status()
         told = told_of_user_code(error)
         if told is None:
             raise

@@ -50,6 +50,11 @@ def interrupted_status() -> int:
     return 128 + (_received[0][0] if _received else signal.SIGINT)
 
 
+def is_interruption(error: BaseException) -> bool:
+    """Whether an error is a signal's KeyboardInterrupt, which compiled code may turn into a SystemError."""
+    return isinstance(error, KeyboardInterrupt) or (isinstance(error, SystemError) and bool(_received))
+
+
 def is_loading() -> bool:
     """Whether `python -m` is starting a package, or one of our commands runs in this process (not in its parent)."""
     name = getattr(getattr(sys.modules.get("__main__"), "__spec__", None), "name", None)

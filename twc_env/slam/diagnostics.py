@@ -158,10 +158,9 @@ def _apart(mapper: TeamMapper) -> list[str]:
     if len(groups) < 2:
         return lines
     pending = sum(closure.status == "pending" for closure in mapper.closures)
-    return [
-        *lines,
-        f"no common map of {' and '.join(str(list(g)) for g in groups)}; {pending} closures wait for others that agree",
-    ]
+    why = f"{pending} closures between them wait for others that agree" if pending else "neither recognised the other's"
+    names = [f"robot{'s' * (len(g) > 1)} {', '.join(map(str, g))}" for g in groups]
+    return [*lines, f"no common map of {' and '.join(names)}: {why}"]
 
 
 def _doubtful(mapper: TeamMapper) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from twc_env.config import EnvConfig, override
-from twc_env.errors import ConfigError, did_you_mean
+from twc_env.errors import ConfigError, did_you_mean, one_of
 from twc_env.tasks import SUITES, task_config
 from twc_env.world.building.splits import FAMILY_SPLITS, family_of, split_names
 
@@ -44,7 +44,9 @@ def suite_tasks(suite: str, chosen: Sequence[str] | None) -> tuple[str, ...]:
     for name in chosen or ():
         if name not in known:
             short = [task.partition("/")[2] for task in SUITES[suite]]
-            raise ConfigError(f"{suite} has no task {name!r}; it has {', '.join(short)}{did_you_mean(name, known)}")
+            raise ConfigError(
+                f"{suite} has no task {name!r}{did_you_mean(name, known) or one_of(name, short, 'it has')}"
+            )
     return tuple(dict.fromkeys(known[name] for name in chosen)) if chosen else SUITES[suite]
 
 

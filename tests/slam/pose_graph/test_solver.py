@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from tests.real_data import DATA, needs_data
 from twc_env.config import PoseGraphConfig
-from twc_env.datasets.logs.g2o import read_g2o
+from twc_env.datasets.logs.pose_graph_file import read_pose_graph
 from twc_env.errors import DataError
 from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.records.geometry import between, compose, wrap_angle
@@ -219,7 +219,7 @@ def test_a_start_forty_metres_off_ends_in_a_bounded_error():
 @pytest.mark.parametrize(("name", "error_max_m"), [("ring", 1.6), ("ringCity", 1.6)])
 def test_simulated_public_graphs_converge_to_ground_truth(name, error_max_m):
     graph = public_graph(name)
-    truth = read_g2o(DATA / "posegraph" / f"{name}_groundtruth.g2o.gz")["nodes"]
+    truth = read_pose_graph(DATA / "posegraph" / f"{name}_groundtruth.g2o.gz").poses
     start = dead_reckoning(graph)
     poses = pose_graph.optimise(start, *graph.parts, PLAIN)
     errors = [absolute_trajectory_error_m(estimate, truth) for estimate in (start, poses)]

@@ -1,11 +1,11 @@
 """Any planar pose graph in a g2o or TORO file, in order: gaps in the ids, flipped edges, landmarks, missing vertices.
 
-`read_g2o` takes files of our own kind and refuses others; this reads what others wrote, leaves out what no graph can be
-made of, and says so.
+What no graph can be made of is left out, and said so.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Iterable
@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.logs.g2o import edges_along_paths, edges_contradicted
 from twc_env.datasets.logs.text_file import read_text
 from twc_env.errors import DataError
-from twc_env.records.geometry import inverse
+from twc_env.records.geometry import between, inverse
 from twc_env.records.planar_graph import PlanarGraph
 from twc_env.records.twists import adjoint
 from twc_env.records.whole_file import whole_file
@@ -32,20 +31,28 @@ ID_MAX, FAR_MAX_M, INFORMATION_MAX = 2**63 - 1, 1e8, 1e16
 SINGULAR = 1e-9
 """The least eigenvalue of an information matrix, as a share of the largest: less is raised to this."""
 NAMED_MAX = 3
+_JUMP = 10
+"""Ids further apart than so many times the usual difference belong to different robots."""
+_STANDS_OUT, _STEPS_AWAY = 100.0, 3.0
+"""An edge between neighbours with a squared error above the first, at vertices so many usual steps away from where it
+leads, may be no odometry."""
+_LAID_ALONG, _MOST = 0.01, 0.8
+"""Vertices are laid along the odometry if this share of its edges has a squared error below the first."""
 
 
-def read_pose_graph(path: str | Path) -> PlanarGraph:
+def read_pose_graph(path: str | Path, turns: bool = True) -> PlanarGraph:
     """The graph of a g2o or TORO file, packed (.gz, .xz) or not.
 
-    Vertices without a line have NaN for a pose. Edges that lead from a higher to a lower id are turned round. Left out
-    and named in `remarks`: edges from a vertex to itself, sightings without information, and lines of unknown kinds. Of
-    FIX lines only those count that name a vertex. Raises DataError, naming the line, for malformed numbers, one vertex
-    in two places, information that is no inverse covariance, and for graphs in three dimensions.
+    Vertices without a line have NaN for a pose. Edges that lead from a higher to a lower id are turned round, unless
+    `turns` is False. Left out and named in `remarks`: edges from a vertex to itself, sightings without information,
+    and lines of unknown kinds. Of FIX lines only those count that name a vertex. Raises DataError, naming the line, for
+    malformed numbers, one vertex in two places, information that is no inverse covariance, and for graphs in three
+    dimensions.
     """
     lines = _Lines(path)
     for number, line in enumerate(read_text(path, errors="replace").splitlines(), 1):
         lines.add(line.split(), number)
-    return lines.graph()
+    return lines.graph(turns)
 
 
 class _Lines:
@@ -115,7 +122,7 @@ class _Lines:
     def _error(self, number: int, text: str) -> DataError:
         return DataError(f"{self.path}, line {number}: {text}")
 
-    def graph(self) -> PlanarGraph:
+    def graph(self, turns: bool) -> PlanarGraph:
         """The graph of all lines. Raises DataError if there is none in two dimensions."""
         if not self.edges and not self.vertices:
             self._refuse()
@@ -132,7 +139,7 @@ class _Lines:
         if raised:
             remarks.append(f"{raised} edges have singular information, which is raised a little")
         measured = values[:, :3].copy()
-        flipped = np.flatnonzero(edges[:, 0] > edges[:, 1])
+        flipped = np.flatnonzero((edges[:, 0] > edges[:, 1]) & turns)
         if len(flipped):
             remarks.append(f"{len(flipped)} edges lead from a higher to a lower id; they are turned round")
             back = inverse(measured[flipped])
@@ -207,14 +214,11 @@ class _Lines:
 
     def _along(self, poses: Array, edges: Array, measured: Array, information: Array, ids: list[int]) -> Array:
         """(e,) bool: edges of robots' paths; of several between the same vertices the first not contradicted."""
-        numbered: list[tuple[int, int, list[float], int]] = [(ids[a], ids[b], [], 0) for a, b in edges.tolist()]
-        is_along = edges_along_paths(numbered)
+        is_along = _along_numbers(np.array(ids, object), edges)
         placed = ~np.isnan(poses[edges]).any(axis=(1, 2)) if len(edges) else np.zeros(0, bool)
         if placed.any():
             out = np.zeros(len(edges), bool)
-            out[placed] = edges_contradicted(
-                poses, edges[placed], measured[placed], information[placed], is_along[placed]
-            )
+            out[placed] = _contradicted(poses, edges[placed], measured[placed], information[placed], is_along[placed])
             is_along &= ~out
         seen: set[tuple[int, int]] = set()
         for e in np.flatnonzero(is_along).tolist():
@@ -222,6 +226,41 @@ class _Lines:
             is_along[e] = pair not in seen
             seen.add(pair)
         return is_along
+
+
+def _along_numbers(ids: Array, edges: Array) -> Array:
+    """(e,) bool: between neighbours in the numbering, whatever its step, and not over a jump to another robot's ids.
+
+    ids (n,), ascending.
+    """
+    if not len(edges):
+        return np.zeros(0, bool)
+    joined = np.unique(edges)
+    place = {vertex: k for k, vertex in enumerate(joined.tolist())}
+    gaps = sorted(second - first for first, second in itertools.pairwise(ids[joined].tolist()))
+    most = _JUMP * (gaps[len(gaps) // 2] if gaps else 1)
+    return np.array([abs(place[i] - place[j]) == 1 and abs(ids[i] - ids[j]) <= most for i, j in edges.tolist()], bool)
+
+
+def _contradicted(nodes: Array, ij: Array, z: Array, information: Array, is_along: Array) -> Array:
+    """(e,) bool: edges between neighbours whose vertices stand far from where the edge leads.
+
+    So do edges between the last vertex of one robot and the first of the next. Where vertices are not laid along the
+    odometry, the edge itself must be longer than the others by as much.
+    """
+    out = np.zeros(len(ij), bool)
+    if not is_along.any():
+        return out
+    found = between(nodes[ij[:, 0]], nodes[ij[:, 1]])
+    error = between(z, found)
+    away_m = np.hypot(*error[:, :2].T)
+    squared = np.einsum("ei,eij,ej->e", error, information, error)
+    usual_m = np.median(np.hypot(*z[is_along, :2].T))
+    is_clear = np.hypot(*z[:, :2].T) > _STEPS_AWAY * usual_m
+    if np.quantile(squared[is_along], _MOST, method="lower") < _LAID_ALONG:
+        is_clear[:] = True
+    out[is_along & is_clear & (squared > _STANDS_OUT) & (away_m > _STEPS_AWAY * usual_m)] = True
+    return out
 
 
 def _symmetric(upper: Array, where: tuple[Array, Array], size: int) -> Array:

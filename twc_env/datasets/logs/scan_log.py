@@ -190,8 +190,8 @@ def read_carmen_log(path: str | Path) -> ScanLog:
         _LOG.warning("%s: lines of other lasers left out, since %s come first: %s", path, kind, told)
     if not scans:
         raise DataError(
-            f"{path} is not a CARMEN log: expected lines {', '.join(_READERS)}, or RAWLASER1 with ODOM; what else you "
-            "can read, twc_env.datasets.logs.frame_log.write_frame_log makes a log of (docs/frames.md)"
+            f"{path} is not a CARMEN log: expected lines {', '.join(_READERS)}, or RAWLASER1 with ODOM; of "
+            "other formats `write_frame_log` makes a log in a dozen lines (docs/library.md)"
         )
     scans = _by_time(scans, path)
     if kind == "RAWLASER1":

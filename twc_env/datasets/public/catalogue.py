@@ -9,7 +9,7 @@ from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 
-from twc_env.errors import ConfigError, DataError, did_you_mean
+from twc_env.errors import ConfigError, DataError, one_of
 
 VARIABLE = "TWC_DATA"
 """Environment variable that names the folder of the data."""
@@ -62,7 +62,7 @@ def data_set(name: str) -> DataSet:
     """A set by its name. Raises ConfigError for an unknown one."""
     known = catalogue()
     if name not in known:
-        raise ConfigError(f"there is no data set {name!r}; known are {', '.join(known)}{did_you_mean(name, known)}")
+        raise ConfigError(f"there is no data set {name!r}{one_of(name, known)}")
     return known[name]
 
 

@@ -140,7 +140,7 @@ def _one_line(path: Path) -> Iterator[None]:
 
 
 def _short(error: BaseException) -> str:
-    return " ".join(str(error).split())[:160] or type(error).__name__
+    return " ".join(str(error).split())[:160].rstrip(".") or type(error).__name__
 
 
 def ros_name(kind: str) -> str:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import PoseGraphConfig
-from twc_env.datasets.logs.g2o import read_g2o
+from twc_env.datasets.logs.pose_graph_file import read_pose_graph
 from twc_env.errors import ConfigError, DataError
 from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.records.geometry import between, compose, inverse, poses_along
@@ -178,9 +178,8 @@ def clean_graph(folder: Path, dataset: str) -> tuple[Array, Graph, Array]:
 
 def read_graph(path: Path) -> Graph:
     """The graph of a g2o file; edges between consecutive vertices are odometry."""
-    read = read_g2o(path)
-    edges = read["edges_ij"]
-    return Graph(edges, read["edges_z"], read["edges_information"], edges[:, 1] != edges[:, 0] + 1)
+    read = read_pose_graph(path, turns=False)
+    return Graph(read.edges, read.measured, read.information, read.edges[:, 1] != read.edges[:, 0] + 1)
 
 
 def dead_reckoning(graph: Graph) -> Array:

@@ -17,7 +17,6 @@ from twc_env.datasets.buildings.geojson import read_geojson
 from twc_env.datasets.surveys.fingerprints import RadioSurvey
 from twc_env.datasets.surveys.indoor20 import FRESH_S, read_indoor20
 from twc_env.datasets.surveys.uw_floor import read_uw_floor
-from twc_env.metrics.radio import cosine_similarity
 from twc_env.reproduce import radio_places as places
 from twc_env.reproduce.radio.radio_hearing import missed_by_sweeps
 from twc_env.reproduce.radio.radio_study import (
@@ -32,7 +31,6 @@ from twc_env.reproduce.radio.radio_study import (
 )
 
 _APART_S = 30.0
-_SAME_PLACE_M = 1.0
 _ADDRESSES_PER_BOX = 4.83
 _MALL_DRAWS = 40
 _MALL_CELL_M = 0.5
@@ -47,7 +45,7 @@ class _Mall(Study):
 
     def __init__(self, floor: str, role: str, boxes_per_m2: float, high_share: float):
         changes = {"high_band": {"share": high_share}}
-        super().__init__(f"indoor20 {floor}", role, "radio-mall", changes, _MALL_REASONS)
+        super().__init__(f"indoor20 {floor}", role, "radio-mall", changes)
         self._floor, self._boxes_per_m2 = floor, boxes_per_m2
 
     def real(self, folder: Path, quick: bool) -> Figures:
@@ -71,9 +69,6 @@ class _Mall(Study):
 
         return spread_over(len(scans), of_walks, _MALL_DRAWS)
 
-    def evidence(self, folder: Path, quick: bool) -> Figures:
-        return _mall_evidence(_mall(folder, self._floor, quick))
-
 
 @lru_cache(maxsize=2)
 def _mall(folder: Path, floor: str, quick: bool) -> RadioSurvey:
@@ -95,43 +90,6 @@ def _missed_beside_the_fit(folder: Path, floor: str, config: RadioConfig, quick:
         "miss_probability": max(0.0, config.miss_probability + low),
         "high_band": {"miss_probability_offset": config.high_band.miss_probability_offset + high - low},
     }
-
-
-_CLUSTERS = (
-    "radios stand in clusters, here evenly along the concourse: with phones of one model a quarter of its walks hear "
-    "{few:.0f} networks or fewer, another quarter {many:.0f} or more"
-)
-_MALL_REASONS = {
-    "distance at cosine": _CLUSTERS,
-    "distance at cosine 0.9": "what two walks hear at one place has a cosine of only {same_place:.2f} (median), so "
-    "that scans so much alike are chance more than nearness",
-    "transmitters per scan": _CLUSTERS,
-    "rows per scan": _CLUSTERS,
-    "sd of transmitters per scan": _CLUSTERS,
-    "age of rows": "where phones hear most, scans are {crowded_period_s:.1f} s apart, elsewhere {other_period_s:.1f} "
-    "s: sweeps are longer",
-    "share of rows at 5 GHz": "where phones hear most, {crowded_high_share:.0%} of the rows are at 5 GHz, elsewhere "
-    "{other_high_share:.0%}",
-}
-
-
-def _mall_evidence(survey: RadioSurvey) -> Figures:
-    """Differences between walks: at the same place, and between the quarter that hears most and the others."""
-    fresh = np.isfinite(survey.fresh(FRESH_S).rssi_dbm).sum(axis=1)
-    walks = [survey.walk == walk for walk in np.unique(survey.walk)]
-    few, many = np.quantile([fresh[walk].mean() for walk in walks], [0.25, 0.75]).tolist()
-    apart_m = np.linalg.norm(survey.position_m[:, None] - survey.position_m[None], axis=2)
-    is_same_place = (apart_m < _SAME_PLACE_M) & (survey.walk[:, None] != survey.walk[None])
-    alike = cosine_similarity(survey.fresh(FRESH_S).rssi_dbm)[is_same_place]
-    figures = {"few": few, "many": many, "same_place": float(np.median(alike))}
-    for name, is_crowded in (("crowded", True), ("other", False)):
-        mine = [walk for walk in walks if (fresh[walk].mean() >= many) == is_crowded]
-        heard = np.isfinite(survey.rssi_dbm[np.any(mine, axis=0)])
-        is_high = np.zeros(heard.shape[1], bool) if survey.is_high_band is None else survey.is_high_band
-        figures[f"{name}_high_share"] = float(heard[:, is_high].sum() / heard.sum())
-        periods_s = np.concatenate([np.diff(np.sort(survey.time_s[walk])) for walk in mine])
-        figures[f"{name}_period_s"] = float(np.median(periods_s))
-    return figures
 
 
 def _mall_figures(survey: RadioSurvey) -> Figures:
@@ -161,7 +119,6 @@ _ROBOT_FAINTEST_DBM = -90.0
 _ROBOT_ROOMS = (5.0, 5.0)
 """Fitted width [m] and wall loss [dB] of the rooms of the simulated floor."""
 _ROBOT_RECEIVER = {"detection_floor_dbm": -93.8, "detection_slope_db": 2.0, "high_band": {"share": 0.0}}
-_ROBOT_REASONS = {"": "where the access points of the floor and its neighbours stand is not known"}
 
 
 class _RobotFloor(Study):
@@ -190,7 +147,7 @@ class _RobotFloor(Study):
         return subsampled(read_uw_floor(folder / "wifi" / "uw_floor" / "uw-floor.txt"), quick)
 
 
-ROBOT_FLOOR = _RobotFloor("wifi/uw_floor", "calibrated", "radio-indoor", _ROBOT_RECEIVER, _ROBOT_REASONS)
+ROBOT_FLOOR = _RobotFloor("wifi/uw_floor", "calibrated", "radio-indoor", _ROBOT_RECEIVER)
 
 
 def _apart_in_time(survey: RadioSurvey) -> Array:

@@ -16,6 +16,8 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import hashlib
+import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,16 +27,15 @@ from twc_env.records.json_values import plain
 from twc_env.reproduce.radio.radio_likeness import MALLS, ROBOT_FLOOR
 from twc_env.reproduce.radio.radio_offices import OFFICES
 from twc_env.reproduce.radio.radio_papers import FINGERPRINT_SLAM, K_VISIBILITY
-from twc_env.reproduce.radio.radio_remarks import notes
-from twc_env.reproduce.radio.radio_study import Figures, Spread, Study
+from twc_env.reproduce.radio.radio_study import NEAR, Figures, Spread, Study
 from twc_env.reproduce.radio.radio_surveys import FLATS, LIBRARIES
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.running.options import count
 
 CHOOSES = ("runs", "only")
 
-_EVIDENCE, _SPREAD, _REAL = -3, -2, -1
-_NAMES = {_EVIDENCE: "evidence", _SPREAD: "spread", _REAL: "real"}
+_SPREAD, _REAL = -2, -1
+_NAMES = {_SPREAD: "spread", _REAL: "real"}
 """Part numbers of a set other than simulated runs."""
 _DETECTED_MIN = 0.02
 """Detection rates below this are left out, since their relative error is not meaningful."""
@@ -61,13 +62,11 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     if not chosen:
         raise ConfigError(f"no set is named {options.only!r}; known are {', '.join(s.name for s in STUDIES)}")
     folder = data_folder()
-    parts = [(study, seed) for study in chosen for seed in range(_EVIDENCE, options.runs * study.runs)]
+    parts = [(study, seed) for study in chosen for seed in range(_SPREAD, options.runs * study.runs)]
     found = runner.each(parts, lambda part: _measure(part, folder, options.quick), _label)
-    table, evidence = [], {}
+    table = []
     for study in chosen:
-        evidence[study.name], spread, real, *runs = [
-            figures for (other, _), figures in zip(parts, found, strict=True) if other is study
-        ]
+        spread, real, *runs = [figures for (other, _), figures in zip(parts, found, strict=True) if other is study]
         for quantity, value in real.items():
             if quantity.startswith("detection rate") and (value is None or value < _DETECTED_MIN):
                 continue
@@ -86,14 +85,32 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
                     "real_near": near,
                 }
             )
-    runner.notes += notes(plain(table), chosen, evidence)
+    runner.notes += notes(plain(table))
     return table
+
+
+def notes(table: Sequence[dict]) -> Iterator[str]:
+    """How many rows of each role are near the real figure, and how many a perfect model would have there."""
+    for role in ("calibrated", "reported"):
+        mine = [row for row in table if row["real"] and row["role"] == role]
+        if mine:
+            near = sum(map(_is_near, mine))
+            yield f"{role}: {near} of {len(mine)} rows within {NEAR:.0%} of the real figure ({near / len(mine):.0%})"
+        if known := [row for row in mine if row["real_low"] is not None]:
+            inside = sum(row["real_low"] <= (row["simulated"] or math.nan) <= row["real_high"] for row in known)
+            yield (
+                f"{role}: of {len(known)} rows whose spread the data tells, {inside} are within it, and "
+                f"{sum(map(_is_near, known))} within {NEAR:.0%}, where other real places of the kind would have "
+                f"{sum(row['real_near'] for row in known):.1f}"
+            )
+
+
+def _is_near(row: dict) -> bool:
+    return row["simulated"] is not None and abs(row["simulated"] / row["real"] - 1.0) <= NEAR
 
 
 def _measure(part: tuple[Study, int], folder: Path, quick: bool) -> Figures | Spread:
     study, seed = part
-    if seed == _EVIDENCE:
-        return study.evidence(folder, quick)
     if seed == _SPREAD:
         return study.spread(folder, quick)
     return study.real(folder, quick) if seed == _REAL else study.simulated(folder, study.config, seed, quick)

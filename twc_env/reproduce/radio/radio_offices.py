@@ -16,22 +16,21 @@ from twc_env.datasets.surveys.fingerprints import RadioSurvey
 from twc_env.datasets.surveys.sod_indoor_loc import read_sod
 from twc_env.metrics.radio import detection_rates, fit_path_loss
 from twc_env.reproduce import radio_places as places
-from twc_env.reproduce.radio.radio_hearing import device_hearing, hearing, missed_share
+from twc_env.reproduce.radio.radio_hearing import device_hearing
 from twc_env.reproduce.radio.radio_rooms import surveyed_rooms
 from twc_env.reproduce.radio.radio_study import Figures, Spread, Study, extent, spread_over, subsampled, with_settings
 
 _DISTANCES_M = np.array([0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
 _NEAR_BY_M = 10.0
 _FLOORS_AWAY = 2
-_FITTED = "CETC331"
 
 
 class _Office(Study):
     """Known are positions and storeys of access points, and room type and phone of each point."""
 
-    def __init__(self, building: str, role: str, reasons: dict[str, str]):
+    def __init__(self, building: str, role: str):
         changes = {"high_band": {"share": 0.5}}
-        super().__init__(f"wifi/sod {building}", role, "radio-indoor", changes, reasons, runs=4)
+        super().__init__(f"wifi/sod {building}", role, "radio-indoor", changes, runs=4)
         self._building = building
 
     def real(self, folder: Path, quick: bool) -> Figures:
@@ -62,56 +61,12 @@ class _Office(Study):
 
         return spread_over(len(columns), of_boxes)
 
-    def evidence(self, folder: Path, quick: bool) -> Figures:
-        fit = read_sod(folder / "wifi" / "sod", _FITTED)
-        return _office_evidence(self._survey(folder, False)) | {"fit_wall_db": _near_wall_db(fit)}
-
     def _survey(self, folder: Path, quick: bool) -> RadioSurvey:
         true = read_sod(folder / "wifi" / "sod", self._building)
         return subsampled(true.of_transmitters(_is_heard_near_by(true)), quick)
 
 
-_OFFICE_REASONS = {
-    "detection rate": "{boxes:.0f} access points on {storeys:.0f} storeys: through ceilings a rate rests on the few "
-    "that are that far",
-}
-_SECOND_OFFICE_REASONS = {
-    "detection rate": "near by a wall takes {wall_db:.1f} dB at 5 GHz, in the office of the fit {fit_wall_db:.1f} dB; "
-    "phones miss {low_missed:.0%} even of strong signals at 2.4 GHz, {high_missed:.0%} at 5 GHz, where what is heard "
-    "{far_m:.0f} m off or more is {far_above_db:.0f} dB above the level where hearing ends",
-}
-OFFICES = (_Office(_FITTED, "calibrated", _OFFICE_REASONS), _Office("SYL", "reported", _SECOND_OFFICE_REASONS))
-_FAR_M = 40.0
-
-
-def _office_evidence(survey: RadioSurvey) -> Figures:
-    """Number of access points, missed signals of phones, and levels of far access points."""
-    transmitter_m, storeys, is_high = survey.transmitters
-    phones = [survey.at_scans(survey.walk == phone) for phone in np.unique(survey.walk)]
-    apart_m = np.linalg.norm(survey.position_m[:, None] - transmitter_m[None], axis=2)
-    far = survey.rssi_dbm[(apart_m > _FAR_M) & (survey.floor[:, None] == storeys[None]) & is_high]
-    return {
-        "boxes": float(len(np.unique(np.column_stack([transmitter_m, storeys]), axis=0))),
-        "storeys": float(len(np.unique(storeys))),
-        "low_missed": float(np.mean([missed_share(phone, False) for phone in phones])),
-        "high_missed": float(np.mean([missed_share(phone, True) for phone in phones])),
-        "wall_db": _near_wall_db(survey),
-        "far_m": _FAR_M,
-        "far_above_db": float(np.nanmean(far) - hearing(survey.rssi_dbm[:, is_high])[0]),
-    }
-
-
-def _near_wall_db(survey: RadioSurvey) -> float:
-    """Loss per wall at 5 GHz, from near access points of the same storey, none of which is too weak to be heard."""
-    transmitter_m, storeys, is_high = survey.transmitters
-    apart_m = np.linalg.norm(survey.position_m[:, None] - transmitter_m[None], axis=2)
-    walls = np.zeros(apart_m.shape)
-    for floor in np.unique(survey.floor).tolist():
-        rooms = surveyed_rooms(survey, floor, extent(survey.position_m, 2.0))
-        here = np.flatnonzero(survey.floor == floor)
-        walls[here] = [rooms.wall_index.crossing(place, transmitter_m)[0] for place in survey.position_m[here]]
-    chosen = (apart_m < _NEAR_BY_M) & (survey.floor[:, None] == storeys[None]) & is_high & np.isfinite(survey.rssi_dbm)
-    return fit_path_loss(apart_m[chosen], survey.rssi_dbm[chosen], walls[chosen]).wall_loss_db
+OFFICES = (_Office("CETC331", "calibrated"), _Office("SYL", "reported"))
 
 
 def _is_heard_near_by(survey: RadioSurvey) -> Array:

@@ -77,7 +77,6 @@ class _FingerprintSlam(Study):
             "calibrated" if is_fitted else "reported",
             "lte" if is_lte else _WIFI_PRESET[place],
             changes,
-            _SLAM_REASONS | (_CELL_REASONS if is_lte else {}),
         )
         self._place, self._kind = place, kind
 
@@ -91,30 +90,11 @@ class _FingerprintSlam(Study):
         phones = [places.simulate(walk, plan, config, _PHONES * seed + k, model=model) for k in range(_PHONES)]
         return similarity_figures(walk, places.merged(phones).rssi_dbm, is_pair, _OFFSET_DB[self._kind])
 
-    def evidence(self, folder: Path, quick: bool) -> Figures:
-        """Spread of the distances of all pairs of places within the window, on one walk through the twin."""
-        walk, is_pair = self._walk(0, quick)
-        first, second = np.nonzero(np.triu(is_pair, 1))
-        apart_m = np.linalg.norm(walk.position_m[first] - walk.position_m[second], axis=1)
-        width_m, height_m = np.ptp(load_map(self._place).bounds_m.reshape(2, 2), axis=0)
-        return {"pairs_sd_m": float(apart_m.std()), "width_m": float(width_m), "height_m": float(height_m)}
-
     def _walk(self, seed: int, quick: bool) -> tuple[RadioSurvey, Array]:
         """A walk (n) without readings, and which pairs (n, n) of its places are within the window."""
         walk = _stroll(self._place, 100.0 if quick else _STROLL_M, seed)
         travel_m = walk.time_s * _STROLL_SPEED_M_S
         return walk, np.abs(travel_m[:, None] - travel_m[None]) < _WINDOW_M[self._kind]
-
-
-_SLAM_REASONS = {
-    "transmitters per scan": "which share of all transmitters ever heard lies within one scan's reach depends on the "
-    "neighbourhood, of which the paper prints nothing",
-    "distance at cosine": "the paper prints neither the merging rule of the phones nor the pairs",
-}
-_CELL_REASONS = {
-    "distance at cosine 0.8: sd": "all pairs of the window together spread by {pairs_sd_m:.1f} m in the twin, which is "
-    "{width_m:.0f} x {height_m:.0f} m: places of the print lie further apart",
-}
 
 
 def _cells(name: str) -> int:
@@ -141,7 +121,6 @@ _AUTHORS_FLAT = {
 the routers follows from near readings in line of sight, the wall loss from 5 GHz where available. The preset `sfw` is
 for the twins, whose rooms are designed to give the printed classes: there strength decreases less with distance."""
 _FITTED = "E3"
-_MANY_WALLS = 3
 _MAP_CELL_M = 0.1
 _NEAR_M = 3.0
 
@@ -150,7 +129,7 @@ class _KVisibility(Study):
     """The authors' own walks, routers and LiDAR map."""
 
     def __init__(self, experiment: str, role: str):
-        super().__init__(f"sfw_authors {experiment}", role, "sfw", _AUTHORS_FLAT, _K_VISIBILITY_REASONS, runs=4)
+        super().__init__(f"sfw_authors {experiment}", role, "sfw", _AUTHORS_FLAT, runs=4)
         self._experiment, self._routers = experiment, _ROUTERS[experiment]
 
     def real(self, folder: Path, quick: bool) -> Figures:
@@ -170,22 +149,6 @@ class _KVisibility(Study):
             name: _range(value, [router[name] for router in mine], [router[name] for router in others])
             for name, value in self.real(folder, quick).items()
         }
-
-    def evidence(self, folder: Path, quick: bool) -> Figures:
-        """Loss of the first and of further walls [dB] for the router of both experiments, and its spread in sight."""
-        figures: Figures = {}
-        for experiment, routers in _ROUTERS.items():
-            laid = _laid(folder, routers)
-            walk, plan = _walk_and_plan(laid)
-            faces = plan.wall_index.crossing(plan.access_points[0].position_m, walk.position_m)[0]
-            walls, level = places.walls_of(faces), _low_band(laid.walk)[0]
-            in_sight, first, further = (
-                float(level[mine].mean()) for mine in (walls == 0, walls == 1, walls >= _MANY_WALLS)
-            )
-            figures |= {f"{experiment}_first_db": in_sight - first, f"{experiment}_further_db": first - further}
-            apart_m = np.linalg.norm(walk.position_m - plan.access_points[0].position_m, axis=1)
-            figures[f"{experiment}_sight_db"] = fit_path_loss(apart_m[walls == 0], level[walls == 0]).residual_std_db
-        return figures
 
 
 def _heard_in_flat(folder: Path, experiment: str, config: RadioConfig, seed: int) -> RadioSurvey:
@@ -230,14 +193,6 @@ def _behind_walls_db(laid: LaidWalk, column: int, rssi_dbm: Array) -> float:
     behind = plan.wall_index.crossing(router_m, walk.position_m)[0] > 0
     apart_m, heard = np.linalg.norm(walk.position_m - router_m, axis=1), np.isfinite(rssi_dbm)
     return fit_path_loss(apart_m[heard], rssi_dbm[heard], behind[heard]).wall_loss_db
-
-
-_K_VISIBILITY_REASONS = {
-    "sd within class": "about the fit of strength to distance, readings in sight lie {E3_sight_db:.1f} dB in E3, which "
-    "was smoothed, and {E5_sight_db:.1f} dB in E5",
-    "": "the same router is heard {E3_first_db:.0f} dB fainter behind one wall than in sight in E3, {E5_first_db:.0f} "
-    "dB in E5; behind three or more {E3_further_db:.0f} and {E5_further_db:.0f} dB fainter still",
-}
 
 
 K_VISIBILITY = (_KVisibility("E3", "calibrated"), _KVisibility("E5", "reported"))

@@ -33,14 +33,10 @@ class Study(ABC):
     Figures are computed from the folder of real data; `quick` selects a small part of the data.
     """
 
-    def __init__(
-        self, name: str, role: str, preset: str, changes: dict, reasons: dict[str, str] | None = None, runs: int = 1
-    ):
+    def __init__(self, name: str, role: str, preset: str, changes: dict, runs: int = 1):
         self.name = name
         self.role = role
         """"calibrated" or "reported"."""
-        self.reasons = reasons or {}
-        """Reasons of misses by prefix of the quantity; names in braces are figures of the evidence."""
         self.runs = runs
         """Simulated buildings per seed: more for small sets, since shadowing and powers of one building are random."""
         self._preset, self._changes = preset, changes  # settings that differ from the preset
@@ -57,10 +53,6 @@ class Study(ABC):
     @abstractmethod
     def simulated(self, folder: Path, config: RadioConfig, seed: int, quick: bool) -> Figures:
         """The figures of the model."""
-
-    def evidence(self, folder: Path, quick: bool) -> Figures:
-        """Figures for the reasons."""
-        return {}
 
     def spread(self, folder: Path, quick: bool) -> Spread:
         """Spread of the real figures over access points, walks or routers."""

@@ -31,7 +31,7 @@ class _Library(Study):
 
     def __init__(self, month: str, role: str):
         changes = {"bssids_per_access_point": 0, "high_band": {"share": 0.5}}
-        super().__init__(f"wifi/uji_lib {month}", role, "radio-indoor", changes, _LIBRARY_REASONS, runs=4)
+        super().__init__(f"wifi/uji_lib {month}", role, "radio-indoor", changes, runs=4)
         self._month = month
 
     def real(self, folder: Path, quick: bool) -> Figures:
@@ -48,17 +48,8 @@ class _Library(Study):
         true = _library(folder, self._month)
         return spread_over(len(true.addresses), lambda drawn: _library_figures(true, true.rssi_dbm[:, drawn]))
 
-    def evidence(self, folder: Path, quick: bool) -> Figures:
-        """The spread in both months."""
-        surveys = {name: _library(folder, month) for name, month in _LIBRARY_MONTHS.items()}
-        return {f"{name}_db": spread_at_points(s.walk, s.rssi_dbm, _HEARD_MIN) for name, s in surveys.items()}
 
-
-_LIBRARY_MONTHS = {"first": "01", "later": "13"}
-_LIBRARY_REASONS = {"": "at the same points it is {first_db:.1f} dB, and {later_db:.1f} dB a year later"}
-
-
-LIBRARIES = (_Library(_LIBRARY_MONTHS["first"], "calibrated"), _Library(_LIBRARY_MONTHS["later"], "reported"))
+LIBRARIES = (_Library("01", "calibrated"), _Library("13", "reported"))
 
 
 def _library(folder: Path, month: str) -> RadioSurvey:
@@ -95,7 +86,7 @@ class _Flat(Study):
 
     def __init__(self, role: str, *runs: str):
         name = f"wifi/ble_lidar {'+'.join(runs)}"
-        super().__init__(name, role, "radio-indoor", _BLE_TAG, _FLAT_REASONS, runs=4)
+        super().__init__(name, role, "radio-indoor", _BLE_TAG, runs=4)
         self._drives = runs
 
     def real(self, folder: Path, quick: bool) -> Figures:
@@ -117,29 +108,9 @@ class _Flat(Study):
 
         return spread_over(rssi.shape[1], of_anchors)
 
-    def evidence(self, folder: Path, quick: bool) -> Figures:
-        """The minimum and maximum exponents of the four drives."""
-        plan = _flat_plan(folder)
-        every = read_ble_run(folder / "wifi" / "ble_lidar", "calibration")
-        drives = [every.at_scans(every.walk == walk) for walk in np.unique(every.walk)]
-        found = [_flat_figures(*_flat_ways([drive], plan), drive.rssi_dbm) for drive in drives]
-        figures: Figures = {}
-        for name, kind in (("bare", "without walls"), ("walled", "with walls")):
-            exponents = [drive[f"path-loss exponent {kind}"] for drive in found]
-            figures |= {f"{name}_low": min(exponents), f"{name}_high": max(exponents)}
-        return figures
-
     def _surveys(self, folder: Path, quick: bool) -> list[RadioSurvey]:
         read = [read_ble_run(folder / "wifi" / "ble_lidar", run) for run in self._drives]
         return [subsampled(survey.at_scans(np.isin(survey.walk, _OWN_WALKS)), quick) for survey in read]
-
-
-_FLAT_REASONS = {
-    "path-loss exponent without walls": "of each drive through this flat alone it is {bare_low:.2f} to {bare_high:.2f}",
-    "path-loss exponent with walls": "of each drive through this flat alone it is {walled_low:.2f} to "
-    "{walled_high:.2f}",
-    "loss per wall": "walls and distance rise together in a small flat: the fit trades one for the other",
-}
 
 
 FLATS = (_Flat("calibrated", "calibration"), _Flat("reported", "calib3", "calib4"))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.errors import MapError, did_you_mean
+from twc_env.errors import MapError, one_of
 from twc_env.world.building.floor_cells import Cells
 from twc_env.world.building.floorplan import SIGN_FACE_M, SIGN_FRONT_M, Floorplan, Sign, mac_text
 from twc_env.world.building.materials import MATERIALS
@@ -60,7 +60,7 @@ def _check_walls(plan: Floorplan, where: str) -> None:
             f"{where} has {len(plan.walls_m)} walls but {len(plan.wall_materials)} materials; name one per wall or none"
         )
     for name in set(plan.wall_materials) - {"", *MATERIALS}:
-        hint = did_you_mean(name, MATERIALS) or f"; known are {', '.join(MATERIALS)}"
+        hint = one_of(name, MATERIALS)
         raise MapError(f"{where}: a wall is of the unknown material {name!r}{hint}")
     for i in np.flatnonzero((plan.wall_loss_db < 0) | (plan.wall_loss_db > 1000)):
         raise MapError(f"{where}: wall {i} has a loss of {plan.wall_loss_db[i]:g} dB; losses are 0 to 1000")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.errors import UNFIT, MapError, did_you_mean
+from twc_env.errors import UNFIT, MapError, one_of
 from twc_env.records.json_values import table_of
 from twc_env.records.whole_file import whole_file
 from twc_env.world.building.floorplan import FORMAT, AccessPoint, Floorplan, Room, Sign, to_values
@@ -106,7 +106,7 @@ def _table(values: object, where: str, required: tuple[str, ...], optional: tupl
     known = (*required, *optional)
     for key in values:
         if key not in known:
-            hint = did_you_mean(key, known) or f"; known are {', '.join(known)}"
+            hint = one_of(key, known)
             raise MapError(f"{where} has the unknown key {key!r}{hint}")
     for key in required:
         if key not in values:
