@@ -4,6 +4,9 @@
     py make.py test       install torch too and run all tests
     py make.py docs       build the documentation site into build/site; with --repository OWNER/NAME, where the
                           project lies on GitHub, notebooks get links to Colab
+    py make.py check      format, lint, types, import arrows
+    py make.py test-bounds       the engine's tests with bounds checks of compiled code (slow)
+    py make.py soak       hours: 1,000,000 steps, malformed input of every kind; counts in runs/soak
     py make.py train-benchmarl   MAPPO of BenchMARL on a task, in .venv-benchmarl
 
 The same as `make` of that name. Needs Python 3.11 or newer.
@@ -19,13 +22,40 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
 PINS = ["-c", "constraints.txt"]
+DEV = [*PINS, "-e", ".[viz,dev]"]
+TEST = [*PINS, "torch", "-e", ".[viz,dev,train,ocr]"]
+SOAK = (
+    "--actions 100000 --maps 10000 --logs 10000 --bags 10000 --tables 10000 --settings 10000 --graphs 3000 "
+    "--arrays 10000 --calls 10000 --bombs 100 --accidents 70 --instructions 108 --observations 10000 "
+    "--json runs/soak/input.json"
+)
+STEPS = "--steps 1000000 --resume runs/soak/episodes.jsonl --json runs/soak/steps.json"
 TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
     "demo": (
         ".venv/installed-demo",
         [*PINS, "-e", ".[viz]"],
         [["-m", "twc_env", "explore", "--map", "twin-01", "--out", "runs/demo"]],
     ),
-    "test": (".venv/installed-test", [*PINS, "torch", "-e", ".[viz,dev,train,ocr]"], [["-m", "pytest", "-q"]]),
+    "check": (
+        ".venv/installed-dev",
+        DEV,
+        [
+            ["-m", "ruff", "format", "--check", "."],
+            ["-m", "ruff", "check", "."],
+            ["-m", "mypy"],
+            ["-m", "pytest", "-q", "tests/test_architecture.py"],
+        ],
+    ),
+    "test": (".venv/installed-test", TEST, [["-m", "pytest", "-q"]]),
+    "test-bounds": (".venv/installed-test", TEST, [["-m", "pytest", "-q", "tests/slam", "tests/exploration"]]),
+    "soak": (
+        ".venv/installed-test",
+        TEST,
+        [
+            ["-m", "tests.soak", *SOAK.split()],
+            ["-m", "tests.soak", *STEPS.split()],
+        ],
+    ),
     "docs": (".venv/installed-docs", [*PINS, "-e", ".[viz,docs]"], [["-m", "mkdocs", "build", "--strict"]]),
     "train-benchmarl": (
         ".venv-benchmarl/installed",
@@ -34,6 +64,7 @@ TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
     ),
 }
 """Target -> the mark that it is installed, what pip installs, and the commands of Python to run."""
+ENVIRONMENT = {"test-bounds": {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": ".numba_bounds"}}
 
 
 def main(arguments: list[str]) -> int:
@@ -48,6 +79,7 @@ def main(arguments: list[str]) -> int:
         print(__doc__)
         return 2
     mark, packages, commands = TARGETS[arguments[0]]
+    os.environ |= ENVIRONMENT.get(arguments[0], {})
     done = ROOT / mark
     python = done.parent / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     if not python.exists():
