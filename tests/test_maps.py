@@ -161,6 +161,7 @@ def test_generated_signs_and_access_points_follow_the_seed(house):
         ("a.json", "[" * 100_000, "nests its lists too deeply|not valid JSON"),
         ("a.json#1", "{}", "unknown map format '.json#1'"),
         ("a.dxf", "", "unknown map format '.dxf'; use .json, .yaml, .png, .pgm or .geojson"),
+        ("a.jpg", "", "unknown map format '.jpg'; save the picture as .png"),
         ("plain", "", "unknown map format ''"),
     ],
 )

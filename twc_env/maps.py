@@ -13,6 +13,7 @@ from twc_env.world.building.floorplan_check import validate
 from twc_env.world.building.floorplan_file import floorplan_from_values, load_json, read_floorplan
 
 _SUFFIXES = (".json", ".geojson", ".yaml", ".yml", ".png", ".pgm", ".gz")
+_PICTURES = (".jpg", ".jpeg", ".bmp", ".gif", ".tif", ".tiff", ".webp", ".svg", ".pdf")
 _INSTALLED, _CHECKOUT = Path(__file__).parent / "maps", Path(__file__).parent.parent / "maps"
 
 
@@ -146,7 +147,8 @@ def _read_file(path: Path, modified: tuple[int, ...], seed: int, level: str | No
         from twc_env.datasets.buildings.picture import read_picture
 
         return read_picture(path, seed)
-    raise MapError(f"{path.name}: unknown map format {suffix!r}; use .json, .yaml, .png, .pgm or .geojson (.gz)")
+    remedy = "save the picture as .png" if suffix in _PICTURES else "use .json, .yaml, .png, .pgm or .geojson (.gz)"
+    raise MapError(f"{path.name}: unknown map format {suffix!r}; {remedy}")
 
 
 def _read_json(path: Path, seed: int, level: str | None) -> Floorplan:

@@ -10,8 +10,8 @@ A marker before a table names the file and the fields of each column:
 of those `where FIELD=VALUE, VALUE`. With `each FIELD by FIELD, FIELD` a line is made of all rows that share the first,
 which the values of the others name: `{ours[k_accuracy]}`; with `by` alone it is made of all rows. With `rows: of`
 several files, `{merging[0][team_ate_m]}` is in the first row of merging.json. Several forms are one for each line.
-`:.0h` is a percentage without its sign. A CSV file of episodes has its columns by agent or map:
-`{compare[voronoi][team_ate_m].mean:.3f}`.
+`:.0h` is a percentage without its sign, `:.1m` is in thousandths (millimetres). A CSV file of episodes has its columns
+by agent or map: `{compare[voronoi][team_ate_m].mean:.3f}`.
 """
 
 import csv
@@ -23,15 +23,16 @@ from typing import NamedTuple
 import pytest
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGES = ["results.md", "lasting_maps.md", "structure_from_wifi.md", "ocr.md", "learning.md"]
+PAGES = ["results.md", "lasting_maps.md", "structure_from_wifi.md", "ocr.md", "learning.md", "world.md"]
 UNCHECKED = "*Not checked against a stored file"
 
 
 class Number(float):
-    """A number that can be shown as a percentage without its sign (`:.0h`)."""
+    """A number that can be shown as a percentage without its sign (`:.0h`), or in thousandths (`:.1m`)."""
 
     def __format__(self, form: str) -> str:
-        return format(100 * self, form[:-1] + "f") if form.endswith("h") else format(float(self), form)
+        times = {"h": 100, "m": 1000}.get(form[-1:])
+        return format(times * self, form[:-1] + "f") if times else format(float(self), form)
 
 
 class Column(list):
