@@ -17,7 +17,7 @@ from numpy.typing import NDArray as Array
 from scipy.special import expit
 
 from twc_env.reproduce.places.place_cues import Cues
-from twc_env.reproduce.places.place_pairs import average_precision, precision_recall_curve, recall_at_full_precision
+from twc_env.reproduce.places.place_pairs import average_precision
 from twc_env.reproduce.places.surveyed_places import Floor, draw_places, read_floor
 from twc_env.reproduce.runner import Runner, add_seeds, data_folder
 
@@ -35,20 +35,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
-    """One row per floor and method: {floor, trained_on, method, average_precision, recall_at_full_precision, sd}."""
+    """One row per floor and method: {floor, trained_on, method, average_precision, sd, seeds}."""
     folder = data_folder() / "indoor20"
     floors = {name: read_floor(folder / part) for name, part in FLOORS.items()}
     draws = runner.each(options.seeds, lambda seed: evaluate_draw(floors, seed), lambda seed: f"draw {seed}")
     table = []
     for floor, trained_on in (("F6", "B1"), ("B1", "F6")):
         for method in METHODS:
-            figures = [draw[floor][method] for draw in draws]
-            values = {key: np.array([f[key] for f in figures], float) for key in figures[0]}
-            row: dict = {"floor": floor, "trained_on": trained_on, "method": method}
-            row |= {key: round(float(value.mean()), 4) for key, value in values.items()}
-            row["sd"] = round(float(values["average_precision"].std()), 4)
-            row |= {f"sd_{k}": round(float(v.std()), 4) for k, v in values.items() if k != "average_precision"}
-            table.append(row | {"seeds": len(draws)})
+            found = [draw[floor][method] for draw in draws]
+            table.append(
+                {
+                    "floor": floor,
+                    "trained_on": trained_on,
+                    "method": method,
+                    "average_precision": round(float(np.mean(found)), 4),
+                    "sd": round(float(np.std(found)), 4),
+                    "seeds": len(draws),
+                }
+            )
     return table
 
 
@@ -68,16 +72,14 @@ def remarks(table: list[dict]) -> list[str]:
     return lines
 
 
-def evaluate_draw(floors: dict[str, Floor], seed: int) -> dict[str, dict[str, dict[str, float]]]:
-    """Evaluate each floor with parameters learned on the other: floor -> method -> figures."""
+def evaluate_draw(floors: dict[str, Floor], seed: int) -> dict[str, dict[str, float]]:
+    """Each floor with parameters learned on the other: floor -> method -> average precision."""
     cues = {name: Cues(draw_places(floor, seed)) for name, floor in floors.items()}
     learned = {name: learn(c) for name, c in cues.items()}
     result = {}
     for name, c in cues.items():
         (other,) = set(cues) - {name}
-        result[name] = {
-            m: _figures(score, c.is_same, learned[other][m]) for m, score in scores(c, learned[other]).items()
-        }
+        result[name] = {m: average_precision(score, c.is_same) for m, score in scores(c, learned[other]).items()}
     return result
 
 
@@ -103,8 +105,6 @@ def learn(cues: Cues) -> dict[str, dict]:
         "fused": {"mean": cues.features.mean(axis=0), "std": cues.features.std(axis=0)},
     }
     learned["fused"]["weights"] = logistic(_standard(cues.features, learned["fused"]), cues.is_same)
-    for method, score in scores(cues, learned).items():
-        learned[method]["threshold"] = _best_threshold(score, cues.is_same)
     return learned
 
 
@@ -126,20 +126,3 @@ def logistic(features: Array, is_same: Array) -> Array:
         curvature = (features * (share * (1 - share))[:, None]).T @ features + np.eye(len(weights))
         weights = weights + np.linalg.solve(curvature, gradient)
     return weights
-
-
-def _best_threshold(score: Array, is_same: Array) -> float:
-    """The score with the best F1."""
-    precision, recall = precision_recall_curve(score, is_same)
-    f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-12)
-    return float(np.unique(score)[::-1][int(np.argmax(f1))])
-
-
-def _figures(score: Array, is_same: Array, learned: dict) -> dict[str, float]:
-    accepted = score >= learned["threshold"]
-    return {
-        "average_precision": average_precision(score, is_same),
-        "recall_at_full_precision": recall_at_full_precision(score, is_same),
-        "precision": float(is_same[accepted].mean()) if accepted.any() else np.nan,
-        "recall": float(accepted[is_same].mean()),
-    }

@@ -151,23 +151,11 @@ def remarks(table: list[dict]) -> list[str]:
                     f"(precision {gap[0]:.1f}, recall {gap[1]:.1f}; "
                     f"{', '.join(f'{scene} {np.mean(own):.1f}' for scene, own in scenes if own is not None)})"
                 )
-    return lines + _best_reading(table) + _why()
-
-
-def _why() -> list[str]:
-    """Reasons why not all published columns can be met, and why the original signs meet few."""
-    beyond = contradiction()
-    return [
-        "Why twc cannot match the paper if text and WiFi do: pairs accepted by both are a subset of those accepted by "
-        f"either, so the paper's own columns limit the combination to a recall {beyond:.1f} points below the published "
-        f"one (mean over its cells), i.e. {beyond / 2:.1f} points of absolute error on one denominator. With signs "
-        "of departments twc is closer than that, and WiFi alone finds more than published.",
-        "Why twc differs with the original signs: sign texts differ within the range of one radio fingerprint, so text "
-        "and WiFi together accept almost no wrong pair; in the paper up to 46 % are wrong, as with departments.",
-        "Why text differs with the original signs: similar rooms with the same repeated signs give several wrong pairs "
-        "of identical texts for every correct one, so precision at alpha 1.0 cannot reach the published 78 and 88 %; "
-        "with signs of departments it comes close.",
-    ]
+    contradictory = (
+        "pairs that text and WiFi both accept are a subset of those of either, so the published columns leave twc "
+        f"{contradiction():.1f} points less recall than published: they differ by {contradiction() / 2:.1f} points"
+    )
+    return [*lines, *_best_reading(table), contradictory]
 
 
 def contradiction() -> float:

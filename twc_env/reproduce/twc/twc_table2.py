@@ -216,7 +216,7 @@ def remarks(table: list[dict]) -> list[str]:
 
 
 def _why(table: Sequence[dict]) -> list[str]:
-    """Reasons why the order of the methods differs from the published one: precision of closures, and folded maps."""
+    """What the order of the methods rests on: the precision of closures."""
     lines = []
     for row in table:
         if row["backend"] == LITERAL and row["closure_precision"] is not None:
@@ -237,14 +237,6 @@ def _why(table: Sequence[dict]) -> list[str]:
             f"{scene} text as printed, by the precision of its closures: EPE {told}; the paper has "
             f"{PRINT[scene]['text']:.2f} m, and a precision of {precision} % in its Table I; "
             f"the methods rank as in the paper {met}"
-        )
-    if lines:
-        lines.append(
-            "Least squares with every closure accepted folds the map at a few per cent of false ones. A folded map "
-            "may still end near its start: by EPE the worst closures can look best, so this order says little. "
-            "False text pairs are rooms apart and false WiFi pairs adjacent, so text does most harm: at the precision "
-            "of the paper's Table I, text cannot reach the accuracy of its Table II without a back end that rejects "
-            "closures, and with `robust` the maps of text, WiFi and both differ by centimetres only."
         )
     return lines
 

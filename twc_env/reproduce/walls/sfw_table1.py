@@ -132,7 +132,7 @@ def remarks(table: list[dict]) -> list[str]:
     ]
     paper = [
         f"experiment {row['experiment']}: paper's k accuracy here {row['k_accuracy']:.3f}, printed "
-        f"{row['paper_k_accuracy']:.3f}: its clusters take distance for walls, and plan and noise are not printed"
+        f"{row['paper_k_accuracy']:.3f}"
         for row in table
         if row["method"] == "paper"
         and row["paper_k_accuracy"]
@@ -144,8 +144,7 @@ def remarks(table: list[dict]) -> list[str]:
         for row in table
         if row["method"] in DRAWN and row["k_accuracy"] < row["k_trivial"]
     ]
-    why = ["k is missed where rays graze a wall: its end cannot be told from shadowing"]
-    return missed + (why if any("k_accuracy" in text for text in missed) else []) + paper + below
+    return missed + paper + below
 
 
 def measure(experiment: int, seed: int, out: Path | None, kind: Kind | None = None) -> dict:
