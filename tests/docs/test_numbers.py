@@ -37,7 +37,7 @@ def carried(figure: str) -> dict:
 
 def waiting(name: str) -> str:
     """Number of closures that wait for others, of a run that says so."""
-    return re.search(r"(\d+) closures wait", " ".join(read(name)["lacked"]))[1]
+    return re.search(r"(\d+) closures between them wait", " ".join(read(name)["lacked"]))[1]
 
 
 NUMBERS = [
