@@ -98,10 +98,12 @@ def _write_episode(path, env, wander):
     write_frame_log(path, env.config, steps)
 
 
-def test_replay_finds_the_same_poses_as_the_episode(tmp_path, wander, capsys):
+@pytest.mark.parametrize("kind", ["compiled", "filterpy"])
+def test_replay_finds_the_same_poses_as_the_episode(kind, tmp_path, wander, capsys):
     env = twc_env.parallel_env(map="twin-01", robots=2, max_cycles=50)
     _write_episode(tmp_path / "frames.npz", env, wander)
-    arguments = ["replay", str(tmp_path / "frames.npz"), "--out", str(tmp_path / "out")]
+    chosen = ["--set", f"slam.odometry_filter.backend={kind}"]
+    arguments = ["replay", str(tmp_path / "frames.npz"), *chosen, "--out", str(tmp_path / "out")]
     assert main([*arguments, "--json", str(tmp_path / "replay.json")]) == 0
     poses = json.loads((tmp_path / "replay.json").read_text())["final_poses"]
     for pose, agent in zip(poses, env.possible_agents, strict=True):

@@ -180,6 +180,18 @@ def test_a_flipped_byte_of_a_pickled_snapshot_is_never_used():
     env.restore(pickle.loads(whole))
 
 
+def test_the_filterpy_back_end_can_be_saved():
+    env = twc_env.parallel_env(robots=1, config={"slam.odometry_filter.backend": "filterpy"})
+    env.reset(seed=1)
+    moment, seen = env.snapshot(), [[], []]
+    for own in seen:
+        for _ in range(5):
+            env.step({"robot_0": np.array([1.0, 0.2], np.float32)})
+            own.append(env.state().tolist())
+        env.restore(pickle.loads(pickle.dumps(moment)))
+    assert seen[0] == seen[1]
+
+
 OWN = """
 import threading
 

@@ -178,6 +178,17 @@ def test_before_the_first_frame_every_robot_is_its_own_group():
         assert belief.pose_map_robot.tolist() == [0.0, 0.0, 0.0]
 
 
+def test_both_filters_give_the_same_poses(recorded):
+    config, frames, _ = recorded
+    engines = [
+        replay(override(config, {"slam.odometry_filter.backend": backend}), [step[:1] for step in frames[:120]])
+        for backend in ("compiled", "filterpy")
+    ]
+    first, second = (engine.team.poses_of(0) for engine in engines)
+    assert len(first) > 5
+    assert np.abs(between(first, second)).max() < 1e-6
+
+
 def test_perfect_sensors_give_a_trajectory_without_drift(record):
     config = override(EnvConfig(robots=1), {"odometry.drift": 0.0, "lidar.range_noise_std_m": 0.0})
     frames, true_poses = record(config, 300)

@@ -49,9 +49,10 @@ def test_a_robot_turning_on_the_spot_takes_few_keyframes(scan, walls):
     assert 6 <= len(found) <= 8, "one every radian"
 
 
-def test_a_match_that_contradicts_the_odometry_without_better_fit_is_ignored(scan, walls):
+@pytest.mark.parametrize("backend", ["compiled", "filterpy"])
+def test_a_match_that_contradicts_the_odometry_without_better_fit_is_ignored(scan, walls, backend):
     poses, slip_m = straight(-2.0, 0.0), 0.03
-    strict = {"slam.odometry_filter.match_gate": 1.0}
+    strict = {"slam.odometry_filter.match_gate": 1.0, "slam.odometry_filter.backend": backend}
     ends = FrontEnds(override(EnvConfig(), {"robots": 1, **strict}), 1)
     room, tracker = walls(*ROOM), ends._tracker
     for step in range(len(poses) + 1):
@@ -106,9 +107,10 @@ def test_only_where_no_scans_are_matched_all_walls_around_a_sign_tell_its_facing
     assert first.signs[0].facing_rad == (1.0 if has_lidar else 2.0)
 
 
-def test_without_laser_gyro_bias_updates_do_not_move_a_robot_turning_on_the_spot():
+@pytest.mark.parametrize("backend", ["compiled", "filterpy"])
+def test_without_laser_gyro_bias_updates_do_not_move_a_robot_turning_on_the_spot(backend):
     """Otherwise each update would move the end of the whole path, and hence change the motion between keyframes."""
-    settings = {"robots": 1, "slam.cues.lidar": False}
+    settings = {"robots": 1, "slam.cues.lidar": False, "slam.odometry_filter.backend": backend}
     ends, random, blind = FrontEnds(override(EnvConfig(), settings), 1), np.random.default_rng(0), np.zeros(180)
     found, gone_m = [], 30.0
     for step in range(800):

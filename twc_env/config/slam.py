@@ -19,6 +19,9 @@ class OdometryFilterConfig(Checked):
     and bias accordingly; otherwise scan matches with few or noisy beams degrade a pose that odometry knows better.
     """
 
+    backend: str = choice("compiled", "filterpy")
+    """Two implementations of the same equations: a compiled kernel, or filterpy's ExtendedKalmanFilter (reference;
+    about 20 x slower, and without the check for robots that are carried or whose odometry misreads)."""
     position_std_per_m: float = number(0.04, 0.0, 1.0)
     position_std_m: float = number(0.002, 0.0, 1.0)
     """Per step, independent of the motion."""

@@ -304,10 +304,7 @@ def _from_text(value, old, where: str):
         raise ConfigError(f"{where} must be {KINDS[type(old)]}; got {value!r}") from None
 
 
-RETIRED: dict[tuple[str, ...], object] = {
-    ("slam", "odometry_filter", "backend"): "compiled",
-    ("slam", "place_recognition", "meets_by_wifi"): False,
-}
+RETIRED: dict[tuple[str, ...], object] = {("slam", "place_recognition", "meets_by_wifi"): False}
 """Settings that no longer exist, with the only value that files may still give them; digests count them as before."""
 RENAMED = {"mask_mates": "mask_teammates", "sightings_check": "mutual_observations_check"}
 """Settings of earlier versions and their present names."""

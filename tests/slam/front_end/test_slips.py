@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, override
 from twc_env.records.geometry import between, compose
 from twc_env.records.messages import SensorFrame
 from twc_env.slam.robot import FrontEnds
@@ -17,11 +17,11 @@ ROOMS = [HALL, TWO_ROOMS, ROUND_A_CORNER]
 SLIPS_M = [-0.5, -0.3, -0.2, -0.15, -0.1, 0.1, 0.15, 0.2, 0.3, 0.5]
 
 
-def off_after(scan, corners, slip, seed=0):
+def off_after(scan, corners, slip, seed=0, backend="compiled"):
     """Pose error (m, m, rad) of a robot some steps after odometry with an additional motion (3,)."""
     random, room = np.random.default_rng(seed), np.array(corners, float)
     walls = np.stack([room, np.roll(room, -1, axis=0)], axis=1)
-    ends = FrontEnds(EnvConfig(robots=1), 1)
+    ends = FrontEnds(override(EnvConfig(), {"robots": 1, "slam.odometry_filter.backend": backend}), 1)
     true = start = np.array([-1.5, 0.0, 0.0])
     motion = np.array([STEP_M, 0.0, 0.0])
     for step in range(BEFORE + AFTER + 1):
@@ -51,3 +51,9 @@ def test_wheel_slip_is_corrected_within_a_second(scan, corners, slip_m, seed):
 def test_an_external_rotation_is_corrected_within_a_second(scan, corners, turn_deg, seed):
     off = off_after(scan, corners, np.array([0.0, 0.0, np.deg2rad(turn_deg)]), seed)
     assert np.hypot(off[0], off[1]) < 0.05 and abs(off[2]) < np.deg2rad(1.0)
+
+
+@pytest.mark.parametrize("slip", [[0.3, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.2]])
+def test_both_filters_handle_slips_equally(scan, slip):
+    compiled, filterpy = [off_after(scan, TWO_ROOMS, np.array(slip), 2, kind) for kind in ("compiled", "filterpy")]
+    assert compiled == pytest.approx(filterpy, abs=1e-9)

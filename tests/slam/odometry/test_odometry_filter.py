@@ -5,29 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.slam.odometry.filterpy_filter import FilterpyFilters
 from twc_env.config import OdometryFilterConfig
 from twc_env.records.geometry import compose, wrap_angle
-from twc_env.slam.odometry.odometry_filter import OdometryFilters, believe_match, predict_state
+from twc_env.slam.odometry.filterpy_filter import FilterpyFilters
+from twc_env.slam.odometry.filters import make_filters
+from twc_env.slam.odometry.odometry_filter import CompiledFilters
 
 DT_S = 0.1
 CONFIG = OdometryFilterConfig()
-
-
-class CompiledFilters(OdometryFilters):
-    """The kernels, one robot after the other."""
-
-    def predict(self, robots, odometry, turn_rates_rad_s, dts_s) -> None:
-        for a, k in enumerate(robots):
-            if dts_s[a] > 0.0:
-                predict_state(
-                    self.states[k], self.covariances[k], odometry[a], turn_rates_rad_s[a], dts_s[a], self.noise[k]
-                )
-
-    def update(self, robots, poses, information, is_matched, is_clear) -> None:
-        for k in robots:
-            x, p, gate = self.states[k], self.covariances[k], self.noise[k, 5]
-            is_matched[k] = is_matched[k] and believe_match(x, p, poses[k], information[k], gate, is_clear[k])
 
 
 class Single:
@@ -287,3 +272,8 @@ def test_an_update_does_not_modify_the_measurement(kind):
     filters.update(robots, poses, information, np.ones(1, bool), np.zeros(1, bool))
     assert poses.tolist() == [[0.1, 0.0, 3.0]]
     assert np.array_equal(information[0], np.diag([100.0, 100.0, 100.0]))
+
+
+def test_the_config_selects_the_filter():
+    assert isinstance(make_filters(OdometryFilterConfig(backend="compiled"), 1), CompiledFilters)
+    assert isinstance(make_filters(OdometryFilterConfig(backend="filterpy"), 1), FilterpyFilters)

@@ -42,8 +42,9 @@ def test_an_opening_around_a_single_return_stays_open():
     assert np.array_equal(marked(scan, 3), scan)
 
 
-def test_a_team_that_loses_a_tenth_of_its_beams_maps_no_floor_beyond_the_walls():
-    lossy = {"lidar.dropout_probability": 0.1}
+@pytest.mark.parametrize("filters", ["compiled", "filterpy"])
+def test_a_team_that_loses_a_tenth_of_its_beams_maps_no_floor_beyond_the_walls(filters):
+    lossy = {"lidar.dropout_probability": 0.1, "slam.odometry_filter.backend": filters}
     env = twc_env.parallel_env(map="twin-01", robots=2, max_cycles=60, config=lossy)
     env.reset(seed=0)
     while env.agents:

@@ -18,8 +18,9 @@ from twc_env.records.messages import UNSEEN_M
 from twc_env.records.team_messages import TeamFrames
 from twc_env.slam.front_end.scan_intake import ScanIntake
 from twc_env.slam.matching.scan_matching import LineFields, match_scan, matching_room
+from twc_env.slam.odometry.filters import make_filters
 from twc_env.slam.odometry.odometry_filter import (
-    OdometryFilters,
+    CompiledFilters,
     anchor,
     believe_match,
     motion_noise,
@@ -108,7 +109,8 @@ def _note_open(robots, before, states, information, by_odometry):
 def _track(
     apparatus, robots, ranges, has_scan, odometry, turn_rates, now_s, poses, whose, macs, levels, ages, heard
 ):  # fmt: skip
-    """A complete step, including WiFi scans; returns whether any robot needs a new keyframe."""
+    """A complete step with the compiled filters, including WiFi scans; returns whether any robot needs a new
+    keyframe."""
     (
         scans_before, poses_before, moved, range_max, is_carried, motion,
         states, covariances, noise, believes_scans, directions, opening, free, is_soft, mask_radii, marked, discs,
@@ -208,7 +210,7 @@ class Tracker(BindsAnew):
         """Recent WiFi scans of each robot."""
         noise, beams, rule = config.slam.odometry_filter, config.lidar.circle_beam_count, config.slam.keyframe
         assumed = [own.slam.odometry_filter for own in robot_configs(config)] if config.robot else noise
-        self._filters = OdometryFilters(assumed, count, config.slam.oracle != "poses")
+        self._filters = make_filters(assumed, count, config.slam.oracle != "poses")
         variance_m2 = noise.match_std_m**2 * noise.match_correlation
         robot_radius_m = config.dynamics.robot_radius_m
         fields = LineFields(count, config.slam.local_map, config.lidar, variance_m2, robot_radius_m)
@@ -253,7 +255,8 @@ class Tracker(BindsAnew):
         for_teammates = np.empty(beams, bool), np.empty(beams + 1, np.int64)
         for_lost = np.zeros(beams, bool), np.empty(beams)
         room = for_teammates, for_lost, matching_room(beams)
-        self._matching = (fields.cells, fields.lines, fields.origins_m, fields.rule, config.slam.cues.lidar, room)
+        self._has_lidar = config.slam.cues.lidar
+        self._matching = (fields.cells, fields.lines, fields.origins_m, fields.rule, self._has_lidar, room)
         self._run: Callable[..., bool] | None = None
         """`_track` bound to its constant arguments."""
         still_steps = rule.still_s / config.dynamics.time_step_s or math.inf
@@ -275,7 +278,11 @@ class Tracker(BindsAnew):
             whose, macs, rssi_dbm, ages_s, counts,
         )  # fmt: skip
         if self._run is None:
-            self._run = bound(_track, self._packed(), *now)
+            if not isinstance(self._filters, CompiledFilters):
+                self._update_stepwise(robots, frames, has_scan)
+                keep(self.radio.kept, frames.time_s, robots, *now[7:])
+                return
+            self._run = bound(_track, self._packed(self._filters), *now)
         self.has_arrived = self._run(*now)
 
     def take_by_odometry(self, robot: int) -> tuple[()] | tuple[tuple[float, float], tuple[float, float]]:
@@ -292,9 +299,9 @@ class Tracker(BindsAnew):
         scale, variance = self._filters.states[robot, 4], self._filters.covariances[robot, 4, 4]
         return (c * x + s * y, c * y - s * x), (float(scale), math.sqrt(variance))
 
-    def _packed(self) -> Lent:
+    def _packed(self, filters: CompiledFilters) -> Lent:
         """The constant arguments of `_track`."""
-        filters, count = self._filters, len(self.poses_odom)
+        count = len(self.poses_odom)
         is_matched, is_clear = np.zeros(count, bool), np.zeros(count, bool)
         room = np.empty(count), np.empty((count, 3)), is_matched, is_clear, np.zeros(count), np.empty((count, 2))
         parts = (
@@ -304,3 +311,27 @@ class Tracker(BindsAnew):
             self.travels_m, self.steps, self.is_new, self._by_odometry_m, *room, self.radio.kept,
         )  # fmt: skip
         return Lent(parts)
+
+    def _update_stepwise(self, robots: Array, frames: TeamFrames, has_scan: Array) -> None:
+        """The same for filters that are not compiled."""
+        count = len(self.poses_odom)
+        matched, explained = np.empty((count, 3)), np.zeros(count)
+        is_matched, is_clear = np.zeros(count, bool), np.zeros(count, bool)
+        dts_s = frames.time_s - self.times_s[robots]
+        self.times_s[robots] = frames.time_s
+        before = self._filters.states[:, :2].copy()
+        self._filters.predict(robots, frames.odometry, frames.turn_rates_rad_s, dts_s)
+        _see(
+            robots, frames.ranges_m, has_scan, self._filters.states, *self._marking, *self._matching, matched,
+            self.information, is_matched, is_clear, explained,
+        )  # fmt: skip
+        self._filters.update(robots, matched, self.information, is_matched, is_clear)
+        self.information[robots[~is_matched[robots] & has_scan]] = 0.0
+        if self._has_lidar:
+            _note_open(robots, before, self._filters.states, self.information, self._by_odometry_m)
+        self.has_arrived = _arrive(
+            robots, frames.odometry, dts_s, has_scan, self._filters.states, explained, self._keyframe_rule,
+            self.keyframe_poses, self.poses_odom, self.travels_m, self.steps, self.is_new,
+        )  # fmt: skip
+        if not self._has_lidar:
+            self._filters.anchor(robots, self.is_new)

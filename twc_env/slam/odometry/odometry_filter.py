@@ -4,6 +4,8 @@ The scale error is the share by which odometry reads too long. It is learned whe
 directions and used in corridors where it does not. Its Jacobian and the motion noise use a running mean of the
 readings: with the reading itself, a step that is long by chance would get another weight than a short one, which biases
 the scale (errors in variables).
+
+`filterpy_filter` has the same equations: the reference in tests, and an option of the log tools.
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ def motion_noise(dx, dy, config):
 def predict_state(x, p, odometry, turn_rate, dt, config):
     """Predict with odometry and the gyro's heading; then update the gyro bias with the odometry's turn.
 
-    x (7,) and p (5, 5), see `OdometryFilters`, are changed in place. config: position_std_per_m, position_std_m,
+    x (7,) and p (5, 5), see `CompiledFilters`, are changed in place. config: position_std_per_m, position_std_m,
     turn_std_rad, odometry_turn_std_rad, gyro_bias_walk_rad_s, match_gate.
     """
     turn = (turn_rate - x[3]) * dt
@@ -213,6 +215,22 @@ def motion_covariance(variance, heading, matched, std_min, out):
 
 
 @borrowing_kernel
+def _predict_all(states, covariances, robots, odometry, turn_rates, dts, noise):
+    for a in range(robots.shape[0]):
+        k = robots[a]
+        if dts[a] > 0.0:
+            predict_state(states[k], covariances[k], odometry[a], turn_rates[a], dts[a], noise[k])
+
+
+@kernel
+def _update_all(states, covariances, robots, poses, information, is_matched, is_clear, noise):
+    for a in range(robots.shape[0]):
+        k = robots[a]
+        if is_matched[k]:
+            is_matched[k] = believe_match(states[k], covariances[k], poses[k], information[k], noise[k, 5], is_clear[k])
+
+
+@borrowing_kernel
 def anchor(covariances, robots, is_new):
     """Fix the current pose of those robots (k,) that have a new keyframe (`is_new` (n,)): zero its covariance.
 
@@ -231,15 +249,14 @@ def first_covariance(config: OdometryFilterConfig) -> Array:
     return np.diag([1e-6, 1e-6, 1e-8, config.gyro_bias_std_rad_s**2, config.odometry_scale_std**2])
 
 
-class OdometryFilters:
-    """States of one filter per robot."""
+class CompiledFilters:
+    """One filter per robot, all updated in one compiled call."""
 
-    def __init__(
-        self, config: OdometryFilterConfig | Sequence[OdometryFilterConfig], count: int, believes_scans: bool = True
-    ):
-        """config: assumptions of all robots, or of each; believes_scans: False ignores scan matches."""
+    believes_scans = True
+
+    def __init__(self, config: OdometryFilterConfig | Sequence[OdometryFilterConfig], count: int):
+        """config: assumptions of all robots, or of each."""
         own = [config] * count if isinstance(config, OdometryFilterConfig) else config
-        self.believes_scans = believes_scans
         self.noise = np.array([process_values(each) for each in own])
         """(n, 6) see `process_values`."""
         self.states = np.zeros((count, 7))
@@ -247,3 +264,29 @@ class OdometryFilters:
         (share), and the running mean of the forward and left readings [m]."""
         self.covariances = np.array([first_covariance(each) for each in own])
         """(n, 5, 5)."""
+
+    def predict(self, robots: Array, odometry: Array, turn_rates_rad_s: Array, dts_s: Array) -> None:
+        """Predict robots (k,) by one frame: odometry (k, 3), gyro (k,) and time since the last frame (k,); no-op at
+        zero time."""
+        _predict_all(self.states, self.covariances, robots, odometry, turn_rates_rad_s, dts_s, self.noise)
+
+    def update(self, robots: Array, poses: Array, information: Array, is_matched: Array, is_clear: Array) -> None:
+        """Update the robots (k,) that are matched (n,).
+
+        poses (n, 3) by scan matching with information (n, 3, 3), which may be singular. is_matched is cleared for
+        robots whose match exceeds the gate and is not clear (n,).
+        """
+        _update_all(self.states, self.covariances, robots, poses, information, is_matched, is_clear, self.noise)
+
+    def anchor(self, robots: Array, is_new: Array) -> None:
+        """See the kernel of this name."""
+        anchor(self.covariances, robots, is_new)
+
+
+class OdometryAlone(CompiledFilters):
+    """Ignores scan matches; for perfect odometry (`slam.oracle`)."""
+
+    believes_scans = False
+
+    def update(self, robots: Array, poses: Array, information: Array, is_matched: Array, is_clear: Array) -> None:
+        """Does nothing."""

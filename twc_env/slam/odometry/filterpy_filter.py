@@ -22,7 +22,7 @@ from twc_env.slam.odometry.odometry_filter import (
 
 
 class FilterpyFilters:
-    """One filter per robot; with the methods of `CompiledFilters` in `test_odometry_filter`."""
+    """One filter per robot; interface of `CompiledFilters`."""
 
     def __init__(self, config: OdometryFilterConfig | Sequence[OdometryFilterConfig], count: int):
         own = [config] * count if isinstance(config, OdometryFilterConfig) else config
@@ -36,7 +36,7 @@ class FilterpyFilters:
 
     @property
     def states(self) -> Array:
-        """(n, 7), see `OdometryFilters`."""
+        """See `CompiledFilters`."""
         return np.column_stack([[ekf.x for ekf in self._filters], self._readings])
 
     @property
@@ -45,6 +45,7 @@ class FilterpyFilters:
         return np.array([ekf.P for ekf in self._filters])
 
     def predict(self, robots: Array, odometry: Array, turn_rates_rad_s: Array, dts_s: Array) -> None:
+        """See `CompiledFilters`."""
         for k, motion, turn_rate, dt_s in zip(robots, odometry, turn_rates_rad_s, dts_s, strict=True):
             if dt_s > 0.0:
                 before = self._readings[k].copy()
@@ -53,6 +54,7 @@ class FilterpyFilters:
                 self._predict(self._filters[k], self._values[k], motion, float(turn_rate), float(dt_s), *ways)
 
     def update(self, robots: Array, poses: Array, information: Array, is_matched: Array, is_clear: Array) -> None:
+        """See `CompiledFilters`."""
         for k in robots:
             if not is_matched[k]:
                 continue
@@ -71,6 +73,11 @@ class FilterpyFilters:
                     R=noise,
                     residual=_pose_difference,
                 )
+
+    def anchor(self, robots: Array, is_new: Array) -> None:
+        """See the kernel of this name in `odometry_filter`."""
+        for k in robots[is_new[robots]]:
+            self._filters[k].P[:3] = self._filters[k].P[:, :3] = 0.0
 
     def _predict(
         self, ekf, values: Array, odometry: Array, turn_rate_rad_s: float, dt_s: float, before: Array, now: Array
