@@ -155,7 +155,7 @@ def test_schema_prints_the_schema(capsys):
         (["generate", "castle", "300"], "kinds are office, ring"),
         (["generate", "office", "30"], "must be 100 to 10000 m2"),
         (["generate", "office", "300", "--out", "a.png"], "--out must end in .json"),
-        (["import", "none.yaml"], "no such file"),
+        (["import", "none.yaml"], "there is no map file 'none.yaml'"),
         (["import", "none.yaml", "--resolution", "0.1"], "--resolution is for .png and .pgm"),
         (["import", "none.pgm", "--resolution", "0"], "--resolution must be 0.005 to 10"),
         (["export", "twin-01", "a.dxf"], "use a name that ends in"),
