@@ -23,9 +23,25 @@ HALF_WAY_M, HALF_GAIN_M2 = 10.0, 10.0
 """Observations show lengths l and areas a as l / (l + 10 m) and a / (a + 10 m2)."""
 DECAY_PER_M, GAIN_MIN_M2 = 0.15, 0.3
 """The rate at which a gain is worth less with its way, and the least gain."""
-SHARPNESS, EXTRA_UTILITY = 20.0, -4.0
-"""Logits per utility, and utility of other choices than goals. Rate and sharpness were chosen in forty validation
-buildings of ExploreQuick-v1: sharper is better for the rule, and leaves less to try."""
+SHARPNESS = 20.0
+"""Logits per utility. This and the rate of decay were chosen in forty validation buildings of ExploreQuick-v1: sharper
+is better for the rule, and leaves less to try."""
+RULE = {
+    "gain": (1.0, 0.0),
+    "way": (-DECAY_PER_M * HALF_WAY_M, 0.3),
+    "way early": (0.0, 0.3),
+    "near own goal": (0.0, 0.1),
+    "near goal of teammate": (0.0, 0.2),
+    "behind": (0.0, 0.15),
+    "frontier": (0.0, 0.2),
+    "sign": (-20.0, 0.0),
+    "teammate": (-20.0, 0.0),
+    "stay": (-20.0, 0.0),
+}
+"""What makes the utility of a choice: weight at the start of training, and how far evolution strategies vary it. Of a
+goal the logarithm of its gain, its way in 10 m, the same where more than half of the time is left, closeness to the
+robot's last goal and to those of teammates, how far it lies behind, and its size as a frontier; utilities of the other
+choices, below those of most goals."""
 USED = ("frontiers", "gains", "goals", "action_mask", "pose", "clock", "team", "signs")
 """The blocks that a policy sees, as far as the observation has them. Images are left out: the rows of the candidates
 summarise the part of the map that matters, and train in minutes."""
@@ -90,40 +106,37 @@ class Actor(nn.Module):
     """Logits of the choices: a rule for one robot alone, and what the network adds to it.
 
     The rule is the utility of González-Baños and Latombe 2002, unknown area in view times exp(-lambda length), whose
-    logarithm is a logit; without `gains` it prefers the nearest goal. Its weights are learnt, too, and those of the
-    closeness to the last goals and of lying behind. Training starts from it and adds the rest ("residual policy
-    learning", Silver et al. 2018; Johannink et al. 2019).
+    logarithm is a logit; without `gains` it prefers the nearest goal. Its weights are learnt, too, and those of what
+    else a goal has (`RULE`). Training starts from it and adds the rest ("residual policy learning", Silver et al. 2018;
+    Johannink et al. 2019).
     """
 
     def __init__(self, space: spaces.Dict, width: int = 64):
         super().__init__()
         self.encoder = Encoder(space, width)
         self.score = nn.Sequential(nn.Linear(2 * width, width), nn.Tanh(), nn.Linear(width, 1))
-        with torch.no_grad():
-            self.score[2].weight.mul_(0.1)
-            self.score[2].bias.zero_()
-        self.rule = nn.Parameter(torch.tensor([1.0, -DECAY_PER_M * HALF_WAY_M, 0.0, 0.0, 0.0, 0.0]))
-        """Weights of the logarithm of the gain, the way in 10 m, closeness to the last goals, how far it lies behind,
-        and whether a teammate is nearer."""
-        self.extra = nn.Parameter(torch.full((EXTRA_CHOICES,), EXTRA_UTILITY))
-        """Utilities of the other choices, below those of most goals."""
+        for parameter in self.score[2].parameters():
+            nn.init.zeros_(parameter)
+        self.rule = nn.Parameter(torch.tensor([weight for weight, _ in RULE.values()]))
 
     def forward(self, seen: dict[str, Tensor]) -> Tensor:
         """(batch, choices) logits; masked choices have probability 0."""
         choices, situation = self.encoder(seen)
         around = situation[:, None].expand(-1, choices.shape[1], -1)
-        logits = self.score(torch.cat([choices, around], 2))[..., 0] + self._logits_of_rule(seen)
-        return logits.masked_fill(seen["action_mask"] <= 0, -1e9)
+        added = self.score(torch.cat([choices, around], 2))[..., 0]
+        return added + logits_of_rule(seen, self.rule.expand(len(added), -1))
 
-    def _logits_of_rule(self, seen: dict[str, Tensor]) -> Tensor:
-        """(batch, choices)."""
-        way = _unshared(seen["frontiers"][..., 3])
-        gain = torch.zeros_like(way)
-        if self.encoder.has_gains:
-            gain = torch.log(HALF_GAIN_M2 * _unshared(seen["gains"]) + GAIN_MIN_M2)
-        row, near = seen["frontiers"], seen["goals"]
-        goals = torch.stack([gain, way, near[..., 0], near[..., 1], row[..., 1].abs(), row[..., 5]], -1) @ self.rule
-        return SHARPNESS * torch.cat([goals, self.extra.expand(len(goals), -1)], 1)
+
+def logits_of_rule(seen: dict[str, Tensor], weights: Tensor) -> Tensor:
+    """(batch, choices) for weights (batch, len(RULE)); masked choices have probability 0."""
+    row, near, left = seen["frontiers"], seen["goals"], seen["clock"]
+    way = _unshared(row[..., 3])
+    gain = torch.log(HALF_GAIN_M2 * _unshared(seen["gains"]) + GAIN_MIN_M2) if "gains" in seen else 0.0 * way
+    known = [gain, way, (left - 0.5) * way, near[..., 0], near[..., 1], row[..., 1].abs(), row[..., 4]]
+    goals = torch.stack(known, -1)
+    utilities = torch.einsum("bcf,bf->bc", goals, weights[:, : goals.shape[2]])
+    logits = SHARPNESS * torch.cat([utilities, weights[:, goals.shape[2] :]], 1)
+    return logits.masked_fill(seen["action_mask"] <= 0, -1e9)
 
 
 def _unshared(share: Tensor) -> Tensor:

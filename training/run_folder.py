@@ -23,10 +23,10 @@ HELD_OUT_SEED = 100_000
 CHOICES: dict[str, object] = {
     "action.kind": "frontier",
     "action.goals": "views",
-    "action.timing": "synchronous",
-    "action.decision_max_s": 1.0,
+    "action.timing": "in-turn",
+    "action.decision_max_s": 0.5,
 }
-"""Default actions in training, unless the task has choices of its own: all robots choose a view anew every second
+"""Default actions in training, unless the task has choices of its own: each robot chooses a view anew twice a second
 (docs/learning.md has what that is worth)."""
 SMALL_VIEW: dict[str, object] = {
     "observation.lidar": False,

@@ -49,8 +49,9 @@ PACKAGES = {
 FIRST = (
     "twc_env.config.environment", "twc_env.config.values", "twc_env.records.messages", "twc_env.records.team_messages",
     "twc_env.records.scanner", "twc_env.records.geometry", "agents.policy", "agents.explore", "agents.roster",
-    "training.ppo", "training.mappo", "training.trained_policy", "training.evaluate", "twc_env.pictures.style",
-    "twc_env.pictures.video", "twc_env.datasets.logs.frame_log", "twc_env.datasets.logs.scan_log",
+    "training.ppo", "training.mappo", "training.evolution", "training.trained_policy", "training.evaluate",
+    "twc_env.pictures.style", "twc_env.pictures.video", "twc_env.datasets.logs.frame_log",
+    "twc_env.datasets.logs.scan_log",
 )  # fmt: skip
 """Modules that stand at the top of their page."""
 PARTS = (

@@ -147,7 +147,7 @@ def test_no_long_action_waits_for_a_robot_that_has_failed_and_it_decides_nothing
     assert lengths == [10] * 6
 
 
-@pytest.mark.parametrize("timing", ["synchronous", "asynchronous"])
+@pytest.mark.parametrize("timing", ["synchronous", "asynchronous", "in-turn"])
 def test_steps_of_a_team_that_has_failed_take_the_longest_time(timing):
     action = {"action.kind": "waypoint", "action.timing": timing, "action.decision_max_s": 2.0}
     config = {**action, "failure.robots": 2, "failure.robots_step": 0}

@@ -231,6 +231,21 @@ def test_views_to_which_a_robot_drove_are_not_offered_again():
     assert len(near_m) > 20 and min(near_m) >= SPENT_M
 
 
+def test_in_turn_one_robot_decides_at_a_time_in_every_period_and_when_it_has_arrived():
+    config = {**VIEWS, "action.timing": "in-turn", "action.decision_max_s": 4.0}
+    env = twc_env.parallel_env(map="gen:office:200:5", max_cycles=200, config=config)
+    _, infos = env.reset(seed=0)
+    decided, steps, early = [0] * 3, 0, 0
+    while env.agents:
+        (robot,) = [k for k, info in enumerate(infos.values()) if info["is_deciding"]]
+        assert steps - decided[robot] <= 42
+        early += 3 < steps - decided[robot] < 40
+        decided[robot] = steps
+        _, _, _, _, infos = env.step({a: int(np.argmax(infos[a]["action_mask"])) for a in env.agents})
+        steps += infos["robot_0"]["time_steps"]
+    assert early and min(decided) >= 158
+
+
 def test_goals_of_robots_with_a_common_map_are_claimed(monkeypatch):
     claims = []
 

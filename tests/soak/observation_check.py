@@ -21,6 +21,7 @@ ACTIONS = (
     ("waypoint", "asynchronous"),
     ("frontier", "synchronous"),
     ("frontier", "asynchronous"),
+    ("frontier", "in-turn"),
 )
 """Every kind and timing of action."""
 _SETTINGS = {

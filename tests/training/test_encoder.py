@@ -33,7 +33,9 @@ def actor(torch):
     from twc_env.training.encoder import Actor
 
     torch.manual_seed(0)
-    return Actor(space_for(3), 16)
+    trained = Actor(space_for(3), 16)
+    torch.nn.init.normal_(trained.score[2].weight, std=0.1)  # the network adds nothing before training
+    return trained
 
 
 def test_a_masked_choice_is_never_taken(actor):
@@ -75,6 +77,8 @@ def test_teammates_that_were_never_heard_are_as_if_there_were_none(actor, torch)
 
 
 def test_the_first_policy_prefers_near_frontiers_that_show_much(actor, torch):
+    from twc_env.training.encoder import RULE
+
     seen = sample(space_for(3))
     seen["frontiers"][0, :, 3], seen["gains"][0], seen["goals"][0] = 0.5, 0.5, 0.0
     seen["frontiers"][0, 2, 3] = 0.1
@@ -84,7 +88,7 @@ def test_the_first_policy_prefers_near_frontiers_that_show_much(actor, torch):
     seen["goals"][0, 6] = 1.0
     assert actor(seen).argmax().item() == 6, "it may change its mind, and need not"
     with torch.no_grad():
-        actor.rule[2] = -3.0
+        actor.rule[list(RULE).index("near own goal")] = -3.0
     assert actor(seen).argmax().item() != 6, "where it has just been going"
 
 

@@ -58,6 +58,7 @@ def test_a_decision_earns_what_is_rewarded_until_the_next_one_of_the_same_robot(
     from twc_env.training.mappo import Rollouts
 
     settings = replace(tiny, discount=1.0, rollout_steps=30)
+    task = replace(task, overrides={**task.overrides, "action.timing": "synchronous", "action.decision_max_s": 1.0})
     rollouts = Rollouts(task, settings)
     rollouts.begin()
     mask = rollouts._seen["action_mask"]

@@ -14,14 +14,17 @@ pytestmark = pytest.mark.usefixtures("torch")
 KILLS = int(os.environ.get("TWC_KILLS", "1"))
 
 
-@pytest.fixture(scope="module", params=["mappo", "ppo"])
+@pytest.fixture(scope="module", params=["mappo", "ppo", "es"])
 def tiny(torch, request):
     """A function that trains, and settings of five updates."""
-    from twc_env.training import mappo, ppo
+    from twc_env.training import evolution, mappo, ppo
 
-    sizes = {"seed": 3, "environments": 2, "workers": 0, "epochs": 2, "hidden_size": 8}
+    teams = {"seed": 3, "environments": 2, "workers": 0}
+    sizes = {**teams, "epochs": 2, "hidden_size": 8}
     if request.param == "mappo":
         algorithm, settings = mappo, mappo.Settings(**sizes, steps=120, rollout_steps=8, minibatches=2)
+    elif request.param == "es":
+        algorithm, settings = evolution, evolution.Settings(**teams, steps=300)
     else:
         algorithm, settings = ppo, ppo.Settings(**sizes, steps=240, rollout_steps=12, batch_size=16)
 

@@ -53,6 +53,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "training only. A run that was killed at any moment continues with --resume as if nothing had happened.",
     )  # fmt: skip
     _add_algorithm(
+        algorithms, "es", 500_000, "train with an evolution strategy (torch)",
+        "Varies the weights of the rule that all policies start from, each change and its opposite for a whole episode "
+        "in the same building. A run that was killed continues with --resume as if nothing had happened.",
+    )  # fmt: skip
+    _add_algorithm(
         algorithms, "ppo", 181_000, "train with the standard PPO of stable-baselines3",
         "A busy robot counts as one that decides to continue.",
     )  # fmt: skip
@@ -87,21 +92,10 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
     add_ray(parser, "; the result is the same, also if workers or machines are lost")
     parser.add_argument("--seed", type=natural, default=0, help="of network, buildings and episodes")
     tuned = parser.add_argument_group("hyperparameters", "defaults and their reasons: Settings of training/*.py")
-    tuned.add_argument("--learning-rate", type=number(0.0, 1.0), metavar="RATE", help="initial step size of Adam")
-    tuned.add_argument("--clip", type=number(0.0, 10.0), help="clip range of the probability ratio")
-    tuned.add_argument(
-        "--discount", type=number(0.0, 1.0), metavar="GAMMA", help="mappo: per second; ppo: per decision"
-    )
-    tuned.add_argument("--gae-lambda", type=number(0.0, 1.0), metavar="LAMBDA", help="of the advantages, per decision")
-    tuned.add_argument("--entropy-weight", type=number(-10.0, 10.0), metavar="WEIGHT", help="bonus for entropy")
-    tuned.add_argument("--epochs", type=count, help="passes over each rollout")
+    tuned.add_argument("--learning-rate", type=number(0.0, 10.0), metavar="RATE", help="initial step size")
     tuned.add_argument("--environments", type=count, help="teams that play at once")
-    tuned.add_argument("--rollout-steps", type=count, metavar="STEPS", help="of each environment between two updates")
-    tuned.add_argument("--hidden-size", type=count, metavar="WIDTH", help="of the networks, a multiple of 4")
-    if name == "mappo":
-        tuned.add_argument("--minibatches", type=count, help="gradient steps per pass")
-    else:
-        tuned.add_argument("--batch-size", type=count, help="samples per gradient step")
+    if name != "es":
+        _add_gradients(tuned, name)
     parser.add_argument(
         "--references",
         type=natural,
@@ -117,18 +111,37 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
     )
 
 
+def _add_gradients(tuned: Any, name: str) -> None:
+    """Hyperparameters of learners that follow gradients of a network."""
+    tuned.add_argument("--clip", type=number(0.0, 10.0), help="clip range of the probability ratio")
+    tuned.add_argument(
+        "--discount", type=number(0.0, 1.0), metavar="GAMMA", help="mappo: per second; ppo: per decision"
+    )
+    tuned.add_argument("--gae-lambda", type=number(0.0, 1.0), metavar="LAMBDA", help="of the advantages, per decision")
+    tuned.add_argument("--entropy-weight", type=number(-10.0, 10.0), metavar="WEIGHT", help="bonus for entropy")
+    tuned.add_argument("--epochs", type=count, help="passes over each rollout")
+    tuned.add_argument("--rollout-steps", type=count, metavar="STEPS", help="of each environment between two updates")
+    tuned.add_argument("--hidden-size", type=count, metavar="WIDTH", help="of the networks, a multiple of 4")
+    if name == "mappo":
+        tuned.add_argument("--minibatches", type=count, help="gradient steps per pass")
+    else:
+        tuned.add_argument("--batch-size", type=count, help="samples per gradient step")
+
+
 def _train(options: argparse.Namespace) -> int:
     with learning_libraries():
         from twc_env.training.run_folder import Task, task_id
 
         if options.algorithm == "mappo":
             from twc_env.training import mappo as algorithm
+        elif options.algorithm == "es":
+            from twc_env.training import evolution as algorithm
         else:
             from twc_env.training import ppo as algorithm
 
     if options.seed >= SEEDS:
         raise DataError(f"--seed must be 0 to {SEEDS - 1}; got {options.seed}")
-    if options.hidden_size is not None and options.hidden_size % 4:
+    if getattr(options, "hidden_size", None) is not None and options.hidden_size % 4:
         raise DataError(f"--hidden-size must be a multiple of the 4 heads of the attention; got {options.hidden_size}")
     if options.task is not None and options.map is not None:
         raise DataError(f"--map {options.map}: the task {options.task} has its own buildings; leave one of them out")

@@ -65,8 +65,9 @@ class ActionConfig(Checked):
     kind: str = choice("velocity", "waypoint", "frontier")
     """`velocity`: one command per time step. `waypoint` and `frontier`: the environment drives until the goal is
     reached."""
-    timing: str = choice("synchronous", "asynchronous")
-    """With `waypoint` and `frontier`, a step ends when all robots have arrived, or as soon as one has."""
+    timing: str = choice("synchronous", "asynchronous", "in-turn")
+    """With `waypoint` and `frontier`, a step ends when all robots have arrived, as soon as one has, or as soon as it is
+    one robot's turn: each decides alone, when it has arrived or `decision_max_s` after its last decision."""
     frontier_slots: int = number(8, 1, 64)
     goals: str = choice("frontiers", "views", is_later=True)
     """What `frontier` actions choose from: the nearest `frontiers`, or the `views`, places on open floor and frontiers,
@@ -74,7 +75,7 @@ class ActionConfig(Checked):
     waypoint_reach_m: float = number(5.0, 0.5, 100.0)
     """Distance of the goal for an action of length 1."""
     decision_max_s: float = number(10.0, 0.1, 600.0)
-    """Maximum duration of a step."""
+    """Maximum duration of a step; in turn, of a decision."""
     stay_s: float = number(1.0, 0.1, 60.0)
 
 

@@ -69,7 +69,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     A waypoint goal is moved to the nearest reachable known place. Waypoints and frontiers are planned and followed on
     the estimated map, which takes many time steps. A step ends when all robots have arrived
     (`action.timing = "synchronous"`: early robots wait) or as soon as one has ("asynchronous": the others continue, and
-    their next actions are ignored), at the latest after `action.decision_max_s`. A robot that is stuck or finds no way
+    their next actions are ignored), at the latest after `action.decision_max_s`. With "in-turn" one robot decides
+    at a time, knowing what the others have decided: one that has arrived, or whose last decision was so long ago, and
+    of several that for which it was longest. A robot that is stuck or finds no way
     gives up, which counts as arriving. Rewards of the time steps are summed.
     `info["is_deciding"]` says whether a robot's next action counts, `info["time_steps"]` how long the step was. For
     `frontier`, `action_mask` is in the observation and in `info`. A masked choice counts as stay; for a busy robot,

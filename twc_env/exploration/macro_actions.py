@@ -114,6 +114,11 @@ class MacroActions:
         self._are_candidates_used = config.action.kind == "frontier" or config.observation.frontiers
         self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()
         """(robots,) whether the robot's action counts in the next step; if not, it still executes its last one."""
+        self._is_in_turn = config.action.timing == "in-turn"
+        self._decided = np.where(self.is_deciding, -(2**30), 0)
+        """When each robot decided last [ticks]."""
+        if self._is_in_turn:
+            self._choose_turn(self.is_deciding)
         self._stay_until = np.zeros(count, np.int64)
         self._is_view = np.zeros(count, bool)
         """Whether the last goal of each robot was a view."""
@@ -123,6 +128,7 @@ class MacroActions:
         self._ticks = 0
         self._deadline = 0
         self._seconds = 1.0 / config.dynamics.time_step_s
+        self._period = max(1, math.ceil(self._action.decision_max_s * self._seconds - 1e-9))
 
     @property
     def candidates(self) -> list[Candidates]:
@@ -165,7 +171,9 @@ class MacroActions:
         parsed = []
         for agent in agents:
             parsed.append(parse(actions[agent], agent, size))
-        self._deadline = self._ticks + max(1, math.ceil(self._action.decision_max_s * self._seconds - 1e-9))
+        self._decided[self.is_deciding] = self._ticks
+        first = int(self._decided.min()) if self._is_in_turn else self._ticks
+        self._deadline = first + self._period
         for robot, (value, belief) in enumerate(zip(parsed, beliefs, strict=True)):
             if self.is_deciding[robot]:
                 self._begin(robot, belief, self._goal_of(robot, value, belief))
@@ -186,12 +194,23 @@ class MacroActions:
         if self._ticks < self._deadline and all(is_driving.tolist()):  # as in most steps
             return False
         is_free = ~is_driving & (self._stay_until <= self._ticks)
+        if self._is_in_turn:
+            self._decided[~is_alive] = self._ticks
+            self._choose_turn(is_alive & (is_free | (self._decided + self._period <= self._ticks)))
+            return bool(self.is_deciding.any()) or (not is_alive.any() and self._ticks >= self._deadline)
         late, awaited = self._ticks >= self._deadline, is_free[is_alive]
         has_come = awaited.all() if self._action.timing == "synchronous" else awaited.any()
         due = late or (len(awaited) > 0 and has_come)
         if due:
             self.is_deciding = is_alive.copy() if late else is_free & is_alive
         return bool(due)
+
+    def _choose_turn(self, is_waiting: Array) -> None:
+        """Of the robots that wait for their turn, the one decides that has not for longest."""
+        waiting = np.flatnonzero(is_waiting)
+        self.is_deciding[:] = False
+        if len(waiting):
+            self.is_deciding[waiting[np.argmin(self._decided[waiting])]] = True
 
     def _goal_of(self, robot: int, value, belief: Belief) -> tuple[str, Array] | None:
         """Kind and position (2,) in the map frame of the goal of an action; None: stay."""
