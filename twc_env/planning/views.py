@@ -80,6 +80,10 @@ class ViewGain:
         return counts * self._terrain.resolution_m**2
 
 
+LANES = 16
+"""Distances are compared so many at once."""
+
+
 @kernel
 def _grow(kind, nodes, count, samples, step):
     """Extend a tree by samples (k, 2) in the unit square; nodes (n, 2) [cells], of which `count` are valid.
@@ -89,15 +93,22 @@ def _grow(kind, nodes, count, samples, step):
     count, and the frontier points (k, 2).
     """
     height, width = kind.shape
-    points = np.empty((samples.shape[0], 2))
+    points, room = np.empty((samples.shape[0], 2)), nodes.shape[0] // LANES * LANES + LANES
+    rows, columns, away, least = np.full(room, np.inf), np.full(room, np.inf), np.empty(room), np.empty(LANES)
+    rows[:count], columns[:count] = nodes[:count, 0], nodes[:count, 1]
     found = 0
     for i in range(samples.shape[0]):
         row, column = samples[i, 0] * height, samples[i, 1] * width
-        best, nearest = 0, 1e18
         for k in range(count):
-            away = (nodes[k, 0] - row) ** 2 + (nodes[k, 1] - column) ** 2
-            if away < nearest:
-                best, nearest = k, away
+            away[k] = (rows[k] - row) ** 2 + (columns[k] - column) ** 2
+        away[count : count + LANES] = np.inf
+        least[:] = np.inf
+        for k in range(0, count, LANES):
+            for j in range(LANES):
+                least[j] = away[k + j] if away[k + j] < least[j] else least[j]
+        best, nearest = 0, least.min()
+        while away[best] > nearest:
+            best += 1
         length = math.sqrt(nearest)
         if length < 1e-6:
             continue
@@ -116,6 +127,7 @@ def _grow(kind, nodes, count, samples, step):
                 break
         if is_free and count < nodes.shape[0]:
             nodes[count, 0], nodes[count, 1] = nodes[best, 0] + reach * dr, nodes[best, 1] + reach * dc
+            rows[count], columns[count] = nodes[count, 0], nodes[count, 1]
             count += 1
     return count, points[:found]
 
