@@ -356,7 +356,8 @@ class CooperativeSlam(CopiedWhole):
         if len(mapper.groups) == 1:
             return belief
         group = mapper.group_index(robot)
-        return Belief(*_ALL_BUT_LAST(belief), mapper.hypotheses_of(group), mapper.radio_trails_of(group))
+        beside = mapper.hypotheses_of(group), mapper.radio_trails_of(group)
+        return Belief(*(*_ALL_BUT_LAST(belief), *beside))
 
     def _check_robot(self, robot: int) -> None:
         if not (isinstance(robot, (int, np.integer)) and 0 <= robot < len(self.robots)):
