@@ -11,7 +11,6 @@ from numpy.typing import NDArray as Array
 from twc_env.kernels.compiled import kernel
 from twc_env.planning.terrain import UNKNOWN, WALL, Terrain
 
-
 WALL_MARK, NO_MARK = -2, -1
 """In a map of marks: walls, and cells that never count. Unknown cells have the number of the scan that last saw them.
 """
