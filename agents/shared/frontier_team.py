@@ -158,6 +158,8 @@ class FrontierTeam(Explorer):
         """Teammates that can be talked to now about places: in contact, and with a map that begins in the same
         frame."""
         mine = beliefs[agent]
+        if not mine.teammates:
+            return []
         return [other for other, theirs in beliefs.items() if can_tell_places(theirs, mine)]
 
     def current(self, agent: str, frontiers: Frontiers) -> int | None:

@@ -56,28 +56,28 @@ def auctioned(lengths_m: Array, places_m: Array) -> list[list[int]]:
     """
     apart_m = np.hypot(*(places_m[:, None] - places_m).T)
     tours: list[list[int]] = [[] for _ in lengths_m]
-    unsold = set(range(len(places_m)))
+    unsold = list(range(len(places_m)))
+    bids = [_cheapest(tour, own_m, apart_m, unsold) for tour, own_m in zip(tours, lengths_m, strict=True)]
     while unsold:
-        bids = [_cheapest(tours[robot], lengths_m[robot], apart_m, unsold) for robot in range(len(tours))]
         winner = min(range(len(bids)), key=lambda robot: bids[robot][0])
-        _, tours[winner], goal = bids[winner]
-        unsold.remove(goal)
+        _, tours[winner], sold = bids[winner]
+        unsold.remove(sold)
+        for robot, (_, _, goal) in enumerate(bids):  # others bid again what they did
+            if unsold and (robot == winner or goal == sold):
+                bids[robot] = _cheapest(tours[robot], lengths_m[robot], apart_m, unsold)
     return tours
 
 
-def _cheapest(tour: list[int], lengths_m: Array, apart_m: Array, unsold: set[int]) -> tuple[float, list[int], int]:
+def _cheapest(tour: list[int], lengths_m: Array, apart_m: Array, unsold: list[int]) -> tuple[float, list[int], int]:
     """A robot's bid: length of its tour [m] with the goal that lengthens it least, that tour, and the goal."""
-    best: tuple[float, list[int], int] = (np.inf, tour, -1)
-    before_m = _length_m(tour, lengths_m, apart_m)
-    for goal in sorted(unsold):
-        for k in range(len(tour) + 1):
-            behind = lengths_m[goal] if k == 0 else apart_m[tour[k - 1], goal]
-            ahead = apart_m[goal, tour[k]] if k < len(tour) else 0.0
-            skipped = 0.0 if k == len(tour) else (lengths_m[tour[0]] if k == 0 else apart_m[tour[k - 1], tour[k]])
-            price_m = before_m + behind + ahead - skipped
-            if price_m < best[0]:
-                best = price_m, [*tour[:k], goal, *tour[k:]], goal
-    return best
+    ways_m = apart_m[np.ix_(tour, unsold)]
+    behind_m = np.vstack([lengths_m[unsold], ways_m])  # (places in the tour, goals)
+    ahead_m = np.vstack([ways_m, np.zeros(len(unsold))])
+    skipped_m = np.array([*lengths_m[tour[:1]], *apart_m[tour[:-1], tour[1:]], 0.0])
+    prices_m = (_length_m(tour, lengths_m, apart_m) + behind_m + ahead_m - skipped_m[:, None]).T
+    number, k = divmod(int(np.argmin(prices_m)), len(tour) + 1)
+    goal = unsold[number]
+    return float(prices_m[number, k]), [*tour[:k], goal, *tour[k:]], goal
 
 
 def _length_m(tour: list[int], lengths_m: Array, apart_m: Array) -> float:

@@ -11,22 +11,14 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray as Array
-from scipy.ndimage import distance_transform_edt, label, minimum_filter
 from scipy.optimize import linear_sum_assignment
 
-from twc_env.planning import FREE, WALL, Terrain
+from twc_env.planning import Terrain
+from twc_env.planning.segmentation import segmented
 from twc_env.records.messages import Belief
 
 from ..shared.frontier_team import Frontiers, FrontierTeam
 
-DOOR_MIN_M, DOOR_MAX_M = 0.75, 1.6
-"""Width of a passage that separates two segments; narrower ones are corners, too coarse in cells to tell apart."""
-APART_MIN_M = 0.6
-"""Cells belong to the Voronoi graph where neighbours have nearest walls at least this far apart ..."""
-OPPOSITE = 1.75
-"""... and this many times the clearance: on opposite sides, unlike in the corner of a room, where it is 1.4."""
-WINDOW_M = 1.2
-"""A critical point is the narrowest place of the graph in a square of this side."""
 STAY_M = 5.0
 """What a robot's own segment is worth, so that it finishes a room before it leaves."""
 
@@ -56,47 +48,6 @@ class Segments(FrontierTeam):
         _, columns = linear_sum_assignment(offered)
         mine = names[int(columns[0]) % len(names)]
         return int(np.argmin(np.where(segment == mine, frontiers.lengths_m, np.inf)))
-
-
-def segmented(terrain: Terrain) -> Array:
-    """(h, w) int: the segment of each free cell of the terrain, 0 for all others."""
-    cell_m, is_free = terrain.resolution_m, terrain.kind == FREE
-    is_wall = terrain.kind == WALL
-    if not is_wall.any():
-        return label(is_free)[0]
-    clearance, nearest = distance_transform_edt(~is_wall, return_indices=True)
-    is_graph = np.zeros(is_free.shape, bool)
-    for axis in (0, 1):
-        apart = np.diff(nearest, axis=1 + axis)
-        near_walls = np.minimum(_but_first(clearance, axis), _but_last(clearance, axis))
-        is_far = np.hypot(*apart) >= np.maximum(APART_MIN_M / cell_m, OPPOSITE * near_walls)
-        is_graph |= np.pad(is_far, [(0, 1) if k == axis else (0, 0) for k in (0, 1)])
-    is_graph &= is_free & (clearance * cell_m <= DOOR_MAX_M / 2) & (clearance * cell_m >= DOOR_MIN_M / 2)
-    narrow = np.where(is_graph, clearance, np.inf)
-    is_critical = is_graph & (narrow <= minimum_filter(narrow, max(3, round(WINDOW_M / cell_m))))
-    is_cut = is_free.copy()
-    for row, column in np.argwhere(is_critical):
-        walls = {tuple(nearest[:, r, c]) for r in (row, row + 1) for c in (column, column + 1)}
-        for r, c in walls:  # a line from the critical point to each of its nearest walls
-            steps = 2 * int(max(abs(r - row), abs(c - column))) + 2
-            part = np.linspace(0.0, 1.0, steps)
-            rows, columns = (
-                np.rint(row + part * (r - row)).astype(int),
-                np.rint(column + part * (c - column)).astype(int),
-            )
-            is_cut[rows, columns] = False
-            is_cut[rows, np.minimum(columns + 1, is_cut.shape[1] - 1)] = False
-    parts, _ = label(is_cut)
-    _, (rows, columns) = distance_transform_edt(parts == 0, return_indices=True)
-    return np.where(is_free, parts[rows, columns], 0)
-
-
-def _but_first(values: Array, axis: int) -> Array:
-    return np.take(values, range(1, values.shape[axis]), axis)
-
-
-def _but_last(values: Array, axis: int) -> Array:
-    return np.take(values, range(values.shape[axis] - 1), axis)
 
 
 def _at(terrain: Terrain, segments: Array, places_m: Array) -> Array:

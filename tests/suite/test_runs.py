@@ -2,12 +2,14 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from twc_env.__main__ import main
 from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError
-from twc_env.suite import runs
+from twc_env.exploration.observation.map_view import MapViews
+from twc_env.suite import player, runs
 from twc_env.suite.entries import Entry, entries, suite_tasks, with_references
 from twc_env.suite.player import play
 from twc_env.suite.runs import Progress
@@ -135,3 +137,15 @@ def test_a_worker_with_other_code_is_refused(tiny, tmp_path, monkeypatch):
     monkeypatch.setattr(runs, "spread_out", lambda work, parts, jobs, ray: [(0, ("abcd0123", {}))])
     with pytest.raises(Exception, match=r"a worker has other code \(abcd0123\)"):
         runs.play_all(entries(tiny, ["random"], "test", 1), tmp_path)
+
+
+def test_scripted_teams_play_the_same_with_and_without_observations(tiny, monkeypatch):
+    entry = entries(tiny, ["minpos"], "validation", 1)[1]
+    unseen = play(entry)
+    built = []
+    monkeypatch.setattr(MapViews, "draw", lambda *given: built.append(given) or np.zeros((2, 7, 64, 64), np.uint8))
+    play(entry)
+    assert not built, "no map is drawn that nobody sees"
+    monkeypatch.undo()
+    monkeypatch.setattr(player, "UNSEEN", {})
+    assert play(Entry(entry.task, entry.config, entry.team, entry.number)) == unseen

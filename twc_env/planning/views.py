@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -10,37 +11,62 @@ from numpy.typing import NDArray as Array
 from twc_env.kernels.compiled import kernel
 from twc_env.planning.terrain import UNKNOWN, WALL, Terrain
 
+WALL_MARK, NO_MARK = -2, -1
+"""In a map of marks: walls, and cells that never count. Unknown cells have the number of the scan that last saw them.
+"""
+
 
 @kernel
-def _count_unknown(kind, is_claimed, place_row, place_column, reach, beams, stamp, number, claim):
-    """Unknown cells on `beams` rays of length `reach` [cells] from a place, each once; rays end at walls.
-
-    Cells of `is_claimed` do not count; with `claim`, the cells found are marked there. stamp (h, w) int32 is scratch:
-    a cell with the value `number` was counted.
-    """
+def _fill_marks(kind, margin, closes_walls, marks):
+    """Fill marks (h, w) with the kinds of a map in its middle; with closes_walls, also the cells right of, below and
+    diagonally below walls become walls."""
     height, width = kind.shape
+    for r in range(height):
+        for c in range(width):
+            if kind[r, c] != UNKNOWN:
+                marks[r + margin, c + margin] = WALL_MARK if kind[r, c] == WALL else NO_MARK
+    if closes_walls:
+        for r in range(height):
+            for c in range(width):
+                if kind[r, c] == WALL:
+                    marks[r + margin : r + margin + 2, c + margin : c + margin + 2] = WALL_MARK
+
+
+@kernel
+def _count_unknown(marks, place_row, place_column, directions, reach, number):
+    """Unknown cells on rays of length `reach` [cells] from a place, each once; rays end at walls.
+
+    directions (beams, 2): down, right; the cells found are marked with the number, those marked `NO_MARK` do not count.
+    """
+    height, width = marks.shape
     found = 0
-    for b in range(beams):
-        angle = 2.0 * math.pi * b / beams
-        dr, dc = math.sin(angle), math.cos(angle)
-        for k in range(1, int(reach) + 1):
+    for b in range(directions.shape[0]):
+        dr, dc = directions[b, 0], directions[b, 1]
+        for k in range(1, reach + 1):
             r, c = math.floor(place_row + k * dr), math.floor(place_column + k * dc)
-            if r < 0 or c < 0 or r >= height or c >= width or kind[r, c] == WALL:
+            if r < 0 or c < 0 or r >= height or c >= width:
                 break
-            if kind[r, c] == UNKNOWN and stamp[r, c] != number:
-                stamp[r, c] = number
-                if not is_claimed[r, c]:
-                    found += 1
-                    if claim:
-                        is_claimed[r, c] = True
+            mark = marks[np.uint64(r), np.uint64(c)]
+            if mark == WALL_MARK:
+                break
+            if mark != number and mark != NO_MARK:
+                marks[np.uint64(r), np.uint64(c)] = number
+                found += 1
     return found
 
 
 @kernel
-def _count_each(kind, is_claimed, cells, reach, beams, stamp, counts):
-    """Fill counts (k,) with `_count_unknown` at cells (k, 2: row, column)."""
+def _count_each(marks, cells, directions, reach, number, counts):
+    """Fill counts (k,) with `_count_unknown` at cells (k, 2: row, column), by scans with numbers from `number` on."""
     for i in range(cells.shape[0]):
-        counts[i] = _count_unknown(kind, is_claimed, cells[i, 0], cells[i, 1], reach, beams, stamp, i + 1, False)
+        counts[i] = _count_unknown(marks, cells[i, 0], cells[i, 1], directions, reach, number + i)
+
+
+@lru_cache(maxsize=4)
+def _directions(beams: int) -> Array:
+    """(beams, 2) sine and cosine of the angles of beams all around."""
+    angles = [2.0 * math.pi * b / beams for b in range(beams)]
+    return np.array([(math.sin(angle), math.cos(angle)) for angle in angles])
 
 
 class ViewGain:
@@ -52,32 +78,29 @@ class ViewGain:
     def __init__(self, terrain: Terrain, range_m: float, beams: int = 90, closes_walls: bool = False):
         """closes_walls: rays do not pass between wall cells that touch at a corner, as those of walls that do not run
         along the grid do."""
-        self._terrain, self._reach, self._beams = terrain, range_m / terrain.resolution_m, beams
-        margin = math.ceil(self._reach)
-        self._kind = np.pad(terrain.kind, margin, constant_values=UNKNOWN)
-        if closes_walls:
-            is_wall = self._kind == WALL
-            self._kind[1:][is_wall[:-1]] = self._kind[:, 1:][is_wall[:, :-1]] = WALL
-            self._kind[1:, 1:][is_wall[:-1, :-1]] = WALL
-        self._margin = margin
-        self.is_claimed = np.zeros(self._kind.shape, np.bool_)
-        """Unknown cells that do not count, of the terrain with a margin of the range."""
-        self._stamp = np.zeros(self._kind.shape, np.int32)
+        self._terrain, self._reach, self._directions = terrain, range_m / terrain.resolution_m, _directions(beams)
+        self._margin = math.ceil(self._reach)
+        height, width = terrain.kind.shape
+        self._marks = np.zeros((height + 2 * self._margin, width + 2 * self._margin), np.int32)
+        _fill_marks(terrain.kind, self._margin, closes_walls, self._marks)
+        self._number = 0
 
     def claim(self, place_m: Array) -> None:
         """Do not count from now on what a scan from this place would show: another robot goes there."""
         row, column = self._terrain.to_cells(place_m) + self._margin
-        self._stamp[:] = 0
-        args = (row, column, self._reach, self._beams, self._stamp, 1, True)
-        _count_unknown(self._kind, self.is_claimed, *args)
+        _count_unknown(self._marks, row, column, self._directions, int(self._reach), NO_MARK)
 
     def area_m2(self, places_m: Array) -> Array:
         """(k,) unclaimed unknown area [m2] that a scan from each of places_m (k, 2) would show."""
         cells = np.ascontiguousarray(self._terrain.to_cells(places_m) + self._margin, dtype=float)
         counts = np.zeros(len(cells), np.int64)
-        self._stamp[:] = 0
-        _count_each(self._kind, self.is_claimed, cells, self._reach, self._beams, self._stamp, counts)
+        _count_each(self._marks, cells, self._directions, int(self._reach), self._number + 1, counts)
+        self._number += len(cells)
         return counts * self._terrain.resolution_m**2
+
+
+LANES = 16
+"""Distances are compared so many at once."""
 
 
 @kernel
@@ -89,15 +112,22 @@ def _grow(kind, nodes, count, samples, step):
     count, and the frontier points (k, 2).
     """
     height, width = kind.shape
-    points = np.empty((samples.shape[0], 2))
+    points, room = np.empty((samples.shape[0], 2)), nodes.shape[0] // LANES * LANES + LANES
+    rows, columns, away, least = np.full(room, np.inf), np.full(room, np.inf), np.empty(room), np.empty(LANES)
+    rows[:count], columns[:count] = nodes[:count, 0], nodes[:count, 1]
     found = 0
     for i in range(samples.shape[0]):
         row, column = samples[i, 0] * height, samples[i, 1] * width
-        best, nearest = 0, 1e18
         for k in range(count):
-            away = (nodes[k, 0] - row) ** 2 + (nodes[k, 1] - column) ** 2
-            if away < nearest:
-                best, nearest = k, away
+            away[k] = (rows[k] - row) ** 2 + (columns[k] - column) ** 2
+        away[count : count + LANES] = np.inf
+        least[:] = np.inf
+        for k in range(0, count, LANES):
+            for j in range(LANES):
+                least[j] = away[k + j] if away[k + j] < least[j] else least[j]
+        best, nearest = 0, least.min()
+        while away[best] > nearest:
+            best += 1
         length = math.sqrt(nearest)
         if length < 1e-6:
             continue
@@ -116,6 +146,7 @@ def _grow(kind, nodes, count, samples, step):
                 break
         if is_free and count < nodes.shape[0]:
             nodes[count, 0], nodes[count, 1] = nodes[best, 0] + reach * dr, nodes[best, 1] + reach * dc
+            rows[count], columns[count] = nodes[count, 0], nodes[count, 1]
             count += 1
     return count, points[:found]
 

@@ -6,8 +6,9 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from twc_env.config import EnvConfig
+from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.suite.player import UNSEEN
 
 
 def bench_teams(
@@ -15,7 +16,7 @@ def bench_teams(
 ) -> list[dict[str, Any]]:
     """Per team seconds of CPU time of an episode, mean over seeds 0, 1, ..., and its mean number of time steps.
 
-    A short episode before each loads the kernels.
+    As in a benchmark, teams see no observations. A short episode before each loads the kernels.
     """
     rows = []
     for team in teams:
@@ -31,7 +32,7 @@ def _played(config: EnvConfig, team: str, seed: int, steps: int) -> tuple[float,
     """CPU time [s] of the team's decisions and of the environment in an episode of at most so many steps; its steps."""
     from twc_env.agents.policy import begin, make_policy
 
-    env, policy = ExplorationEnv(config=config), make_policy(team, config)
+    env, policy = ExplorationEnv(config=override(config, UNSEEN)), make_policy(team, config)
     env.reset(seed=seed)
     begin(policy, team, env, seed)
     planning_s, began_s = 0.0, time.process_time()

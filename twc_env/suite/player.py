@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from twc_env.config import override
 from twc_env.exploration.assessment.evaluation import EpisodeResult
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.records.class_file import digest_of, is_in_file
@@ -15,6 +16,8 @@ from twc_env.suite.entries import Entry
 
 DIGITS = 6
 """Decimal places of coverage in the curves."""
+UNSEEN = {f"observation.{block}": False for block in ("lidar", "map", "overview", "wifi", "signs", "team", "frontiers")}
+"""Teams that act on beliefs need no observations; one block has to be there."""
 Acts = Callable[[dict[str, Any]], dict[str, Any] | None]
 """Observations -> actions; None when the team is finished."""
 
@@ -119,7 +122,8 @@ def _ready(entry: Entry) -> tuple[ExplorationEnv, Acts]:
         return model_in_task(entry)
     from twc_env.agents.policy import begin, make_policy
 
-    env, policy = ExplorationEnv(config=entry.config), make_policy(entry.team, entry.config)
+    env = ExplorationEnv(config=override(entry.config, UNSEEN))
+    policy = make_policy(entry.team, entry.config)
     is_fresh = True
 
     def act(_: dict[str, Any]) -> dict[str, Any] | None:

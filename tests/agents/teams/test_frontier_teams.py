@@ -4,11 +4,11 @@ import numpy as np
 from twc_env.agents.teams import assignment, cost_utility
 from twc_env.agents.teams.market import auctioned
 from twc_env.agents.teams.minpos import MinPos
-from twc_env.agents.teams.segments import segmented
 from twc_env.agents.teams.voronoi import Voronoi
 
 from twc_env.config import EnvConfig
 from twc_env.planning import Terrain
+from twc_env.planning.segmentation import segmented
 from twc_env.records.messages import Belief, GridMap
 
 CELL_M = 0.1

@@ -62,7 +62,8 @@ class ObservationBuilder:
     ) -> list[dict[str, Array]] | list[Array]:
         """The observation of each robot after the last step given to `notice`; `masks`: its action mask."""
         beliefs, names = self._beliefs, self._names
-        self._signs.know(beliefs)
+        if "signs" in names or "map" in names:
+            self._signs.know(beliefs)
         rows = self._small.build()
         if names == _USUAL and not self._is_flat:
             return _usual(rows, self._maps())
