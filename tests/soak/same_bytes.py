@@ -39,15 +39,20 @@ TEAM = "nearest-frontier"
 
 
 def episodes(count: int, seed: int = 0) -> Iterator[Attempt]:
-    """`count` pairs of a task and a switch, each task with every switch before the next; equal seeds play equal
-    episodes."""
-    pairs = [(switch, task) for task in TASKS for switch in SWITCHES][:count]
+    """`count` pairs of a task and a switch, every task once before one comes again; equal seeds play equal episodes."""
+    pairs = [pair(number) for number in range(min(count, len(TASKS) * len(SWITCHES)))]
     plain = _digests({}, list(dict.fromkeys(task for _, task in pairs)), seed)
     for switch in SWITCHES:
         own = [task for name, task in pairs if name == switch]
         found = _digests(SWITCHES[switch], own, seed) if own else {}
         for task in own:
             yield f"{switch}, {task}", partial(_compare, plain[task], found[task])
+
+
+def pair(number: int) -> tuple[str, str]:
+    """Switch and task of a number: all of them once, tasks and switches in turn."""
+    rounds, task = divmod(number, len(TASKS))
+    return tuple(SWITCHES)[(task + rounds) % len(SWITCHES)], tuple(TASKS)[task]
 
 
 def _compare(plain: str, found: str) -> None:

@@ -21,6 +21,13 @@ def test_a_task_that_has_other_bytes_is_named(monkeypatch):
     assert fault.startswith("NumPy without AVX2 and AVX-512, twc/ExploreTwin01-v0: AssertionError: other bytes")
 
 
+def test_few_pairs_are_spread_over_tasks_and_switches():
+    few = [same_bytes.pair(number) for number in range(len(TASKS))]
+    assert [task for _, task in few] == list(TASKS) and {switch for switch, _ in few} == set(same_bytes.SWITCHES)
+    every = {same_bytes.pair(number) for number in range(len(TASKS) * len(same_bytes.SWITCHES))}
+    assert len(every) == len(TASKS) * len(same_bytes.SWITCHES)
+
+
 def test_what_the_user_has_switched_off_does_not_count_in_the_process_without_a_switch(monkeypatch):
     def run(call, env, **_):
         told = json.dumps({name: env.get(name) for name in ("OPENBLAS_CORETYPE", "NUMBA_CPU_NAME")})
