@@ -20,6 +20,7 @@ from twc_env.agents import make_policy
 
 import twc_env
 from tests.soak.attempts import Attempt
+from tests.soak.observation_check import random_actions
 from twc_env.tasks import TASKS, task_config
 
 _WIDE = "AVX2 FMA3 AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR"
@@ -71,17 +72,23 @@ def _digests(switch: dict[str, str], tasks: list[str], seed: int) -> dict[str, s
 
 
 def digest_of_episode(task: str, seed: int) -> str:
-    """Number of steps and digest of a whole episode, played by `TEAM`."""
+    """Number of calls of `step` and digest of a whole episode, by `TEAM`, or at random where robots choose frontiers."""
     config = task_config(task)
     env = twc_env.parallel_env(config=config)
     digest, steps = hashlib.sha256(), 0
-    observations, _ = env.reset(seed=seed)
-    policy = make_policy(TEAM, config)
-    policy.reset(seed, env.possible_agents)
+    observations, infos = env.reset(seed=seed)
+    policy = make_policy(TEAM, config) if config.action.kind == "velocity" else None
+    if policy is not None:
+        policy.reset(seed, env.possible_agents)
+    random = np.random.default_rng(seed)
     _take(digest, observations)
     while env.agents:
-        actions = policy.act({name: env.belief(name) for name in env.agents})
-        for part in env.step(actions)[:4]:
+        if policy is None:
+            actions = random_actions(env, infos, random)
+        else:
+            actions = policy.act({name: env.belief(name) for name in env.agents})
+        *parts, infos = env.step(actions)
+        for part in parts:
             _take(digest, part)
         steps += 1
     result = env.result()
