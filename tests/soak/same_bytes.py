@@ -72,7 +72,7 @@ def _digests(switch: dict[str, str], tasks: list[str], seed: int) -> dict[str, s
 
 
 def digest_of_episode(task: str, seed: int) -> str:
-    """Number of calls of `step` and digest of a whole episode, by `TEAM`, or at random where robots choose frontiers."""
+    """Number of calls of `step` and digest of a whole episode, by `TEAM`, or at random with frontiers."""
     config = task_config(task)
     env = twc_env.parallel_env(config=config)
     digest, steps = hashlib.sha256(), 0
