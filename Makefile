@@ -4,7 +4,7 @@ PY := .venv/bin/python
 INSTALL := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
 PINS := pyproject.toml constraints.txt
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test docs test-bounds test-ray train-torchrl train-benchmarl soak check clean
+.PHONY: help setup demo test docs test-bounds coverage test-ray train-torchrl train-benchmarl soak check clean
 
 help: ## list the commands
 	@grep -E '^[a-z-]+:.*##' Makefile | sed -E 's/^([a-z-]+):.*## /  make \1 \t/' | expand -t 20
@@ -57,9 +57,18 @@ docs: .venv/installed-docs ## the documentation site in build/site, built strict
 test-bounds: .venv/installed-test ## the engine's tests with numba's bounds checks (own kernel cache; slow)
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_bounds $(PY) -m pytest -q tests/slam tests/exploration
 
+coverage: .venv/installed-test ## lines that the tests run, room by room, but for reproduce and compiled kernels (hours); goes on where it was
+	@mkdir -p runs/coverage
+	@for part in tests/*/ tests/test_*.py; do \
+		mark=runs/coverage/$$(basename $$part); [ -f $$mark ] && continue; \
+		COVERAGE_FILE=runs/coverage/.coverage $(PY) -m coverage run -m pytest -q $$part && touch $$mark; \
+	done
+	COVERAGE_FILE=runs/coverage/.coverage $(PY) -m coverage combine --keep -q runs/coverage
+	COVERAGE_FILE=runs/coverage/.coverage $(PY) -m coverage report
+
 soak: .venv/installed-test ## hours: 1,000,000 steps, malformed input of every kind, observations; counts in runs/soak
 	$(PY) -m tests.soak --actions 100000 --maps 10000 --logs 10000 --bags 10000 --tables 10000 --settings 10000 \
-		--graphs 3000 --arrays 10000 --calls 10000 --bombs 100 --accidents 70 --instructions 108 \
+		--graphs 3000 --arrays 10000 --calls 10000 --bombs 100 --accidents 70 --instructions 120 \
 		--observations 10000 --json runs/soak/input.json
 	$(PY) -m tests.soak --steps 1000000 --resume runs/soak/episodes.jsonl --json runs/soak/steps.json
 

@@ -91,3 +91,41 @@ def test_a_signal_that_compiled_code_turns_into_a_system_error_is_an_interruptio
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("143\na fault\n", "interrupted\n")
+
+
+LOST = {
+    "a callback from C": "ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.{0}))()",
+    "a finaliser": "Final()",
+}
+"""Where Python prints an exception and goes on."""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("where", LOST)
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_an_interrupt_that_python_drops_comes_again(where, name, status):
+    program = (
+        "import ctypes, os, signal, sys, time\nfrom twc_env.running.command_line import exit_status\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "class Final:\n    def __del__(self):\n        os.kill(os.getpid(), signal.{0})\n"
+        f"def command():\n    {LOST[where]}\n    time.sleep(60)\nsys.exit(exit_status(command))"
+    )
+    call = [sys.executable, "-c", program.replace("{0}", name)]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=50)  # not only when the sleep is over
+    assert (done.returncode, done.stdout, done.stderr) == (status, "", "interrupted\n")
+
+
+def test_other_exceptions_that_python_drops_are_told_as_ever(monkeypatch):
+    from twc_env.running.command_line import exit_status
+
+    class Final:
+        def __del__(self):
+            raise ZeroDivisionError("planted")
+
+    def command():
+        Final()
+
+    told = []
+    monkeypatch.setattr(sys, "unraisablehook", hook := lambda lost: told.append(str(lost.exc_value)))
+    assert exit_status(command) == 0
+    assert told == ["planted"] and sys.unraisablehook is hook

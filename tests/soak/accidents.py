@@ -7,6 +7,7 @@ folder ends as if nothing had happened.
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -52,40 +53,76 @@ PROGRAM = (
 ROOM = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000)); sys.dont_write_bytecode = True"
 MEMORY = "import resource; resource.setrlimit(resource.RLIMIT_AS, (700_000_000,) * 2)"
 CLOCK = "import time; real = time.time; time.time = lambda: real() - 86400.0"
-SECONDS = 240.0
+SECONDS = 900.0
+"""A command that takes longer hangs, also on a machine that others use."""
 
 
 def accidents(count: int, seed: int = 0) -> Iterator[Attempt]:
-    """Up to `count` of all pairs of a command and an accident, kills at random moments; equal seeds, equal order."""
+    """Up to `count` of all pairs of a command and an accident, kills at random moments; equal seeds, equal order.
+
+    A moment is a share of the processor time that the command takes undisturbed: on a busy machine, seconds would all
+    lie in its start."""
     random = np.random.default_rng(seed)
+    taken_s: dict[str, float] = {}
     pairs = [(name, kind) for kind in ACCIDENTS for name in COMMANDS if name != "train" or find_spec("torch")]
     with workplace() as folder:
         log = folder / "log"
         _finished(_started(("record", "--robots", "1", "--steps", "30", *SETTINGS, "--out", str(log)), folder))
         for number in range(count):
             name, kind = pairs[number % len(pairs)]
+            if name not in taken_s:
+                taken_s[name] = _undisturbed_s(_arguments(name, folder / name, log / "frames.npz"), folder)
             place = folder / f"{number}"
             place.mkdir()
-            yield f"{name}, {kind}", partial(meet, name, kind, place, log / "frames.npz", float(random.uniform(0, 1)))
+            moment_s = float(random.uniform(0.05, 1)) * taken_s[name]
+            yield f"{name}, {kind}, {moment_s:.1f} s", partial(meet, name, kind, place, log / "frames.npz", moment_s)
             shutil.rmtree(place, ignore_errors=True)
 
 
-def meet(name: str, kind: str, place: Path, log: Path, share: float) -> None:
-    """Let a command meet an accident, look at what is left, and run it again."""
-    arguments = [str(log) if word == "LOG" else word for word in COMMANDS[name]]
+def _arguments(name: str, out: Path, log: Path) -> tuple[str, ...]:
+    words = tuple(str(log) if word == "LOG" else word for word in COMMANDS[name])
+    if name == "reproduce":
+        return (*words, "--json", str(out / "table.json"), "--cache", str(out))
+    return (*words, "--out", str(out))
+
+
+def _undisturbed_s(arguments: tuple[str, ...], place: Path) -> float:
+    """Processor time of a command that nothing happens to [s]."""
+    running, used_s = _started(arguments, place), 0.0
+    while running.poll() is None:
+        used_s = max(used_s, _used_s(running.pid))
+        time.sleep(0.05)
+    told = running.communicate()[0]
+    assert running.returncode == 0, f"undisturbed it ends with status {running.returncode}: {told[-300:]}"
+    return used_s
+
+
+def _used_s(session: int) -> float:
+    """Processor time of all processes that live in a session, and of those they have waited for [s]."""
+    ticks = 0
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:  # it has ended
+            continue
+        if int(fields[3]) == session:
+            ticks += sum(int(field) for field in fields[11:15])
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
+def meet(name: str, kind: str, place: Path, log: Path, moment_s: float) -> None:
+    """Let a command meet an accident (signals after so much processor time), look at what is left, and run it again."""
     out = place / "out"
-    arguments += (
-        ["--json", str(out / "table.json"), "--cache", str(out)] if name == "reproduce" else ["--out", str(out)]
-    )
-    status, told = ACCIDENTS[kind](tuple(arguments), out, share)
+    arguments = _arguments(name, out, log)
+    status, told = ACCIDENTS[kind](arguments, out, moment_s)
     assert "Traceback" not in told, f"a traceback: {told[-300:]}"
     assert status != 1, f"status 1: {told[-300:]}"
-    look_at(out, may_have_parts=kind in ("kill -9", "killed twice"))
-    again = [*arguments, "--resume"] if name in RESUMED and (out / "model.safetensors").exists() else arguments
-    status, told = _finished(_started(tuple(again), place))
+    look_at(out, may_have_parts=kind == "kill -9")
+    again = (*arguments, "--resume") if name in RESUMED and (out / "model.safetensors").exists() else arguments
+    status, told = _finished(_started(again, place))
     refused = status == 2 and name in RESUMED and "--resume" in told
     assert status == 0 or refused, f"once more it ends with status {status}: {told[-300:]}"
-    look_at(out, may_have_parts=kind in ("kill -9", "killed twice"))
+    look_at(out, may_have_parts=kind == "kill -9")
 
 
 def look_at(folder: Path, may_have_parts: bool = False) -> None:
@@ -127,10 +164,11 @@ def _finished(running: subprocess.Popen) -> tuple[int, str]:
     return running.returncode, told or ""
 
 
-def _signalled(signals: tuple[int, ...], arguments: tuple[str, ...], out: Path, share: float) -> tuple[int, str]:
-    """Send signals at a random moment of the work, most likely while something is written."""
+def _signalled(signals: tuple[int, ...], arguments: tuple[str, ...], out: Path, moment_s: float) -> tuple[int, str]:
+    """Send signals at a moment of the work."""
     running = _started(arguments, out.parent)
-    time.sleep(1.0 + 8.0 * share)
+    while running.poll() is None and _used_s(running.pid) < moment_s:
+        time.sleep(0.02)
     for number in signals:
         if running.poll() is None:
             running.send_signal(number)

@@ -32,6 +32,8 @@ from twc_env.vector.teams import VectorTeams
 EPISODE_STEPS = 500
 WARM_UP_SHARE = 0.3
 """Share of a process's episodes in which caches of buildings fill; memory growth is measured after it."""
+COLLECTED_EVERY = 10
+"""After one episode in so many, reference cycles are looked for: that takes as long as a tenth of an episode."""
 WORKERS_EVERY, WORKER_STEPS = 50, 10
 """One episode in so many is also begun in two worker processes, which must be gone afterwards."""
 MIXED = ("handheld", "wheeled", "legged", "turtlebot-burger")
@@ -109,7 +111,8 @@ def _played(number: int, settings: dict[str, Any]) -> Row:
         row["wrong"] = f"{type(error).__name__}: {error}"
         row["steps"] = row["steps"] or 1
     row["cpu_s"] = time.process_time() - began
-    gc.collect()
+    if number % COLLECTED_EVERY == 0:
+        gc.collect()
     left = multiprocessing.active_children()
     row |= {"memory_mb": resident_mb(), "files": len(_listed("/proc/self/fd")), "children": len(left)}
     row["shared"] = sum(path.stat().st_uid == os.getuid() for path in map(Path, _listed("/dev/shm")) if path.exists())

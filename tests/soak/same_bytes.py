@@ -20,6 +20,7 @@ from twc_env.agents import make_policy
 
 import twc_env
 from tests.soak.attempts import Attempt
+from tests.soak.observation_check import random_actions
 from twc_env.tasks import TASKS, task_config
 
 _WIDE = "AVX2 FMA3 AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR"
@@ -39,15 +40,20 @@ TEAM = "nearest-frontier"
 
 
 def episodes(count: int, seed: int = 0) -> Iterator[Attempt]:
-    """`count` pairs of a task and a switch, each task with every switch before the next; equal seeds play equal
-    episodes."""
-    pairs = [(switch, task) for task in TASKS for switch in SWITCHES][:count]
+    """`count` pairs of a task and a switch, every task once before one comes again; equal seeds play equal episodes."""
+    pairs = [pair(number) for number in range(min(count, len(TASKS) * len(SWITCHES)))]
     plain = _digests({}, list(dict.fromkeys(task for _, task in pairs)), seed)
     for switch in SWITCHES:
         own = [task for name, task in pairs if name == switch]
         found = _digests(SWITCHES[switch], own, seed) if own else {}
         for task in own:
             yield f"{switch}, {task}", partial(_compare, plain[task], found[task])
+
+
+def pair(number: int) -> tuple[str, str]:
+    """Switch and task of a number: all of them once, tasks and switches in turn."""
+    rounds, task = divmod(number, len(TASKS))
+    return tuple(SWITCHES)[(task + rounds) % len(SWITCHES)], tuple(TASKS)[task]
 
 
 def _compare(plain: str, found: str) -> None:
@@ -66,17 +72,23 @@ def _digests(switch: dict[str, str], tasks: list[str], seed: int) -> dict[str, s
 
 
 def digest_of_episode(task: str, seed: int) -> str:
-    """Number of steps and digest of a whole episode, played by `TEAM`."""
+    """Number of calls of `step` and digest of a whole episode, by `TEAM`, or at random with frontiers."""
     config = task_config(task)
     env = twc_env.parallel_env(config=config)
     digest, steps = hashlib.sha256(), 0
-    observations, _ = env.reset(seed=seed)
-    policy = make_policy(TEAM, config)
-    policy.reset(seed, env.possible_agents)
+    observations, infos = env.reset(seed=seed)
+    policy = make_policy(TEAM, config) if config.action.kind == "velocity" else None
+    if policy is not None:
+        policy.reset(seed, env.possible_agents)
+    random = np.random.default_rng(seed)
     _take(digest, observations)
     while env.agents:
-        actions = policy.act({name: env.belief(name) for name in env.agents})
-        for part in env.step(actions)[:4]:
+        if policy is None:
+            actions = random_actions(env, infos, random)
+        else:
+            actions = policy.act({name: env.belief(name) for name in env.agents})
+        *parts, infos = env.step(actions)
+        for part in parts:
             _take(digest, part)
         steps += 1
     result = env.result()

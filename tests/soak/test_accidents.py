@@ -1,6 +1,10 @@
 """A few accidents of those that `make soak` plays for every command."""
 
 import os
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 
@@ -30,6 +34,19 @@ def test_a_traceback_and_a_run_that_fails_once_more_are_found(monkeypatch, tmp_p
     monkeypatch.setitem(accidents.ACCIDENTS, "planted", lambda *_: (0, ""))
     with pytest.raises(AssertionError, match="once more it ends with status 2"):
         meet("replay", "planted", tmp_path / "b", log, 0.0)
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="reads /proc")
+def test_the_moment_of_a_signal_counts_the_processor_time_of_a_command_and_its_workers():
+    work = "import sys, time\nwhile time.process_time() < 0.3: pass\ntime.sleep(60)"
+    parent = f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', {work!r}])"
+    running = subprocess.Popen([sys.executable, "-c", parent], start_new_session=True)
+    until = time.monotonic() + 60.0
+    while (used_s := accidents._used_s(running.pid)) < 0.25 and time.monotonic() < until:
+        time.sleep(0.05)
+    os.killpg(running.pid, signal.SIGKILL)
+    running.wait()
+    assert 0.25 <= used_s < 3.0
 
 
 def test_every_command_of_the_list_exists():

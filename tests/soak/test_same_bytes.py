@@ -3,6 +3,8 @@
 import json
 import subprocess
 
+import pytest
+
 from tests.soak import same_bytes
 from tests.soak.attempts import attempt_all
 from twc_env.tasks import TASKS
@@ -19,6 +21,13 @@ def test_a_task_that_has_other_bytes_is_named(monkeypatch):
     assert (done.tried, done.accepted) == (pairs, pairs - 1)
     (fault,) = done.wrong
     assert fault.startswith("NumPy without AVX2 and AVX-512, twc/ExploreTwin01-v0: AssertionError: other bytes")
+
+
+def test_few_pairs_are_spread_over_tasks_and_switches():
+    few = [same_bytes.pair(number) for number in range(len(TASKS))]
+    assert [task for _, task in few] == list(TASKS) and {switch for switch, _ in few} == set(same_bytes.SWITCHES)
+    every = {same_bytes.pair(number) for number in range(len(TASKS) * len(same_bytes.SWITCHES))}
+    assert len(every) == len(TASKS) * len(same_bytes.SWITCHES)
 
 
 def test_what_the_user_has_switched_off_does_not_count_in_the_process_without_a_switch(monkeypatch):
@@ -38,8 +47,14 @@ def test_the_digest_covers_what_is_played(monkeypatch):
     assert first == again != other and first.startswith("30 steps")
 
 
-def small(task):
+@pytest.mark.parametrize("task", TASKS)
+def test_every_task_can_be_played(task, monkeypatch):
+    monkeypatch.setattr(same_bytes, "task_config", lambda task: small(task, max_cycles=3))
+    assert int(same_bytes.digest_of_episode(task, 0).split()[0]) in (1, 2, 3)  # several time steps are one of frontiers
+
+
+def small(task, max_cycles=30):
     from twc_env.config import override
     from twc_env.tasks import task_config
 
-    return override(task_config(task), {"max_cycles": 30, "robots": 2})
+    return override(task_config(task), {"max_cycles": max_cycles, "robots": 2})

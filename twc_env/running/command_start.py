@@ -7,15 +7,21 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from types import FrameType
+from typing import Any
 
 _COMMANDS = ("twc_env.__main__",)
 _SCRIPTS = ("twc-env", "twc-env.exe", "twc-env-script.py")
 """Names of the file that pip writes for our command, on all systems."""
 _TWICE_S = 0.2
 """A second Ctrl-C that comes sooner is the first one, sent twice (GNU timeout signals a process and its group)."""
+_AGAIN_S = 0.02
+"""After so long a signal is raised again whose exception was lost."""
 _received: list[tuple[int, float]] = []
 """The signal that has interrupted the present command, and when."""
+_usual_hooks: list[Callable[[Any], object]] = []
+"""What told of dropped exceptions before `begin_work`."""
 
 
 def end_when_interrupted() -> None:
@@ -28,10 +34,15 @@ def end_when_interrupted() -> None:
 
 def begin_work() -> None:
     """From now on Ctrl-C and SIGTERM raise KeyboardInterrupt, so that a command can save what it has and clean up; a
-    second Ctrl-C ends the process at once. Until `end_work`, and unless the caller handles these signals."""
+    second Ctrl-C ends the process at once. Until `end_work`, and unless the caller handles these signals.
+
+    Where Python drops exceptions (finalisers, callbacks from C, such as LLVM's), the signal comes once more."""
     _received.clear()
     if threading.current_thread() is not threading.main_thread():
         return
+    if sys.unraisablehook is not _raise_again:
+        _usual_hooks.append(sys.unraisablehook)
+        sys.unraisablehook = _raise_again
     if signal.getsignal(signal.SIGINT) in (_end, signal.default_int_handler):
         signal.signal(signal.SIGINT, _interrupt)
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
@@ -40,6 +51,8 @@ def begin_work() -> None:
 
 def end_work() -> None:
     """Handle signals as before `begin_work`."""
+    if sys.unraisablehook is _raise_again:
+        sys.unraisablehook = _usual_hooks.pop()
     for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
         if signal.getsignal(number) is _interrupt:
             signal.signal(number, usual)
@@ -72,6 +85,24 @@ def _interrupt(number: int, _frame: FrameType | None) -> None:
     if number == signal.SIGINT and time.monotonic() - _received[0][1] >= _TWICE_S:
         os.write(2, b"\ninterrupted again: ended at once\n")
         os._exit(128 + number)
+
+
+def _raise_again(lost: Any) -> None:
+    if not _received or not isinstance(lost.exc_value, KeyboardInterrupt):
+        _usual_hooks[-1](lost)
+        return
+    number, _ = _received.pop()
+    again = threading.Timer(_AGAIN_S, _signal_main_thread, (number,))
+    again.daemon = True
+    again.start()
+
+
+def _signal_main_thread(number: int) -> None:
+    """So that what it waits for is interrupted too."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+    else:
+        signal.raise_signal(number)
 
 
 def _end(number: int, frame: FrameType | None) -> None:

@@ -30,6 +30,17 @@ def test_a_share_that_is_worse_than_its_trivial_answer_does_not_hold():
     assert len(generalisation.remarks(bad)) == 2
 
 
+def test_recognised_places_stand_beside_equal_texts_as_means_over_buildings():
+    runs = [
+        {"fused_precision": p, "fused_recall_at_full_precision": 0.9, "text_precision": 0.5,
+         "text_recall_at_full_precision": text}
+        for p, text in ((1.0, 0.0), (0.9, 1.0))
+    ]  # fmt: skip
+    recall, precision = generalisation.CLAIMS["places"][1](["fresh/0094", "fresh/0095"], runs)
+    assert (recall["elsewhere"], recall["trivial"], recall["cases"], recall["holds"]) == (0.9, 0.5, 2, True)
+    assert (precision["elsewhere"], precision["trivial"], precision["set"]) == (0.95, 0.5, "fresh/0094 to fresh/0095")
+
+
 def test_the_sets_are_none_that_the_results_show():
     text = RESULTS.read_text()
     assert all(plan in text for plan in generalisation.SHOWN_PLANS)

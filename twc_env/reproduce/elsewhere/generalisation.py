@@ -5,6 +5,7 @@
 - Intel: four laser logs with Intel's odometry errors, once and twice as large (`resampled_odometry`) (`trivial`:
   odometry)
 - pose graphs: two graphs that docs/results.md does not show, half of the closures false (`trivial`: odometry)
+- place recognition: walks through generated buildings of the split `fresh` (`trivial`: equal texts)
 - radio SLAM: walks through a generated office instead of the twin of SUTD (`trivial`: odometry)
 - number of walls: generated flats, and HouseExpo plans with one router (`trivial`: always saying the most frequent
   number)
@@ -25,18 +26,22 @@ from collections.abc import Callable
 
 import numpy as np
 
-from twc_env.config import EnvConfig, RadioSlamConfig, override
+from twc_env.config import EnvConfig, RadioSlamConfig, override, robot_configs
 from twc_env.datasets.buildings.house_expo import read_house_expo
 from twc_env.datasets.surveys.step_heading import WalkerTrace, read_walks
+from twc_env.maps import load_map
 from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.metrics.shares import share_interval
+from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.logs.real_radio import FLOORS, positions_apart_m
 from twc_env.reproduce.logs.resampled_odometry import drive_again
 from twc_env.reproduce.pose_graphs.robustness import Case, clean_graph, run_case
 from twc_env.reproduce.radio.radio_methods import outcomes
 from twc_env.reproduce.radio.radio_twins import PLACES
+from twc_env.reproduce.routes import RoutePlanner, walk
 from twc_env.reproduce.runner import Runner, add_some, data_folder
 from twc_env.reproduce.twc.ambiguity import team_figures
+from twc_env.reproduce.twc.sign_pass_scores import score_some
 from twc_env.reproduce.walls import sfw_houseexpo, sfw_table1
 from twc_env.running.options import count
 from twc_env.slam.radio.trace_joining import Trace, join
@@ -50,6 +55,8 @@ PLANS_MAX, STEPS = 4, 4000
 """Plans of each size, and the most steps in each."""
 LOGS = ("aces", "orebro", "freiburg-101", "intel")
 GRAPHS = ("ring", "manhattanOlson3500_vertigo")
+SIGN_BUILDINGS, SIGN_WALK_M = tuple(f"fresh/{number:04d}" for number in range(94, 100)), 150.0
+"""The buildings in which places are recognised, and the length of each of three robots' walks."""
 OFFICE, OFFICE_SHARE = "gen:office:5000:6000000", 0.5
 """The building of radio walks, and their share of the published length."""
 FLATS = range(100, 106)
@@ -198,6 +205,36 @@ def _graph_rows(_: list[str], runs: list[dict]) -> list[dict]:
                  len(runs))]  # fmt: skip
 
 
+# --- places
+
+
+def _places(part: str) -> dict:
+    """Recognised passes of signs on three walks between random places, by `fused` and by equal texts."""
+    config, plan, seed = EnvConfig(map=part, robots=3), load_map(part), int(part[-4:])
+    planner = RoutePlanner(plan)
+    walks = [
+        walk(own, plan, planner.wander(SIGN_WALK_M, random_stream(seed, "routes", robot)), robot, seed)
+        for robot, own in enumerate(robot_configs(config))
+    ]
+    found = {row["method"].split()[0]: row for row in score_some(config, walks, "", ("text", "fused"))}
+    return {
+        f"{method}_{key}": found[method][key]
+        for method in ("text", "fused")
+        for key in ("precision", "recall_at_full_precision")
+    }
+
+
+def _place_rows(parts: list[str], runs: list[dict]) -> list[dict]:
+    table = []
+    for name, key, shown in (
+        ("place recognition: recall at precision 1.00", "recall_at_full_precision", 0.97),
+        ("place recognition: precision as it decides", "precision", 1.0),
+    ):
+        fused, text = (float(np.mean([run[f"{method}_{key}"] for run in runs])) for method in ("fused", "text"))
+        table.append(_row(name, f"{parts[0]} to {parts[-1]}", shown, fused, text, "more", len(runs)))
+    return table
+
+
 # --- radio
 
 
@@ -287,6 +324,7 @@ CLAIMS: dict[str, tuple[Callable[[str], dict], Callable[[list[str], list[dict]],
     "houseexpo": (_team, _house_rows),
     "logs": (_log, _log_rows),
     "graphs": (_graph, _graph_rows),
+    "places": (_places, _place_rows),
     "radio": (_radio, _radio_rows),
     "walls": (_walls, _wall_rows),
     "joined": (_joined, _joined_rows),
@@ -297,6 +335,7 @@ PARTS: dict[str, Callable[[int], list[str]]] = {
     "houseexpo": _house_plans,
     "logs": lambda _: [INTEL_ITSELF, *(f"{name} {size} 0" for name in LOGS for size in (1, 2))],
     "graphs": lambda _: [f"{name} {kind} 0" for name in GRAPHS for kind in ("random", "grouped")],
+    "places": lambda _: list(SIGN_BUILDINGS),
     "radio": lambda _: ["0", "1"],
     "walls": _wall_parts,
     "joined": lambda _: [f"{'+'.join(FLOORS)} {2 * EVERY}", *(f"{floor} {EVERY}" for floor in FLOORS)],
