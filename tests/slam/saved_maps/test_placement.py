@@ -101,11 +101,16 @@ def test_a_wall_that_the_other_run_saw_in_pieces_does_not_contradict():
         ([], "no placement at which walls agree"),
         ([agreement(5.0)], "too little in common"),
         ([agreement(80.0), agreement(70.0, x=9.0)], "two placements explain the overlap about equally.*9.0 m"),
+        ([agreement(76.7), agreement(38.6, x=9.0)], "two placements explain the overlap about equally"),
+        ([agreement(31.2), agreement(60.9, 10.3, x=9.0)], "^$"),
+        ([agreement(60.9, 9.0), agreement(31.2, x=9.0)], "^$"),
+        ([agreement(17.8), agreement(20.2, 3.4, x=9.0)], "two placements explain the overlap about equally"),
         ([agreement(80.0, 8.5)], "8.5 m of wall stand in the other's free floor"),
         ([agreement(80.0, 1.0), agreement(20.0)], "^$"),
     ],
 )
 def test_a_placement_is_believed_if_it_stands_out(ranked, reason):
+    """Rivals with half the wall are two of four like rooms; those full of contradictions tell of chance alone."""
     assert re.search(reason, judged(ranked).reason)
 
 

@@ -32,11 +32,15 @@ CONTRADICTION = 3.0
 OTHER_M, OTHER_RAD = 1.0, np.radians(10.0)
 """Placements that differ by more are different ones."""
 FINE_COUNT = 12
-EVIDENCE_MIN_M, RATIO_MAX = 13.0, 0.55
-"""A placement is believed from this evidence on, if the second best has at most this share of it, ..."""
+EVIDENCE_MIN_M, RATIO_MAX = 13.0, 0.48
+"""A placement is believed from this evidence on, if the second best has at most this share of it: of one that lays two
+like rooms on two others, the placement shifted by a room has half."""
 CONTRADICTION_MAX, CONTRADICTION_PER_RATIO = 0.08, 0.1
-"""... and if a smaller share of its walls contradicts than the first, less the second times that share: buildings whose
-rooms repeat have false placements with few contradictions, and a strong second best."""
+"""A smaller share of its walls must contradict than the first, less the second times the share of the second best:
+buildings whose rooms repeat have false placements with few contradictions, and a strong second best."""
+PLAIN_EVIDENCE_MIN_M = 20.0
+"""From this evidence on, placements whose share of contradictions exceeds CONTRADICTION_MAX do not compete. With less,
+they show how much agrees by chance."""
 LOG_ODDS = (4.4, 0.2, -8.3, -43.0)
 """Logistic regression of right placements: constant, logarithm of the evidence [m], second evidence / first, share of
 contradicting walls."""
@@ -97,14 +101,25 @@ def place(target: SavedMap, source: SavedMap) -> Placement:
 
 def judged(ranked: list[Agreement]) -> Placement:
     """The best of different placements, best first, believed only if it stands out."""
-    best, second = ([*ranked, None, None])[:2]
-    if best is None or best.evidence_m <= 0:
-        return Placement(best, second, 0.0, "no placement at which walls agree")
-    ratio = 0.0 if second is None else max(second.evidence_m, 0.0) / best.evidence_m
-    log_odds = float(np.dot(LOG_ODDS, [1.0, np.log(best.evidence_m), ratio, best.contradiction]))
+    if not ranked or ranked[0].evidence_m <= 0:
+        return Placement(next(iter(ranked), None), None, 0.0, "no placement at which walls agree")
+    among_all = _judged(ranked, EVIDENCE_MIN_M)
+    plausible = [one for one in ranked if one.contradiction <= CONTRADICTION_MAX]
+    if among_all.is_believed or len(plausible) in (0, len(ranked)):
+        return among_all
+    among_plausible = _judged(plausible, PLAIN_EVIDENCE_MIN_M)
+    return among_plausible if among_plausible.is_believed else among_all
+
+
+def _judged(ranked: list[Agreement], evidence_min_m: float) -> Placement:
+    best, second = ([*ranked, None])[:2]
+    assert best is not None
+    evidence_m = max(best.evidence_m, 1e-9)
+    ratio = 0.0 if second is None else max(second.evidence_m, 0.0) / evidence_m
+    log_odds = float(np.dot(LOG_ODDS, [1.0, np.log(evidence_m), ratio, best.contradiction]))
     certainty = 1.0 / (1.0 + np.exp(-log_odds))
     reason = ""
-    if best.evidence_m < EVIDENCE_MIN_M:
+    if best.evidence_m < evidence_min_m:
         reason = f"too little in common: {best.agreeing_m:.1f} m of wall agree, {best.contradicting_m:.1f} m contradict"
     elif second is not None and ratio > RATIO_MAX:
         away = between(second.pose, best.pose)
