@@ -66,6 +66,15 @@ def test_no_building_of_the_table_was_calibrated_on():
 
 
 @needs_data
+def test_calibration_pairs_are_of_buildings_that_the_table_does_not_show(monkeypatch, rows_of):
+    tried = []
+    monkeypatch.setattr(saved_maps, "make_pair", lambda case: tried.append(case) or cut_building())
+    rows_of(saved_maps, "--calibration", "--first", "7", "--pairs", "2", "--false-pairs", "1", "--jobs", "1")
+    assert [case.number for case in tried] == [7, 8, 7]
+    assert {case.building for case in tried} <= set(saved_maps.buildings(data_folder(), True))
+
+
+@needs_data
 def test_equal_cases_give_equal_maps():
     case = saved_maps.Case(saved_maps.band_name(saved_maps.BANDS[2]), 2, saved_maps.buildings(data_folder())[2])
     first, second = saved_maps.make_pair(case), saved_maps.make_pair(case)

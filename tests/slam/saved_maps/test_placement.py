@@ -78,8 +78,8 @@ def test_things_that_stand_free_are_no_walls():
     assert points[:, 1] == pytest.approx(1.05)
 
 
-def agreement(agreeing_m, contradicting_m=0.0, x=0.0):
-    return Agreement(np.array([x, 0.0, 0.0]), agreeing_m, contradicting_m, 50.0, 0.5)
+def agreement(agreeing_m, contradicting_m=0.0, x=0.0, floor_m2=50.0):
+    return Agreement(np.array([x, 0.0, 0.0]), agreeing_m, contradicting_m, floor_m2, 0.5)
 
 
 def test_a_wall_that_the_other_run_saw_in_pieces_does_not_contradict():
@@ -101,11 +101,17 @@ def test_a_wall_that_the_other_run_saw_in_pieces_does_not_contradict():
         ([], "no placement at which walls agree"),
         ([agreement(5.0)], "too little in common"),
         ([agreement(80.0), agreement(70.0, x=9.0)], "two placements explain the overlap about equally.*9.0 m"),
+        ([agreement(76.7, floor_m2=123.0), agreement(35.5, 1.4, 9.0, 241.0)], "two placements.*123 and 241 m2"),
+        ([agreement(88.0, 0.5, floor_m2=566.0), agreement(55.2, 0.0, 9.0, 82.0)], "^$"),
+        ([agreement(88.0, 0.5, floor_m2=100.0), agreement(55.2, 0.0, 9.0, 100.0)], "two placements"),
+        ([agreement(31.2), agreement(60.9, 10.3, x=9.0)], "^$"),
+        ([agreement(17.8), agreement(25.2, 3.4, x=9.0)], "two placements explain the overlap about equally"),
         ([agreement(80.0, 8.5)], "8.5 m of wall stand in the other's free floor"),
         ([agreement(80.0, 1.0), agreement(20.0)], "^$"),
     ],
 )
 def test_a_placement_is_believed_if_it_stands_out(ranked, reason):
+    """Much wall around little floor is a row of like rooms; rivals full of contradictions tell of chance alone."""
     assert re.search(reason, judged(ranked).reason)
 
 

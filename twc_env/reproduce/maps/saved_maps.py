@@ -30,7 +30,7 @@ from twc_env.records.geometry import between, compose
 from twc_env.reproduce.maps.map_cuts import Cut, overlap_of, overlapping_parts, saved_parts, twice
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.running.map_merge import read_saved_maps
-from twc_env.running.options import count
+from twc_env.running.options import count, natural
 from twc_env.slam.saved_maps.placement import OTHER_M, OTHER_RAD, agreement_at, place, ranked_placements
 from twc_env.slam.saved_maps.saved_map import SavedMap, cell_of, compared
 
@@ -64,14 +64,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `twc-env reproduce saved-maps`."""
     parser.add_argument("--pairs", type=count, default=100, help="pairs that overlap")
     parser.add_argument("--false-pairs", type=count, default=50, help="pairs that must not merge")
+    parser.add_argument("--first", type=natural, default=0, help="number of the first pair; others are other draws")
+    parser.add_argument("--calibration", action="store_true", help="of the buildings where the method was calibrated")
     parser.add_argument("--jobs", type=count, default=2, help="parallel processes")
 
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per band of overlap and per kind of false pair."""
-    files = buildings(data_folder())
-    cases = [Case(band_name(BANDS[k % len(BANDS)]), k, files[k % len(files)]) for k in range(options.pairs)]
-    cases += [Case(FALSE_KINDS[k % len(FALSE_KINDS)], k, files[k % len(files)]) for k in range(options.false_pairs)]
+    files = buildings(data_folder(), options.calibration)
+    cases = [
+        Case(kinds[k % len(kinds)], k, files[k % len(files)])
+        for kinds, number in (([band_name(band) for band in BANDS], options.pairs), (FALSE_KINDS, options.false_pairs))
+        for k in range(options.first, options.first + number)
+    ]
     results = runner.each(cases, try_case, processes=options.jobs)
     table: dict[str, list[dict]] = {}
     for case, result in zip(cases, results, strict=True):
@@ -144,7 +149,7 @@ def make_pair(case: Case) -> Cut:
     first_m, second_m = RESOLUTIONS_M[int(random.integers(len(RESOLUTIONS_M)))]
     resolutions_m = max(building.resolution_m, first_m), max(building.resolution_m, second_m)
     if case.kind == "two buildings":
-        files = buildings(data_folder())
+        files = buildings(data_folder(), is_calibration=case.building not in buildings(data_folder()))
         others = [file for file in files if file != case.building]
         other = _building(others[int(random.integers(len(others)))])
         cuts = [saved_parts(b, overlapping_parts(b, 0.5, random), resolutions_m, random) for b in (building, other)]

@@ -32,12 +32,18 @@ CONTRADICTION = 3.0
 OTHER_M, OTHER_RAD = 1.0, np.radians(10.0)
 """Placements that differ by more are different ones."""
 FINE_COUNT = 12
-EVIDENCE_MIN_M, RATIO_MAX = 13.0, 0.55
-"""A placement is believed from this evidence on, if the second best has at most this share of it, ..."""
+FLOOR = 0.15
+"""Metres of evidence that a square metre of common floor is worth where placements are compared: no wall stands in it.
+Rows of like rooms have false placements of many walls around little floor."""
+EVIDENCE_MIN_M, RATIO_MAX = 13.0, 0.6
+"""A placement is believed from this evidence on, if the second best has at most this share, floor included, ..."""
 CONTRADICTION_MAX, CONTRADICTION_PER_RATIO = 0.08, 0.1
-"""... and if a smaller share of its walls contradicts than the first, less the second times that share: buildings whose
-rooms repeat have false placements with few contradictions, and a strong second best."""
-LOG_ODDS = (4.4, 0.2, -8.3, -43.0)
+"""... and if a smaller share of its walls contradicts than the first, less the second times the share of the second
+best: buildings whose rooms repeat have false placements with few contradictions, and a strong second best."""
+PLAIN_EVIDENCE_MIN_M = 20.0
+"""From this evidence on, placements whose share of contradictions exceeds CONTRADICTION_MAX do not compete. With less,
+they show how much agrees by chance."""
+LOG_ODDS = (2.1, 0.7, -7.9, -46.0)
 """Logistic regression of right placements: constant, logarithm of the evidence [m], second evidence / first, share of
 contradicting walls."""
 
@@ -61,6 +67,11 @@ class Agreement:
     def evidence_m(self) -> float:
         """Metres of wall that speak for the placement."""
         return self.agreeing_m - CONTRADICTION * self.contradicting_m
+
+    @property
+    def weight_m(self) -> float:
+        """The evidence and what the common floor adds, at least 0, by which placements are compared."""
+        return max(self.evidence_m + FLOOR * self.overlap_m2, 0.0)
 
     @property
     def contradiction(self) -> float:
@@ -97,20 +108,31 @@ def place(target: SavedMap, source: SavedMap) -> Placement:
 
 def judged(ranked: list[Agreement]) -> Placement:
     """The best of different placements, best first, believed only if it stands out."""
-    best, second = ([*ranked, None, None])[:2]
-    if best is None or best.evidence_m <= 0:
-        return Placement(best, second, 0.0, "no placement at which walls agree")
-    ratio = 0.0 if second is None else max(second.evidence_m, 0.0) / best.evidence_m
-    log_odds = float(np.dot(LOG_ODDS, [1.0, np.log(best.evidence_m), ratio, best.contradiction]))
+    if not ranked or ranked[0].evidence_m <= 0:
+        return Placement(next(iter(ranked), None), None, 0.0, "no placement at which walls agree")
+    among_all = _judged(ranked, EVIDENCE_MIN_M)
+    plausible = [one for one in ranked if one.contradiction <= CONTRADICTION_MAX]
+    if among_all.is_believed or len(plausible) in (0, len(ranked)):
+        return among_all
+    among_plausible = _judged(plausible, PLAIN_EVIDENCE_MIN_M)
+    return among_plausible if among_plausible.is_believed else among_all
+
+
+def _judged(ranked: list[Agreement], evidence_min_m: float) -> Placement:
+    best, second = ([*sorted(ranked, key=lambda one: -one.weight_m), None])[:2]
+    assert best is not None
+    ratio = 0.0 if second is None else second.weight_m / max(best.weight_m, 1e-9)
+    log_odds = float(np.dot(LOG_ODDS, [1.0, np.log(max(best.evidence_m, 1e-9)), ratio, best.contradiction]))
     certainty = 1.0 / (1.0 + np.exp(-log_odds))
     reason = ""
-    if best.evidence_m < EVIDENCE_MIN_M:
+    if best.evidence_m < evidence_min_m:
         reason = f"too little in common: {best.agreeing_m:.1f} m of wall agree, {best.contradicting_m:.1f} m contradict"
     elif second is not None and ratio > RATIO_MAX:
         away = between(second.pose, best.pose)
         reason = (
             f"two placements explain the overlap about equally: {best.evidence_m:.0f} and {second.evidence_m:.0f} m of "
-            f"wall speak for them, {np.hypot(away[0], away[1]):.1f} m and {abs(np.degrees(away[2])):.0f} degrees apart"
+            f"wall and {best.overlap_m2:.0f} and {second.overlap_m2:.0f} m2 of floor speak for them, "
+            f"{np.hypot(away[0], away[1]):.1f} m and {abs(np.degrees(away[2])):.0f} degrees apart"
         )
     elif best.contradiction > CONTRADICTION_MAX - CONTRADICTION_PER_RATIO * ratio:
         reason = f"{best.contradicting_m:.1f} m of wall stand in the other's free floor ({best.agreeing_m:.1f} m agree)"
