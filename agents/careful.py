@@ -48,7 +48,10 @@ class CarefulTeam(Policy):
                 known[agent] = dataclasses.replace(beliefs[agent], ranges_m=shown(beliefs[agent].ranges_m, points))
         actions = self._team.act(known)
         for agent, belief in beliefs.items():
-            wanted, speed_max_m_s = float(actions[agent][0]), self._speed_max_m_s[agent]
+            speed_max_m_s = self._speed_max_m_s[agent]
+            if self._feels and (back_m_s := self._felt[agent].retreat_m_s(belief)):
+                actions[agent] = np.array([back_m_s / speed_max_m_s, 0.0], np.float32)
+            wanted = float(actions[agent][0])
             if self._waits:
                 allowed = self._obstacles[agent].limited(belief, wanted * speed_max_m_s) / speed_max_m_s
                 if abs(allowed) < abs(wanted):

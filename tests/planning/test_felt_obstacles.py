@@ -7,7 +7,7 @@ import pytest
 
 from twc_env.config import DynamicsConfig
 from twc_env.planning import FeltObstacles, shown
-from twc_env.planning.felt_obstacles import MEMORY_S
+from twc_env.planning.felt_obstacles import MEMORY_S, RETREAT_M_S, RETREAT_S
 from twc_env.records.messages import Belief, GridMap
 
 NO_MAP = GridMap(np.zeros((1, 1), np.int16), np.zeros(2), 0.1)
@@ -79,3 +79,24 @@ def test_it_is_forgotten_after_a_while_or_where_the_robot_itself_stands(driven):
     late = round(MEMORY_S / OWN.time_step_s)
     assert len(felt.feel(belief_at((0.0, 0.0, 0.0), late))) > 0
     assert len(felt.feel(belief_at((0.0, 0.0, 0.0), late + 60))) == 0
+
+
+@pytest.mark.parametrize("forward", [1.0, -1.0])
+def test_who_bumped_into_something_drives_back_for_a_while_unless_something_is_there(driven, forward):
+    def retreats_m_s(ranges_m=None):
+        felt, points = driven([forward * 0.5] * 40)
+        at, first = felt._poses[-1], felt._retreat_until - round(RETREAT_S / OWN.time_step_s)
+        assert len(points) and felt._retreat_until > 0
+        return [felt.retreat_m_s(belief_at(at, first + k, ranges_m)) for k in range(20)]
+
+    steps = round(RETREAT_S / OWN.time_step_s)
+    assert retreats_m_s() == [-forward * RETREAT_M_S] * steps + [0.0] * (20 - steps)
+    behind = np.full(90, 3.0)
+    behind[45 if forward > 0 else 0] = RIM_M + 0.2
+    assert retreats_m_s(behind) == [0.0] * 20
+    assert any(retreats_m_s(np.roll(behind, 45)))
+
+
+def test_who_felt_nothing_does_not_drive_back(driven):
+    felt, _ = driven([0.5] * 40, free_m=1e9)
+    assert felt.retreat_m_s(belief_at((0.0, 0.0, 0.0), 40)) == 0.0

@@ -267,6 +267,9 @@ class Drivers:
                     _follow(own, self._paths[robot], circle, self._points, commands[robot])
                 elif needed == _PATH:
                     own[_STATUS] = FAILED
+        for robot, (belief, felt) in enumerate(zip(beliefs, self._felt, strict=False)):
+            if self._state[robot, _STATUS] == DRIVING and (back_m_s := felt.retreat_m_s(belief)):
+                commands[robot] = back_m_s, 0.0
         if self._obstacles is not None:
             self._wait_for_people(beliefs, commands)
         for felt, speed_m_s in zip(self._felt, commands[:, 0].tolist(), strict=False):

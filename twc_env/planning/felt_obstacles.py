@@ -1,7 +1,8 @@
 """Obstacles that a robot bumped into and its scanner does not see, from commands and odometry: shown in its scans.
 
 As Kobuki's `kobuki_bumper2pc` does for ROS, where an event of the bumper becomes points ahead of the robot, which
-planners treat like those of a scanner. Here nothing but standing still tells that there is something.
+planners treat like those of a scanner, and its `kobuki_safety_controller`, which then drives back. Here nothing but
+standing still tells that there is something.
 """
 
 from __future__ import annotations
@@ -27,6 +28,10 @@ AHEAD_M = 0.02
 """Distance of the remembered point from the rim."""
 SIZE_M = 0.08
 """Radius of the disc that the scan shows in place of a point."""
+RETREAT_S, RETREAT_M_S = 0.8, 0.25
+"""After a bump a robot drives back this long and this fast, to where it can turn and look for another way, ..."""
+RETREAT_ROOM_M, BEHIND_RAD = 0.25, 1.0
+"""... if the scan shows nothing this close to the rim, within this angle of the motion."""
 MEMORY_S = 120.0
 POINTS_MAX = 32
 """The oldest is forgotten first."""
@@ -58,12 +63,22 @@ class FeltObstacles:
         self._points = np.zeros((0, 2))
         self._until: list[int] = []
         """Step until which each is remembered."""
+        self._retreat_until, self._retreat_m_s = -1, 0.0
 
     def tell(self, speed_m_s: float) -> None:
         """Note the speed of the command for the next step; call once per step, after `feel`."""
         change = self._dynamics.acceleration_max_m_s2 * self._dynamics.time_step_s
         self._speed_m_s = min(max(speed_m_s, self._speed_m_s - change), self._speed_m_s + change)
         self._told_m.append(self._speed_m_s * self._dynamics.time_step_s)
+
+    def retreat_m_s(self, belief: Belief) -> float:
+        """Speed [m/s] of a robot that has just bumped into something and drives straight back; else 0."""
+        if belief.step >= self._retreat_until:
+            return 0.0
+        if self._is_seen(belief, math.copysign(1.0, self._retreat_m_s), RETREAT_ROOM_M, BEHIND_RAD):
+            self._retreat_until = -1
+            return 0.0
+        return self._retreat_m_s
 
     def feel(self, belief: Belief) -> Array:
         """(k, 2) where something is that the scanner does not show, in the robot frame; call once per step."""
@@ -88,17 +103,23 @@ class FeltObstacles:
         self._told_m.clear()
         self._poses.clear()
         self._poses.append(np.array(belief.pose_odom, float))
-        radius_m = self._dynamics.robot_radius_m
-        if belief.ranges_m is not None and len(belief.ranges_m):
-            angles = 2.0 * math.pi * np.arange(len(belief.ranges_m)) / len(belief.ranges_m)
-            ahead = belief.ranges_m[forward * np.cos(angles) > math.cos(SEEN_RAD)]
-            if ((ahead > 0.0) & (ahead < radius_m + SEEN_M)).any():
-                return
-        offset = np.array([forward * (radius_m + AHEAD_M), 0.0, 0.0])
+        if self._is_seen(belief, forward, SEEN_M, SEEN_RAD):
+            return
+        offset = np.array([forward * (self._dynamics.robot_radius_m + AHEAD_M), 0.0, 0.0])
         point = compose(np.asarray(belief.pose_odom, float), offset)[:2]
         until = belief.step + round(MEMORY_S / self._dynamics.time_step_s)
         self._points = np.vstack([self._points, point])[-POINTS_MAX:]
         self._until = [*self._until, until][-POINTS_MAX:]
+        self._retreat_until = belief.step + round(RETREAT_S / self._dynamics.time_step_s)
+        self._retreat_m_s = -forward * RETREAT_M_S
+
+    def _is_seen(self, belief: Belief, forward: float, room_m: float, angle_rad: float) -> bool:
+        """Whether the scan shows something within `room_m` of the rim ahead (1) or behind (-1)."""
+        if belief.ranges_m is None or len(belief.ranges_m) == 0:
+            return False
+        angles = 2.0 * math.pi * np.arange(len(belief.ranges_m)) / len(belief.ranges_m)
+        ahead = belief.ranges_m[forward * np.cos(angles) > math.cos(angle_rad)]
+        return bool(((ahead > 0.0) & (ahead < self._dynamics.robot_radius_m + room_m)).any())
 
 
 def shown(ranges_m: Array | None, points_m: Array) -> Array | None:

@@ -91,6 +91,9 @@ TABLES = {
         "what each effect of reality costs: people, carried robots, poor scanners, drifting odometry, weak links"
     ),
     "mixed": Table("mixed teams, the paper's own (handheld, wheeled, legged) or others, in twins of its two scenes"),
+    "odometry-noise": Table(
+        "laser logs with odometry errors of several sizes, while the engine assumes the same noise", needs_data=True
+    ),
     "sfw-table1": Table(
         "inverse k-visibility Table I: number of walls crossed, and maps of six plans, from signal strength"
     ),

@@ -100,18 +100,24 @@ def _stuck_share(result: EpisodeResult, actions: Sequence[dict[str, Any]], agent
     return commanded_stuck_share(result, commands)
 
 
-def drive(env: ExplorationEnv, team: str, seed: int) -> None:
-    """Play a whole episode of an environment with a scripted team."""
+def drive(env: ExplorationEnv, team: str, seed: int) -> list[list[bool]]:
+    """Play a whole episode of an environment with a scripted team; returns whether each robot was told to move, step by
+    step."""
+    from twc_env.agents.explore import commanded
     from twc_env.agents.policy import begin, make_policy
 
     policy = make_policy(team, env.config)
     env.reset(seed=seed)
     begin(policy, team, env, seed)
+    commands = []
     while env.agents:
         beliefs = {name: env.belief(name) for name in env.agents}
         if policy.finished(beliefs):
             break
-        env.step(policy.act(beliefs))
+        actions = policy.act(beliefs)
+        commands.append(commanded(actions, env.possible_agents))
+        env.step(actions)
+    return commands
 
 
 def _ready(entry: Entry) -> tuple[ExplorationEnv, Acts]:

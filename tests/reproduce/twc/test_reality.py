@@ -17,5 +17,6 @@ def test_a_row_has_the_figures_of_its_effect(rows_of):
     for row in (clean, people):
         assert 0.5 <= row["merged_share"] <= 1.0 and row["wrong_merges"] == row["wrong_teams"] == 0
         assert row["fully_merged"] in (0.0, 1.0) and row["stuck_worst"] == row["stuck_share"]
+        assert 0.0 <= row["commanded_stuck_share"] == row["commanded_stuck_worst"] <= row["stuck_share"]
         assert 0.0 < row["ate_m"] < 0.2 and 0.3 < row["coverage_correct"] <= 1.0 and row["steps_per_s"] > 0
     assert clean["people_collisions"] == 0

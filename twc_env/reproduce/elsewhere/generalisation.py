@@ -34,7 +34,7 @@ from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.metrics.shares import share_interval
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.logs.real_radio import FLOORS, positions_apart_m
-from twc_env.reproduce.logs.resampled_odometry import drive_again
+from twc_env.reproduce.logs.resampled_odometry import drive_again, drive_intel
 from twc_env.reproduce.pose_graphs.robustness import Case, clean_graph, run_case
 from twc_env.reproduce.radio.radio_methods import outcomes
 from twc_env.reproduce.radio.radio_twins import PLACES
@@ -173,6 +173,8 @@ def _house_rows(_: list[str], runs: list[dict]) -> list[dict]:
 
 
 def _log(part: str) -> dict:
+    if part == INTEL_ITSELF:
+        return drive_intel()
     name, size, seed = part.split()
     return drive_again(name, float(size), int(seed))
 

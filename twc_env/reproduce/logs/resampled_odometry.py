@@ -28,9 +28,17 @@ INTEL = "intel"
 
 def drive_again(name: str, size: float, seed: int) -> dict:
     """The engine on a log with `size` times the errors of Intel's odometry: distance of its path to the corrected one,
-    and that of the odometry alone. Size 0 of `intel`: its own raw odometry."""
+    and that of the odometry alone."""
     log = _corrected(name)
-    raw = read_scan_log(_raw_folder() / "intel_gfs.json.gz").poses if size == 0 else resampled(log.poses, size, seed)
+    return _driven(log, resampled(log.poses, size, seed))
+
+
+def drive_intel() -> dict:
+    """As `drive_again`, of Intel with its own raw odometry."""
+    return _driven(_corrected(INTEL), read_scan_log(_raw_folder() / "intel_gfs.json.gz").poses)
+
+
+def _driven(log: ScanLog, raw: Array) -> dict:
     driven = ScanLog(log.times_s, raw, log.ranges_m, log.beam_angles_rad)
     found = np.array(run_engine(driven, 1)["poses"])
     turned_deg = np.degrees(np.abs(_errors(raw, log.poses)[:, 2]))

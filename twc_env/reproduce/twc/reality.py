@@ -9,9 +9,11 @@ people, robots wait for whoever moves close to them.
 largest map. `wrong_merges` is the number of pairs of robots (or of parts of the path of a carried robot) that shared a
 map at any time although their own paths place it more than 1 m or 10 degrees apart, summed over the buildings;
 `wrong_teams` the number of teams in which there were any. `ate_m`, `coverage_correct`, `steps` and `stuck_share` are
-means over buildings. `stuck_share` is the share of time in which a robot stood for ten seconds or more, `stuck_worst`
-that of the worst episode. `steps_per_s` is measured with everything in it, also what the team thinks.
-`people_collisions` counts contacts that robots began by driving.
+means over buildings. `stuck_share` is the share of time in which a robot stood for ten seconds or more, whatever it
+waited for; `commanded_stuck_share` counts only those ten seconds in more than half of which it was told to drive or
+turn: who waits in a closed room or is not switched on is not stuck. Of the three robots, the greatest counts;
+`stuck_worst` and `commanded_stuck_worst` are those of the worst episode. `steps_per_s` is measured with everything in
+it, also what the team thinks. `people_collisions` counts contacts that robots began by driving.
 """
 
 from __future__ import annotations
@@ -58,7 +60,7 @@ EFFECTS: dict[str, dict] = {
     "lost robot": {"failure.robots": 1, "failure.robots_step": 400},
 }
 """Settings of each effect."""
-FIGURES = ("ate_m", "coverage_correct", "steps", "stuck_share", "steps_per_s")
+FIGURES = ("ate_m", "coverage_correct", "steps", "stuck_share", "commanded_stuck_share", "steps_per_s")
 ALL = "all"
 WORLDS = tuple(f"world {name}" for name in WORLD_PRESETS if name != "clean")
 _NOT_TOGETHER = (
@@ -100,10 +102,13 @@ def settings_of(effect: str) -> dict:
 
 def episode(agent: str, area_m2: int, common: dict, effect: str, building: int) -> dict:
     """The figures of one episode."""
+    from twc_env.agents.explore import commanded_stuck_share
+
     env = ExplorationEnv(config={**common, "map": f"gen:office:{area_m2}:{building}", **settings_of(effect)})
     begun = time.perf_counter()
-    drive(env, agent, building)
-    took_s, figures = time.perf_counter() - begun, env.result().figures
+    commands = drive(env, agent, building)
+    took_s, result = time.perf_counter() - begun, env.result()
+    figures = result.figures
     undone = sum(mapper.merges_undone for mapper in env.engine.mappers)
     env.close()
     return {
@@ -114,6 +119,7 @@ def episode(agent: str, area_m2: int, common: dict, effect: str, building: int) 
         "coverage_correct": figures["coverage_correct"],
         "steps": figures["steps"],
         "stuck_share": figures["stuck_share"],
+        "commanded_stuck_share": commanded_stuck_share(result, commands),
         "steps_per_s": figures["steps"] / took_s,
         "people_collisions": figures.get("people_collisions", 0),
         "robot_hours": figures["robots"] * figures["sim_time_s"] / 3600.0,
@@ -133,6 +139,7 @@ def _row(effect: str, episodes: list[dict], robots: int) -> dict:
         "undone": sum(found["undone"] for found in episodes),
         **{name: round(value, 4) for name, value in means.items()},
         "stuck_worst": round(max(found["stuck_share"] for found in episodes), 4),
+        "commanded_stuck_worst": round(max(found["commanded_stuck_share"] for found in episodes), 4),
         "people_collisions": sum(found["people_collisions"] for found in episodes),
         "robot_hours": round(sum(found["robot_hours"] for found in episodes), 2),
     }

@@ -1,0 +1,59 @@
+"""What the size of odometry errors costs on laser logs, while the noise that the engine assumes stays the same.
+
+The logs are driven again with Intel's odometry errors times each size (`resampled_odometry`; 0: perfect odometry). The
+engine is not told the size, so good odometry should end no worse than poor one. `ate_m` is the mean distance to the
+log's own corrected path over the draws, `ate_std_m` and `ate_max_m` their spread and the worst one, and
+`odometry_ate_m` is what the odometry alone gives.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from twc_env.reproduce.logs.resampled_odometry import drive_again
+from twc_env.reproduce.runner import Runner, add_seeds, add_some
+from twc_env.running.options import count, number
+
+CHOOSES = ("logs", "sizes", "seeds")
+LOGS = ("freiburg-101", "freiburg-079", "intel", "aces", "orebro")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the table."""
+    add_some(parser, "--logs", LOGS, "logs")
+    parser.add_argument(
+        "--sizes", type=number(0.0, 10.0), nargs="+", default=[0.0, 0.25, 1.0, 2.0], help="multiples of Intel's errors"
+    )
+    parser.add_argument("--jobs", type=count, default=1, help="number of worker processes")
+    add_seeds(parser, "0-2", "draws of the errors")
+
+
+def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
+    """One row per log and size."""
+    cases = [(name, size, seed) for name in options.logs for size in options.sizes for seed in options.seeds]
+    found = runner.each(cases, _drive, lambda case: f"{case[0]}, {case[1]:g} times, draw {case[2]}", options.jobs)
+    table = []
+    for first in range(0, len(cases), len(options.seeds)):
+        name, size, _ = cases[first]
+        ate_m, odometry_ate_m = (
+            np.array([run[key] for run in found[first : first + len(options.seeds)]])
+            for key in ("ate_m", "odometry_ate_m")
+        )
+        table.append(
+            {
+                "log": name,
+                "size": size,
+                "draws": len(ate_m),
+                "ate_m": float(ate_m.mean()),
+                "ate_std_m": float(ate_m.std()),
+                "ate_max_m": float(ate_m.max()),
+                "odometry_ate_m": float(odometry_ate_m.mean()),
+            }
+        )
+    return table
+
+
+def _drive(case: tuple[str, float, int]) -> dict:
+    return drive_again(*case)
