@@ -4,7 +4,7 @@ It shows what a plan is worth, not what a team can know: only where the robots d
 the map is made by the engine from what they sense, like that of every other team. It plans tours of all robots that
 show the floor early (`twc_env.planning.LatencyTours`), with a model of when maps merge: robots that share none read the
 same signs, where that brings more floor into the largest map. Once a central mapper has most of the floor in one map,
-its robots do as `information-gain` does: for corners that are left, views on the map itself are better than a plan.
+and where most doors open and close, its robots do as `information-gain` does, as views on the map itself serve better.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from twc_env.planning import Disc, FloorViews, LatencyTours, Plan, TeamState, Te
 from twc_env.records.geometry import compose, inverse, transform_points
 from twc_env.records.messages import Belief
 
-from ..slam_aware.relay import in_range
+from ..slam_aware.relay import links_between
 from ..teams.information_gain import CHOOSE_S, InformationGain
 
 LOOK_STEPS = 5
@@ -38,6 +38,8 @@ COMMON_MIN = 3
 """About so many common signs merge two maps; or, where there are none, so many common squares of floor."""
 PACE = 0.9
 """Mean speed where robots do not turn, as a share of the greatest."""
+DOORS_MAX = 0.5
+"""Where a larger share of the doors open and close, too many tours end at shut ones: robots choose views at once."""
 KNOWN_SHARE = 0.75
 """Tours are planned until all share a map that has so much of the floor."""
 LOOKS_MAX = 10
@@ -50,6 +52,9 @@ class Informed(InformationGain):
     def give_truth(self, plan, state: Callable[[], Array]) -> None:
         """The true floor plan, and a function that returns the true poses first (`ExplorationEnv.state`)."""
         self._poses = lambda: state().reshape(-1, 6)[:, :3].astype(float)
+        self._route: LatencyTours | None = None
+        if self.config.clutter.door_share > DOORS_MAX:
+            return
         self._grid = grid_of(plan, 0.1)
         own = [each.dynamics for each in robot_configs(self.config)]
         range_m = shared_config(self.config).lidar.range_max_m
@@ -59,9 +64,10 @@ class Informed(InformationGain):
         self._views = FloorViews.of(floor, self._poses()[0, :2], spacing_m, range_m, signs)
         self._state = TeamState.begin(len(self.robots), self._views)
         self._looks = np.zeros(len(self._views.bits), np.int64)
-        links = self._links(floor) if self.config.link.topology == "peer" else None
+        link, places_m = self.config.link, self._views.graph.places_m
+        links = links_between(floor, places_m, link) if link.topology == "peer" else None
         speeds, rates = np.array([[each.speed_max_m_s, each.turn_rate_max_rad_s] for each in own]).T
-        self._route: LatencyTours | None = LatencyTours(self._views, PACE * speeds, rates, COMMON_MIN, links)
+        self._route = LatencyTours(self._views, PACE * speeds, rates, COMMON_MIN, links)
         self._planned_step, self._merged = -1, self._state.is_merged
         self.explorer = replace(self.explorer, replan_s=PLAN_S)
 
@@ -78,8 +84,8 @@ class Informed(InformationGain):
         true = {}
         for agent, belief in beliefs.items():
             teammates = {other: poses[other] for other in range(len(poses)) if other != belief.robot}
-            here = poses[belief.robot]
-            true[agent] = Belief(belief.robot, step, here, self._grid, teammates, ranges_m=belief.ranges_m)
+            here, seen = poses[belief.robot], belief.ranges_m
+            true[agent] = Belief(belief.robot, step, here, self._grid, teammates, ranges_m=seen)
         return super().act(true)
 
     def best_plan(
@@ -109,16 +115,16 @@ class Informed(InformationGain):
 
     def _drop_stops(self, route: LatencyTours, poses: Array) -> None:
         """Go on from the stops that robots have reached."""
+        away_m = np.hypot(*(self._views.graph.places_m[route.tours[:, 0]] - poses[:, :2]).T)
         for number, robot in enumerate(self.robots.values()):
-            stop = int(route.tours[number, 0])
-            if stop >= 0 and np.hypot(*(self._views.graph.places_m[stop] - poses[number, :2])) < THERE_M:
+            if route.tours[number, 0] >= 0 and away_m[number] < THERE_M:
                 route.advance(number)
                 robot.replan = True
 
     def _is_due(self, step: int) -> bool:
         """Whether the tours are to be planned anew."""
-        late = (step - self._planned_step) * self.dynamics.time_step_s >= PLAN_S
-        return self._planned_step < 0 or late or bool((self._state.is_merged != self._merged).any())
+        late = self._planned_step < 0 or (step - self._planned_step) * self.dynamics.time_step_s >= PLAN_S
+        return late or bool((self._state.is_merged != self._merged).any())
 
     def _plan_tours(self, route: LatencyTours, beliefs: dict[str, Belief], poses: Array, step: int) -> None:
         """Plan the tours of all robots from what their maps hold, or leave the rest to views."""
@@ -134,17 +140,8 @@ class Informed(InformationGain):
         if self._state.is_merged.all() and min(known) >= KNOWN_SHARE and route.links is None:
             self._route, self.explorer = None, replace(self.explorer, replan_s=CHOOSE_S)
             return self.reset(step, list(beliefs))
-        left_s = (self.config.max_cycles - step) * self.dynamics.time_step_s
-        route.plan(self._state, left_s, TRIES if self._planned_step >= 0 else TRIES_FIRST, self.random)
+        left_s, is_first = (self.config.max_cycles - step) * self.dynamics.time_step_s, self._planned_step < 0
+        route.plan(self._state, left_s, TRIES_FIRST if is_first else TRIES, self.random)
         self._planned_step, self._merged = step, self._state.is_merged.copy()
         for robot in self.robots.values():
             robot.replan = True
-
-    def _links(self, floor: Terrain) -> Array:
-        """(places, places) bool: whether robots there hear each other."""
-        places_m, link = self._views.graph.places_m, self.config.link
-        links = np.eye(len(places_m), dtype=bool)
-        for place, here in enumerate(places_m):
-            near = np.flatnonzero(np.hypot(*(places_m - here).T) <= link.range_max_m)
-            links[place, near] = in_range(floor, places_m[near], here, link)
-        return links | links.T
