@@ -93,3 +93,12 @@ def in_range(terrain: Terrain, places_m: Array, other_m: Array, link: LinkConfig
     is_wall = terrain.kind[rows, columns] == WALL
     walls = (is_wall[1:] & ~is_wall[:-1]).sum(axis=0)
     return apart_m + link.wall_range_m * walls <= MARGIN * link.range_max_m
+
+
+def links_between(terrain: Terrain, places_m: Array, link: LinkConfig) -> Array:
+    """(places, places) bool: `in_range` of each of places_m (k, 2) and each other, either way."""
+    links = np.eye(len(places_m), dtype=bool)
+    for place, here in enumerate(places_m):
+        near = np.flatnonzero(np.hypot(*(places_m - here).T) <= link.range_max_m)
+        links[place, near] = in_range(terrain, places_m[near], here, link)
+    return links | links.T

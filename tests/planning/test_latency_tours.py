@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twc_env.planning import FloorViews, LatencyTours, TeamState, Terrain, place_graph
+from twc_env.planning import FloorViews, LatencyTours, TeamState, Terrain
 from twc_env.records.messages import GridMap
 
 ROOMS = 4
@@ -19,15 +19,14 @@ def views() -> FloorViews:
         levels[2:52, 60 * room + 2 : 60 * room + 60] = -1
     levels[22:32, 2:-2] = -1
     terrain = Terrain(GridMap(levels, np.zeros(2), 0.1), 0.2)
-    graph = place_graph(terrain, np.array([3.0, 2.5]), 1.2)
-    return FloorViews.of(terrain, graph, 5.0, 2.5)
+    return FloorViews.of(terrain, np.array([3.0, 2.5]), 1.2, 5.0, np.zeros((0, 3)))
 
 
-def _team(views: FloorViews, *starts_m: tuple[float, float], common_min: int = 4, links=None):
+def _team(views: FloorViews, *starts_m: tuple[float, float], common_min: int = 3, links=None):
     state = TeamState.begin(len(starts_m), views)
     for robot, start_m in enumerate(starts_m):
-        state.pass_place(robot, int(np.argmin(np.hypot(*(views.graph.places_m - start_m).T))), views)
-    return state, LatencyTours(views, np.ones(len(starts_m)), common_min, links)
+        state.stand(robot, np.array([*start_m, 0.0]), views)
+    return state, LatencyTours(views, np.ones(len(starts_m)), np.ones(len(starts_m)), common_min, links)
 
 
 def test_ways_pass_doors_and_are_nearly_the_shortest(views):
@@ -45,6 +44,34 @@ def test_walls_hide_floor(views):
     assert seen_m[:, 0].max() < 8.0  # its own room, and a little through the door
     words = views.as_words(views.is_seen(place))
     assert sum(int(word).bit_count() for word in words) == len(seen_m)
+
+
+def test_signs_are_read_from_the_room_they_face_and_near_ones_count_as_one(views):
+    signs = np.array([[2.0, 0.2, np.pi / 2], [2.5, 0.2, np.pi / 2], [3.0, 5.2, np.pi / 2], [20.0, 0.2, np.pi / 2]])
+    seen = FloorViews.of(views.terrain, np.array([3.0, 2.5]), 1.2, 5.0, signs)
+    bits = seen.signs[:, 2].astype(int)
+    assert bits[0] == bits[1] and len(set(bits)) == 3
+    here, there = (seen.marks[seen.place_at(np.array(at))] for at in ((2.2, 1.5), (20.0, 1.5)))
+    assert here[0] == 1 << bits[0] and there[0] == 1 << bits[3]
+    assert not (seen.marks >> np.uint64(bits[2]) & np.uint64(1)).any()  # it hangs on the outside
+    assert seen.read(np.array([[2.1, 0.4], [20.2, 0.1], [10.0, 2.0]]))[0] == here[0] | there[0]
+
+
+def test_each_point_of_the_floor_belongs_to_a_place_on_its_side_of_the_wall(views):
+    for point in ((5.6, 0.5), (6.6, 0.5)):
+        place_m = views.graph.places_m[views.place_at(np.array(point))]
+        assert (place_m[0] < 6.1) == (point[0] < 6.1)
+
+
+def test_turning_around_takes_time(views):
+    """A robot that looks away from its only stop is there later, and floor is shown later."""
+    values = []
+    for heading in (0.0, np.pi):
+        state, tours = _team(views, (3.0, 2.5))
+        state.poses[0, 2] = heading
+        tours.tours[0, 0] = views.place_at(np.array([21.0, 2.5]))
+        values.append(tours.value(state, 60.0))
+    assert values[0] > values[1]
 
 
 def test_tours_show_all_floor_and_changes_make_them_better(views):

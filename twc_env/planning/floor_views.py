@@ -1,4 +1,4 @@
-"""Places on the floor of a plan, the ways between them, and what is in view from each."""
+"""Places on the floor of a plan, the ways between them, and what floor and which signs are in view from each."""
 
 from __future__ import annotations
 
@@ -19,10 +19,17 @@ NEIGHBOUR_COUNT = 30
 """Nearest places of each that `WalkGraph.near` names."""
 STRAIGHT, DIAGONAL = 5, 7
 """Lengths of steps between cells."""
+READ_M, READ_COSINE = 3.0, 0.5
+"""Signs are mostly read from within this distance, at most at the incidence angle with this cosine (`SignsConfig`)."""
+SIGNS_APART_M = 1.5
+"""Signs nearer to each other than this count as one (`MergingConfig.spread_min_m`)."""
+SQUARE_M = 2.5
+"""Where there are no signs, the squares of this side take their part."""
 
 
-def place_graph(terrain: Terrain, start_m: Array, spacing_m: float) -> WalkGraph:
-    """The graph of all floor that is connected to start_m (2,): about one place per square of side `spacing_m`.
+def place_graph(terrain: Terrain, start_m: Array, spacing_m: float) -> tuple[WalkGraph, Array]:
+    """The graph of all floor that is connected to start_m (2,): about one place per square of side `spacing_m`; and
+    (h, w) int32 the place to which each cell of the terrain belongs, -1 for none.
 
     Each cell belongs to the place that is nearest by its way, and places are neighbours whose cells touch, so that no
     door is missed: the ways are at most a few percent longer than the shortest ones.
@@ -51,13 +58,16 @@ def place_graph(terrain: Terrain, start_m: Array, spacing_m: float) -> WalkGraph
     kept = np.flatnonzero(np.isfinite(dijkstra(graph, directed=False, indices=first)))
     lengths_m, via = dijkstra(graph[kept][:, kept], directed=False, return_predecessors=True)
     near = np.argsort(lengths_m, axis=1, kind="stable")[:, 1 : NEIGHBOUR_COUNT + 1]
-    return WalkGraph(places_m[kept], lengths_m, via.astype(np.int32), near.astype(np.int32))
+    number = np.full(len(cells) + 1, -1, np.int32)
+    number[kept] = np.arange(len(kept))
+    return WalkGraph(places_m[kept], lengths_m, via.astype(np.int32), near.astype(np.int32)), number[owner]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FloorViews:
-    """Which parts of the floor are in view from each place of a graph."""
+    """Which parts of the floor, and which signs, are in view from each place of a graph."""
 
+    terrain: Terrain
     graph: WalkGraph
     cells_m: Array
     """(cells, 2) centres of the cells of the floor."""
@@ -68,12 +78,20 @@ class FloorViews:
     """(places, k) int32: words in which cells are in view from each place, -1 for none ..."""
     seen_bits: Array
     """... and these cells, uint64."""
-    trail: Array
-    """(places, k) int32: places so near to each that robots at both can match their scans, itself first; -1: none."""
+    marks: Array
+    """(places, k) uint64: the bits of the signs that can be read from each; without signs, that of its square."""
+    signs: Array
+    """(signs, 3) x, y and bit of each sign; those that count as one have the same bit."""
+    owner: Array
+    """(h, w) int32: the place to which each cell of the terrain belongs, -1 for none."""
 
     @classmethod
-    def of(cls, terrain: Terrain, graph: WalkGraph, range_m: float, trail_m: float) -> FloorViews:
-        """All views of a range [m] on a terrain without unknown floor."""
+    def of(cls, terrain: Terrain, start_m: Array, spacing_m: float, range_m: float, signs: Array) -> FloorViews:
+        """All views of a range [m] on a terrain without unknown floor, from the places of `place_graph`.
+
+        signs (k, 3): x, y and facing [rad] of each.
+        """
+        graph, owner = place_graph(terrain, start_m, spacing_m)
         is_floor = terrain.kind[CELL // 2 :: CELL, CELL // 2 :: CELL] == FREE
         rows, columns = np.nonzero(is_floor)
         across = -(-is_floor.shape[1] // 8)
@@ -85,16 +103,37 @@ class FloorViews:
         seen_words = np.full((len(places), most), -1, np.int32)
         seen_bits = np.zeros((len(places), most), np.uint64)
         _find_views(terrain.kind, is_floor, places, reach, BEAMS, across, words, seen_words, seen_bits)
-        is_near = (graph.lengths_m < 2 * trail_m) & (
-            np.hypot(*(graph.places_m[:, None] - graph.places_m).transpose(2, 0, 1)) < trail_m
-        )
-        np.fill_diagonal(is_near, False)
-        trail = np.full((len(places), 1 + int(is_near.sum(axis=1).max(initial=0))), -1, np.int32)
-        trail[:, 0] = np.arange(len(places))
-        for place, near in enumerate(is_near):
-            trail[place, 1 : 1 + near.sum()] = np.flatnonzero(near)
+        numbers = _numbers_of(signs)
+        marks = _sign_marks(terrain, places, signs, numbers) if len(signs) else _square_marks(graph.places_m)
         cells_m = terrain.to_metres(np.column_stack([rows, columns]) * CELL + CELL // 2 + 0.5)
-        return cls(graph, cells_m, bits, words, seen_words, seen_bits, trail)
+        return cls(
+            terrain,
+            graph,
+            cells_m,
+            bits,
+            words,
+            seen_words,
+            seen_bits,
+            marks,
+            np.column_stack([signs[:, :2], numbers]),
+            owner,
+        )
+
+    def place_at(self, point_m: Array) -> int:
+        """The place to which a point (2,) belongs, else the nearest one."""
+        row, column = np.clip(self.terrain.to_cells(point_m).astype(int), 0, np.array(self.owner.shape) - 1)
+        place = int(self.owner[row, column])
+        return place if place >= 0 else int(np.argmin(np.hypot(*(self.graph.places_m - point_m).T)))
+
+    def read(self, points_m: Array) -> Array:
+        """(k,) uint64 the bits of the signs at points_m (n, 2), which are estimates."""
+        found = np.zeros(self.marks.shape[1], np.uint64)
+        for point in points_m:
+            away = np.hypot(*(self.signs[:, :2] - point).T)
+            if away.min(initial=np.inf) < SIGNS_APART_M:
+                bit = int(self.signs[np.argmin(away), 2])
+                found[bit // 64] |= np.uint64(1 << bit % 64)
+        return found
 
     def is_seen(self, place: int) -> Array:
         """(cells,) bool: which cells are in view from a place."""
@@ -110,6 +149,51 @@ class FloorViews:
         bits = self.bits[is_in]
         np.bitwise_or.at(found, bits // 64, np.uint64(1) << (bits % 64).astype(np.uint64))
         return found
+
+
+def _square_marks(places_m: Array) -> Array:
+    """(places, k) uint64 the bit of the square in which each place lies."""
+    _, numbers = np.unique(np.floor(places_m / SQUARE_M).astype(np.int64), axis=0, return_inverse=True)
+    numbers = numbers.reshape(-1)
+    marks = np.zeros((len(places_m), 1 + int(numbers.max()) // 64), np.uint64)
+    marks[np.arange(len(places_m)), numbers // 64] = np.uint64(1) << (numbers % 64).astype(np.uint64)
+    return marks
+
+
+def _numbers_of(signs: Array) -> Array:
+    """(n,) the number of each of signs (n, 3), one for all that count as one."""
+    numbers = np.arange(len(signs))
+    for k, sign in enumerate(signs):
+        near = np.flatnonzero(np.hypot(*(signs[:k, :2] - sign[:2]).T) < SIGNS_APART_M)
+        numbers[k] = numbers[near[0]] if len(near) else k
+    return np.unique(numbers, return_inverse=True)[1].reshape(-1)
+
+
+def _sign_marks(terrain: Terrain, places: Array, signs: Array, numbers: Array) -> Array:
+    """(places, k) uint64 the bits `numbers` of the signs (n, 3: x, y, facing) that can be read from places (k, 2)
+    [cells]."""
+    marks = np.zeros((len(places), 1 + int(numbers.max()) // 64), np.uint64)
+    ahead = np.column_stack([np.sin(signs[:, 2]), np.cos(signs[:, 2])])
+    cells = np.column_stack([terrain.to_cells(signs[:, :2]), ahead])
+    _find_marks(terrain.kind, places, np.ascontiguousarray(cells), numbers, READ_M / terrain.resolution_m, marks)
+    return marks
+
+
+@kernel
+def _find_marks(kind, places, signs, numbers, reach, marks):
+    """Set the bits numbers (n,) of signs (n, 4: row, column and its normal) that are in view from places (k, 2)."""
+    for k in range(signs.shape[0]):
+        for i in range(places.shape[0]):
+            dr, dc = places[i, 0] - signs[k, 0], places[i, 1] - signs[k, 1]
+            away = math.hypot(dr, dc)
+            if away > reach or dr * signs[k, 2] + dc * signs[k, 3] < READ_COSINE * away:
+                continue
+            is_clear, j = True, 2  # the wall itself is not in the way
+            while is_clear and j < int(away):
+                r, c = math.floor(signs[k, 0] + j * dr / away), math.floor(signs[k, 1] + j * dc / away)
+                is_clear, j = kind[r, c] == FREE, j + 1
+            if is_clear:
+                marks[i, numbers[k] // 64] |= np.uint64(1) << np.uint64(numbers[k] % 64)
 
 
 @kernel

@@ -2,10 +2,11 @@
 
 Minimising the sum of the times at which each part of the floor is first seen is the travelling repairman problem
 (Afrati et al., "The complexity of the travelling repairman problem", RAIRO 20, 1986), here with several robots, views
-that overlap, and views on the way. Floor counts for the team only in its largest common map: two robots share a map
-once one has passed enough places where the other has been. Tours are built greedily, by the gain of a view for its way
-(Gonzalez-Banos and Latombe 2002), from several first meetings; the best is improved by moving, reversing and exchanging
-parts (Or-opt and 2-opt: Or 1976; Croes 1958), each judged by playing the tours.
+that overlap, and views on the way. Floor counts for the team only in its largest common map: two groups share a map
+once they have read enough signs in common, or been at as many places where there are no signs. Tours are built
+greedily, by the gain of a view for its way (Gonzalez-Banos and Latombe 2002), from several first meetings; the best is
+improved by moving, reversing and exchanging parts (Or-opt and 2-opt: Or 1976; Croes 1958), each judged by playing the
+tours.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ OTHERS_WEIGHT = 0.1
 """What floor is worth that is only in other maps than the largest, against floor in that."""
 GAIN_MIN_CELLS = 6
 """A stop shows at least so many cells."""
+EASY_TURN_RAD = 0.5
+"""Robots turn by so much without losing time; for the rest of a turn they stand."""
 LINK_PERIOD_S = 2.0
 """Robots with a mapper each pass on their maps at most this often."""
 
@@ -40,30 +43,27 @@ class TeamState:
     """(robots, words) uint64: floor in the map of each robot; robots with a common map have the same."""
     is_merged: Array
     """(robots, robots) bool: which share a map."""
-    was_at: Array
-    """(robots, places) bool: where each robot has been ..."""
-    trails: Array
-    """(robots, places) bool: ... and the places near to those."""
-    common: Array
-    """(robots, robots) int64: places that one of a pair passed where the other had been."""
+    read: Array
+    """(robots, words) uint64: the signs that each has read (`FloorViews.marks`)."""
+    poses: Array
+    """(robots, 3) of each."""
 
     @classmethod
     def begin(cls, robots: int, views: FloorViews) -> TeamState:
         """Nobody has been anywhere."""
-        places = len(views.graph.places_m)
-        return cls(
-            np.zeros(robots, np.int64), np.zeros((robots, views.words), np.uint64), np.eye(robots, dtype=bool),
-            np.zeros((robots, places), bool), np.zeros((robots, places), bool), np.zeros((robots, robots), np.int64),
-        )  # fmt: skip
+        seen, read = np.zeros((robots, views.words), np.uint64), np.zeros((robots, views.marks.shape[1]), np.uint64)
+        return cls(np.zeros(robots, np.int64), seen, np.eye(robots, dtype=bool), read, np.zeros((robots, 3)))
 
     def arrays(self) -> tuple[Array, ...]:
         """For kernels."""
-        return self.places, self.seen, self.is_merged, self.was_at, self.trails, self.common
+        return self.places, self.seen, self.is_merged, self.read, self.poses
 
-    def pass_place(self, robot: int, place: int, views: FloorViews) -> None:
-        """Note that a robot is at a place."""
-        self.places[robot] = place
-        _pass(robot, place, self.was_at, self.trails, self.common, views.trail)
+    def stand(self, robot: int, pose: Array, views: FloorViews) -> None:
+        """Note that a robot is at a pose (3,); where there are no signs, it counts as one."""
+        place = views.place_at(pose[:2])
+        self.places[robot], self.poses[robot] = place, pose
+        if not len(views.signs):
+            self.read[robot] |= views.marks[place]
 
 
 @dataclass(slots=True, eq=False)
@@ -72,9 +72,11 @@ class LatencyTours:
 
     views: FloorViews
     speeds_m_s: Array
-    """(robots,) mean speed of each."""
+    """(robots,) speed of each ..."""
+    turn_rates_rad_s: Array
+    """... and turn rate."""
     common_min: int
-    """Robots merge their maps after so many common places."""
+    """Robots merge their maps after reading so many signs in common."""
     links: Array | None = None
     """(places, places) bool: whether robots at two places hear each other; None: all maps are made by a central mapper
     that hears everyone."""
@@ -92,7 +94,7 @@ class LatencyTours:
         tries: how many changes are judged.
         """
         fixed = self._fixed(horizon_s)
-        robots, places = state.was_at.shape
+        robots, places = len(state.places), len(self.views.graph.places_m)
         starts = [self.tours.copy()]
         starts += [np.full_like(self.tours, -1) for _ in range(2)]
         if not state.is_merged.all() or self.links is not None:
@@ -126,24 +128,19 @@ class LatencyTours:
         views, graph = self.views, self.views.graph
         links = np.ones((1, 1), bool) if self.links is None else self.links
         return (
-            graph.lengths_m, graph.via, views.seen_words, views.seen_bits, views.trail, self.speeds_m_s,
+            graph.lengths_m, graph.via, views.seen_words, views.seen_bits, views.marks, self.speeds_m_s,
+            self.turn_rates_rad_s, graph.places_m,
             links, self.links is not None, self.common_min, horizon_s,
         )  # fmt: skip
 
 
 @kernel
-def _pass(robot, place, was_at, trails, common, trail):
-    """Note that a robot is at a place."""
-    if not was_at[robot, place]:
-        was_at[robot, place] = True
-        for other in range(was_at.shape[0]):
-            if other != robot and trails[other, place]:
-                common[robot, other] += 1
-                common[other, robot] += 1
-    for k in range(trail.shape[1]):
-        if trail[place, k] < 0:
-            break
-        trails[robot, trail[place, k]] = True
+def _count_common(first, second):
+    """How many signs are in both masks (words,)."""
+    common = 0
+    for w in range(first.shape[0]):
+        common += bit_count(first[w] & second[w])
+    return common
 
 
 @kernel
@@ -177,7 +174,7 @@ def _count_new(mask, place, seen_words, seen_bits):
 def _fill(tours, decay, state, fixed):
     """Extend the tours greedily until nothing is left to see or the time is over."""
     places, seen = state[0], state[1]
-    lengths, via, seen_words, seen_bits, _, speeds, _, _, _, horizon = fixed
+    lengths, via, seen_words, seen_bits, _, speeds, _, _, _, _, _, horizon = fixed
     robots = tours.shape[0]
     mask = np.zeros(seen.shape[1], np.uint64)
     at, ends, counts = places.copy(), np.zeros(robots), np.zeros(robots, np.int64)
@@ -221,11 +218,23 @@ def _fill(tours, decay, state, fixed):
 
 
 @kernel
+def _leg_s(x, y, goal, heading, length, speed, rate):
+    """Time [s] that a robot with a heading (2,) needs to a goal (2,) at most `length` away, and its heading there."""
+    dx, dy = goal[0] - x, goal[1] - y
+    away = math.hypot(dx, dy)
+    if away < 0.05:
+        return 0.0, heading[0], heading[1]
+    dx, dy = dx / away, dy / away
+    turn = math.acos(max(-1.0, min(1.0, dx * heading[0] + dy * heading[1])))
+    return min(away, length) / speed + max(turn - EASY_TURN_RAD, 0.0) / rate, dx, dy
+
+
+@kernel
 def _value(tours, state, fixed):
     """Integral over time [s] of the cells in the largest common map, and a little of those in others only."""
-    lengths, via, seen_words, seen_bits, trail, speeds, links, is_peer, common_min, horizon = fixed
+    lengths, via, seen_words, seen_bits, marks, speeds, rates, places_m, links, is_peer, common_min, horizon = fixed
     at, seen, is_merged = state[0].copy(), state[1].copy(), state[2].copy()
-    was_at, trails, common = state[3].copy(), state[4].copy(), state[5].copy()
+    read, need = state[3].copy(), np.zeros((state[0].shape[0], state[0].shape[0]), np.int64)
     robots, words = seen.shape
     held = np.arange(robots)  # the mask of each robot: that of the first robot of its group with a central mapper
     area, passed_s = np.zeros(robots, np.int64), np.full((robots, robots), -1e9)
@@ -234,22 +243,30 @@ def _value(tours, state, fixed):
             for b in range(a):
                 if is_merged[a, b] and held[a] == a:
                     held[a] = held[b]
-        for b in range(robots):  # one more common place will do where enough was not enough
-            common[a, b] = min(common[a, b], common_min - 1)
+            if held[a] != a:
+                read[held[a]] |= read[a]
         for w in range(words):
             area[a] += bit_count(seen[a, w])
+    for a in range(robots):
+        for b in range(robots):  # one more will do where enough was not enough
+            need[a, b] = max(common_min, 1 + _count_common(read[held[a]], read[held[b]]))
     together, total = np.zeros(words, np.uint64), 0
     for w in range(words):
         for a in range(robots):
             together[w] |= seen[a, w]
         total += bit_count(together[w])
     stop, due, ahead = np.zeros(robots, np.int64), np.full(robots, np.inf), at.copy()
+    poses, heading = state[4], np.empty((robots, 2))
+    for a in range(robots):
+        heading[a, 0], heading[a, 1] = math.cos(poses[a, 2]), math.sin(poses[a, 2])
     for a in range(robots):
         while stop[a] < tours.shape[1] and tours[a, stop[a]] == at[a]:
             stop[a] += 1
         if stop[a] < tours.shape[1] and tours[a, stop[a]] >= 0:
             ahead[a] = via[tours[a, stop[a]], at[a]]
-            due[a] = lengths[at[a], ahead[a]] / speeds[a]
+            due[a], heading[a, 0], heading[a, 1] = _leg_s(
+                poses[a, 0], poses[a, 1], places_m[ahead[a]], heading[a], lengths[at[a], ahead[a]], speeds[a], rates[a]
+            )
     now, value = 0.0, 0.0
     while True:
         most = 0
@@ -262,7 +279,7 @@ def _value(tours, state, fixed):
         if due[r] >= horizon:
             return value
         now, at[r] = due[r], ahead[r]
-        _pass(r, at[r], was_at, trails, common, trail)
+        read[held[r]] |= marks[at[r]]
         total += _look(together, at[r], seen_words, seen_bits)
         area[held[r]] += _look(seen[held[r]], at[r], seen_words, seen_bits)
         for b in range(robots):
@@ -271,17 +288,8 @@ def _value(tours, state, fixed):
             if is_peer and (not links[at[r], at[b]] or now - passed_s[r, b] < LINK_PERIOD_S):
                 continue
             if not is_merged[r, b]:
-                shared = 0
-                for c in range(robots):
-                    for d in range(robots):
-                        if (c == r or is_merged[c, r]) and (d == b or is_merged[d, b]):
-                            shared += common[c, d]
-                if shared < common_min:
+                if _count_common(read[held[r]], read[held[b]]) < need[r, b]:
                     continue
-                for c in range(robots):
-                    for d in range(robots):
-                        if (c == r or is_merged[c, r]) and (d == b or is_merged[d, b]):
-                            common[c, d] = common_min
                 is_c, is_d = is_merged[r].copy(), is_merged[b].copy()
                 for c in range(robots):
                     for d in range(robots):
@@ -293,18 +301,28 @@ def _value(tours, state, fixed):
                 for c in range(robots):
                     if held[c] == second:
                         held[c] = first
+            read[first] |= read[second]
             area[first] = 0
             for w in range(words):
                 seen[first, w] |= seen[second, w]
                 area[first] += bit_count(seen[first, w])
             if is_peer:
-                seen[second], area[second] = seen[first], area[first]
+                seen[second], read[second], area[second] = seen[first], read[first], area[first]
         while stop[r] < tours.shape[1] and tours[r, stop[r]] == at[r]:
             stop[r] += 1
         due[r] = np.inf
         if stop[r] < tours.shape[1] and tours[r, stop[r]] >= 0:
-            ahead[r] = via[tours[r, stop[r]], at[r]]
-            due[r] = now + lengths[at[r], ahead[r]] / speeds[r]
+            here, ahead[r] = at[r], via[tours[r, stop[r]], at[r]]
+            leg_s, heading[r, 0], heading[r, 1] = _leg_s(
+                places_m[here, 0],
+                places_m[here, 1],
+                places_m[ahead[r]],
+                heading[r],
+                lengths[here, ahead[r]],
+                speeds[r],
+                rates[r],
+            )
+            due[r] = now + leg_s
 
 
 @kernel
