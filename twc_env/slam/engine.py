@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
@@ -36,8 +35,6 @@ MATCHED_STD_SHARE = 0.25
 conservative because closures are tested against it."""
 _INT = np.dtype(np.int64)
 """Of steps."""
-_ALL_BUT_LAST = attrgetter(*(each.name for each in dataclasses.fields(Belief)[:-2]))
-"""The fields of a belief without its `hypotheses` and `radio_trails`."""
 
 
 @borrowing_kernel
@@ -356,8 +353,8 @@ class CooperativeSlam(CopiedWhole):
         if len(mapper.groups) == 1:
             return belief
         group = mapper.group_index(robot)
-        beside = mapper.hypotheses_of(group), mapper.radio_trails_of(group)
-        return Belief(*(*_ALL_BUT_LAST(belief), *beside))
+        hypotheses, trails = mapper.hypotheses_of(group), mapper.radio_trails_of(group)
+        return dataclasses.replace(belief, hypotheses=hypotheses, radio_trails=trails)
 
     def _check_robot(self, robot: int) -> None:
         if not (isinstance(robot, (int, np.integer)) and 0 <= robot < len(self.robots)):
