@@ -56,8 +56,9 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     """
     if name not in TEAMS and name != LEARNED and not is_in_file(str(name)):
         begun = [team for team in TEAMS if team.startswith(str(name))]
-        known = begun or [*policy_names(), LEARNED, "or FILE.py:CLASS"]
-        raise ConfigError(f"unknown agent {name!r}{one_of(name, known, 'choose one of')}")
+        known = begun or [*policy_names(), LEARNED]
+        told = one_of(name, known, "choose one of")
+        raise ConfigError(f"unknown agent {name!r}; your own is FILE.py:CLASS{told}")
     config = config or EnvConfig()
     if config.action.kind != "velocity":
         raise ConfigError(

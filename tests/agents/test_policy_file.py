@@ -71,7 +71,7 @@ def test_a_report_names_its_policy_file_and_a_changed_file_is_run_again(mine, tm
         ("mine.py:Main", r"no class 'Main' in .*mine\.py; it has Mine$"),
         ("other.py:Mine", "there is no file other.py"),
         ("mine.py:Half", r"has no reset and no finished: derive it from twc_env.agents\.Policy"),
-        ("mine", "or FILE.py:CLASS"),
+        ("mine", "your own is FILE.py:CLASS"),
     ],
 )
 def test_the_error_of_an_invalid_policy_names_the_remedy(mine, name, remedy):

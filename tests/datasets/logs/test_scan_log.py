@@ -48,7 +48,8 @@ def test_what_is_no_carmen_log_is_answered_with_the_way_for_other_logs(tmp_path)
     path = tmp_path / "drive.bag"
     path.write_bytes(b"#ROSBAG V2.0")
     with pytest.raises(
-        DataError, match=r"expected lines FLASER, ROBOTLASER1, or RAWLASER1 with ODOM; what else .*write_frame_log"
+        DataError,
+        match=r"expected lines FLASER, ROBOTLASER1, or RAWLASER1 with ODOM; of other formats `write_frame_log` makes",
     ):
         read_carmen_log(path)
 

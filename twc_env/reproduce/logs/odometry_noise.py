@@ -13,7 +13,7 @@ import argparse
 import numpy as np
 
 from twc_env.reproduce.logs.resampled_odometry import drive_again
-from twc_env.reproduce.runner import Runner, add_seeds, add_some
+from twc_env.reproduce.runner import Runner, add_seeds, add_some, data_folder
 from twc_env.running.options import count, number
 
 CHOOSES = ("logs", "sizes", "seeds")
@@ -24,7 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the table."""
     add_some(parser, "--logs", LOGS, "logs")
     parser.add_argument(
-        "--sizes", type=number(0.0, 10.0), nargs="+", default=[0.0, 0.25, 1.0, 2.0], help="multiples of Intel's errors"
+        "--sizes",
+        type=number(0.0, 10.0),
+        nargs="+",
+        default=[0.0, 0.25, 1.0, 2.0],
+        help="multiples of Intel's errors (default: 0 0.25 1 2)",
     )
     parser.add_argument("--jobs", type=count, default=1, help="number of worker processes")
     add_seeds(parser, "0-2", "draws of the errors")
@@ -32,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per log and size."""
+    data_folder()  # without data this fails before the first log
     cases = [(name, size, seed) for name in options.logs for size in options.sizes for seed in options.seeds]
     found = runner.each(cases, _drive, lambda case: f"{case[0]}, {case[1]:g} times, draw {case[2]}", options.jobs)
     table = []
