@@ -32,6 +32,7 @@ from twc_env.training.run_folder import Task, check_choices, check_run, open_run
 from twc_env.training.team_notes import TeamNotes
 from twc_env.training.weights import arrays_of, fill
 
+from twc_env.errors import ConfigError
 from twc_env.records.random_streams import random_stream
 from twc_env.vector.teams import VectorTeams
 
@@ -125,6 +126,8 @@ def train(
     """
     torch.set_num_threads(1)  # the networks are small, and the environments need the cores
     check_choices(task)
+    if settings.environments % 2:
+        raise ConfigError(f"--environments must be even, as teams play in pairs; got {settings.environments}")
     check_run(folder, "es", task, settings, resume)
     with (
         closing(Episodes(task, settings, ray)) as episodes,

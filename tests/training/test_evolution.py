@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from twc_env.errors import ConfigError
+
 pytestmark = pytest.mark.usefixtures("torch")
 
 
@@ -28,3 +30,11 @@ def test_a_pair_with_equal_weights_plays_equal_episodes_and_weights_matter(task)
     episodes.close()
     assert played[0] == played[1] and decisions > 20
     assert played[2]["score"] > played[3]["score"]
+
+
+def test_teams_that_do_not_make_pairs_are_refused_before_anything_is_written(task, tmp_path):
+    from twc_env.training.evolution import Settings, train
+
+    with pytest.raises(ConfigError, match="--environments must be even, as teams play in pairs; got 3"):
+        train(task, Settings(environments=3, workers=0), tmp_path / "run")
+    assert not (tmp_path / "run").exists()

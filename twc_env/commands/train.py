@@ -92,7 +92,8 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
     add_ray(parser, "; the result is the same, also if workers or machines are lost")
     parser.add_argument("--seed", type=natural, default=0, help="of network, buildings and episodes")
     tuned = parser.add_argument_group("hyperparameters", "defaults and their reasons: Settings of training/*.py")
-    tuned.add_argument("--learning-rate", type=number(0.0, 10.0), metavar="RATE", help="initial step size")
+    most = 10.0 if name == "es" else 1.0
+    tuned.add_argument("--learning-rate", type=number(0.0, most), metavar="RATE", help="initial step size")
     tuned.add_argument("--environments", type=count, help="teams that play at once")
     if name != "es":
         _add_gradients(tuned, name)

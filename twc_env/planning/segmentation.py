@@ -66,10 +66,10 @@ def _cut(narrow, nearest, window, is_cut):
     height, width = narrow.shape
     for row in range(height - 1):
         for column in range(width - 1):
-            rows = range(max(row - window // 2, 0), min(row - window // 2 + window, height))
-            columns = slice(max(column - window // 2, 0), column - window // 2 + window)
             if narrow[row, column] == np.inf:
                 continue
+            rows = range(max(row - window // 2, 0), min(row - window // 2 + window, height))
+            columns = slice(max(column - window // 2, 0), column - window // 2 + window)
             least = np.inf
             for r in rows:
                 least = min(least, narrow[r, columns].min())
