@@ -11,6 +11,7 @@ from twc_env.kernels.compiled import kernel
 from twc_env.records.geometry import compose, inverse
 from twc_env.records.twists import adjoint, logarithm, squared_length, turned
 from twc_env.slam.pose_graph import solver as pose_graph
+from twc_env.slam.pose_graph.dense_cholesky import inverse_of
 from twc_env.slam.pose_graph.odometry_chains import Chains
 from twc_env.slam.pose_graph.solver import GATE, Graph
 from twc_env.slam.pose_graph.systematic_errors import UNOWNED
@@ -78,7 +79,7 @@ class MapPrediction:
             i, j = self._i[used], self._j[used]
             covariance = self.own_noise(used) + self._off_key(i) + self._off_key(j)
             _add_edges(hessian, self._key_of[i], self._key_of[j], np.linalg.inv(covariance))
-        self._joint = _inverse(hessian.reshape(3 * size, 3 * size)).reshape(size, 3, size, 3)
+        self._joint = inverse_of(hessian.reshape(3 * size, 3 * size)).reshape(size, 3, size, 3)
         extent = np.ptp(poses[:, :2], axis=0) + 1.0
         self._log_volume = math.log(extent[0] * extent[1] * 2 * math.pi / 8)
 
@@ -182,15 +183,6 @@ class MapPrediction:
     def _claimed(self, closures: Array) -> Array:
         """(k, 3, 3) adjoint from the frame of each closure's measured second pose to the world frame."""
         return adjoint(compose(self._poses[self._i[closures]], self._graph.measured[self._closures[closures]]))
-
-
-def _inverse(matrix: Array) -> Array:
-    """Inverse of a positive definite matrix by Cholesky factorisation."""
-    from scipy.linalg.lapack import dpotrf, dpotri  # imported here: a tenth of the start-up time, not needed there
-
-    factor, _ = dpotrf(matrix.T, lower=0, overwrite_a=1)
-    lower = np.tril(dpotri(factor, lower=0, overwrite_c=1)[0].T)
-    return lower + np.tril(lower, -1).T
 
 
 @kernel
