@@ -13,7 +13,7 @@ from numpy.typing import NDArray as Array
 from twc_env.planning.path_finder import Disc, PathFinder
 from twc_env.planning.terrain import Terrain
 from twc_env.planning.views import ViewGain
-from twc_env.records.geometry import between
+from twc_env.records.geometry import inverse
 from twc_env.records.messages import Belief
 
 CELLS_MIN = 3
@@ -158,7 +158,9 @@ def can_tell_places(theirs: Belief, mine: Belief) -> bool:
 
 
 def _nearest(places_m: list[Array], here: Array, away_m: float) -> Array | None:
-    far = [(math.dist(place, here[:2]), k) for k, place in enumerate(places_m)]
+    """The place nearest to a pose (3,) of those at least away_m from it."""
+    mine = here[:2].tolist()
+    far = [(math.dist(place, mine), k) for k, place in enumerate(np.reshape(places_m, (-1, 2)).tolist())]
     far = [pair for pair in far if pair[0] >= away_m]
     return np.asarray(places_m[min(far)[1]], float) if far else None
 
@@ -177,10 +179,15 @@ def features_of(candidates: Candidates, pose_map_robot: Array, count_max: int) -
     whether a teammate is nearer.
     """
     rows = np.zeros((count_max, 6), np.float32)
-    columns = candidates.frontiers_m, candidates.lengths_m, candidates.sizes_m, candidates.is_teammate_nearer
-    for row, place, length, size, nearer in zip(rows, *columns, strict=False):
-        x, y, _ = between(pose_map_robot, np.array([*place, 0.0])).tolist()
+    columns = candidates.lengths_m.tolist(), candidates.sizes_m.tolist(), candidates.is_teammate_nearer.tolist()
+    x_here, y_here, heading = inverse(pose_map_robot).tolist()
+    c, s = math.cos(heading), math.sin(heading)
+    found = []
+    for (x_map, y_map), length, size, nearer in zip(candidates.frontiers_m.tolist(), *columns, strict=True):
+        x, y = x_here + c * x_map - s * y_map, y_here + s * x_map + c * y_map
         away = math.hypot(x, y)
         shares = away / (away + 10.0), length / (length + 10.0), size / (size + 5.0)
-        row[:] = 1.0, math.atan2(y, x) / math.pi, *shares, nearer
+        found.append((1.0, math.atan2(y, x) / math.pi, *shares, nearer))
+    if found:
+        rows[: len(found)] = found
     return rows
