@@ -29,6 +29,8 @@ CHECK_S = 0.5
 REPLAN_S = 4.0
 """Period of replanning."""
 ARRIVAL_M = 0.35
+VIEW_ARRIVAL_M = 0.45
+"""A robot slows down over its last 0.4 m, but need not stand where it looks."""
 TEAMMATE_ARRIVAL_M = 1.2
 GOAL_SQUARE_SHARE = 0.65
 """Half side of the square in which paths end, as a share of the arrival distance; its corners lie inside the latter."""
@@ -214,12 +216,12 @@ class Drivers:
     ) -> None:
         """Send a robot to goal_m (2,) in the map frame.
 
-        kind: "place", "frontier" (has arrived once the frontier is mapped) or "teammate" (arrives at
-        `TEAMMATE_ARRIVAL_M`).
+        kind: "place", "frontier" (has arrived once the frontier is mapped), "view" (arrives at `VIEW_ARRIVAL_M`) or
+        "teammate" (at `TEAMMATE_ARRIVAL_M`).
         """
         own, (x, y) = self._state[robot], belief.pose_map_robot[:2]
         own[_STATUS], own[_GOAL_X : _GOAL_Y + 1], own[_IS_FRONTIER] = DRIVING, goal_m, kind == "frontier"
-        own[_ARRIVAL_M] = TEAMMATE_ARRIVAL_M if kind == "teammate" else arrival_m
+        own[_ARRIVAL_M] = {"view": VIEW_ARRIVAL_M, "teammate": TEAMMATE_ARRIVAL_M}.get(kind, arrival_m)
         own[_TICKS] = own[_BACK_OUT_TICKS] = own[_CORNERS] = 0
         own[_ANCHOR_X], own[_ANCHOR_Y], own[_ANCHOR_TICK] = x, y, 0
         own[_VERSION], own[_TEAMMATES] = map_id(belief)
