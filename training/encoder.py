@@ -137,10 +137,12 @@ def logits_of_rule(seen: dict[str, Tensor], weights: Tensor) -> Tensor:
     row, near, left = seen["frontiers"], seen["goals"], seen["clock"]
     way = _unshared(row[..., 3])
     gain = torch.log(HALF_GAIN_M2 * _unshared(seen["gains"]) + GAIN_MIN_M2) if "gains" in seen else 0.0 * way
-    told = [near[..., 0], near[..., 1], row[..., 1].abs(), row[..., 4], row[..., 5]]
-    goals = torch.stack([gain, way, (left - 0.5) * way, *told, _apart(row)], -1)
-    utilities = torch.einsum("bcf,bf->bc", goals, weights[:, : goals.shape[2]])
-    logits = SHARPNESS * torch.cat([utilities, weights[:, goals.shape[2] :]], 1)
+    told = [near[..., 0], near[..., 1], row[..., 1].abs(), row[..., 4], row[..., 5], _apart(row)]
+    known = [gain, way, (left - 0.5) * way, *told]
+    utilities = torch.zeros_like(gain)
+    for number, column in enumerate(known):  # one after the other: matrix products round as the size of the batch says
+        utilities = utilities + column * weights[:, number, None]
+    logits = SHARPNESS * torch.cat([utilities, weights[:, len(known) :]], 1)
     return logits.masked_fill(seen["action_mask"] <= 0, -1e9)
 
 

@@ -61,7 +61,8 @@ class Informed(InformationGain):
         floor = Terrain(self._grid, max(each.robot_radius_m for each in own))
         spacing_m = max(SPACING_M, SPACING_SHARE * range_m)
         signs = np.array([[*sign.position_m, sign.facing_rad] for sign in plan.signs]).reshape(-1, 3)
-        self._views = FloorViews.of(floor, self._poses()[0, :2], spacing_m, range_m, signs)
+        camera, apart_m = self.config.signs, self.config.slam.merging.spread_min_m
+        self._views = FloorViews.of(floor, self._poses()[0, :2], spacing_m, range_m, signs, camera, apart_m)
         self._state = TeamState.begin(len(self.robots), self._views)
         self._looks = np.zeros(len(self._views.bits), np.int64)
         link, places_m = self.config.link, self._views.graph.places_m
@@ -131,15 +132,16 @@ class Informed(InformationGain):
         known = []
         for belief in beliefs.values():
             to_map = compose(belief.pose_map_robot, inverse(poses[belief.robot]))
-            if len(belief.signs):
-                signs_m = transform_points(inverse(to_map), np.array([sign.position_m for sign in belief.signs]))
+            if len(self._views.signs):
+                signs_m = np.array([sign.position_m for sign in belief.signs]).reshape(-1, 2)
+                signs_m = transform_points(inverse(to_map), signs_m)
                 self._state.read[belief.robot] = self._views.read(signs_m)
             is_known = belief.grid.level_at(transform_points(to_map, self._views.cells_m)) < 0
             self._state.seen[belief.robot] = self._views.as_words(is_known | (self._looks > LOOKS_MAX))
             known.append(is_known.mean())
         if self._state.is_merged.all() and min(known) >= KNOWN_SHARE and route.links is None:
             self._route, self.explorer = None, replace(self.explorer, replan_s=CHOOSE_S)
-            return self.reset(step, list(beliefs))
+            return self.reset(int(self.random.integers(2**31)), list(beliefs))
         left_s, is_first = (self.config.max_cycles - step) * self.dynamics.time_step_s, self._planned_step < 0
         route.plan(self._state, left_s, TRIES_FIRST if is_first else TRIES, self.random)
         self._planned_step, self._merged = step, self._state.is_merged.copy()

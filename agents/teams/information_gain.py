@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig, shared_config
+from twc_env.config import EnvConfig, robot_configs
 from twc_env.planning import Disc, Plan, Terrain, find_views
 from twc_env.records.messages import Belief
 
@@ -38,7 +38,7 @@ class InformationGain(FrontierTeam):
     def __init__(self, config: EnvConfig):
         super().__init__(config)
         self.explorer = replace(self.explorer, replan_s=CHOOSE_S)
-        self._range_m = shared_config(config).lidar.range_max_m
+        self._ranges_m = [own.lidar.range_max_m for own in robot_configs(config)]
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Discard all state."""
@@ -53,7 +53,8 @@ class InformationGain(FrontierTeam):
         robot, belief = self.robots[agent], beliefs[agent]
         spent_m = np.array([*self.banned(robot, belief, {}), *self._views_taken_m(agent, belief)]).reshape(-1, 2)
         claimed_m = np.array([*self.heard_goals_m(agent, beliefs).values()]).reshape(-1, 2)
-        found = find_views(belief, terrain, self.finder, OFFERED, self._range_m, claimed_m, spent_m, discs)
+        range_m = self._ranges_m[belief.robot]
+        found = find_views(belief, terrain, self.finder, OFFERED, range_m, claimed_m, spent_m, discs)
         for place_m in found.frontiers_m:
             plan = self.plan_to_place(terrain, agent, place_m, discs, 0.2)
             if plan is not None:

@@ -266,3 +266,20 @@ def test_goals_of_robots_with_a_common_map_are_claimed(monkeypatch):
         assert any(len(claimed) for mates, claimed in claims if mates) == (starts == "starts")
         assert not any(len(claimed) for mates, claimed in claims if not mates)
         assert goals_m.any()
+
+
+@pytest.mark.parametrize("goals", ["views", "frontiers"])
+def test_what_a_view_shows_is_what_the_scanner_of_this_robot_would(monkeypatch, goals):
+    ranges_m = []
+
+    def find(belief, terrain, finder, slots, range_m, *others):
+        ranges_m.append((belief.robot, range_m))
+        return usual(belief, terrain, finder, slots, range_m, *others)
+
+    name, usual = ("find_views", find_views) if goals == "views" else ("find_candidates", find_candidates)
+    monkeypatch.setattr(f"twc_env.exploration.macro_actions.{name}", find)
+    config = {**VIEWS, "action.goals": goals, "robot": ["wheeled", {"lidar.range_max_m": 3.5}]}
+    config |= {"observation.gains": True, "observation.equal_shapes": True}
+    env = twc_env.parallel_env(map="gen:office:200:5", max_cycles=20, config=config)
+    env.reset(seed=0)
+    assert dict(ranges_m) == {0: 10.0, 1: 3.5}

@@ -100,3 +100,20 @@ def test_who_bumped_into_something_drives_back_for_a_while_unless_something_is_t
 def test_who_felt_nothing_does_not_drive_back(driven):
     felt, _ = driven([0.5] * 40, free_m=1e9)
     assert felt.retreat_m_s(belief_at((0.0, 0.0, 0.0), 40)) == 0.0
+
+
+def test_who_is_not_switched_on_yet_feels_nothing(driven):
+    """It is told to drive, does not move, and has no scan."""
+    felt, points = driven([0.5] * 40, free_m=0.0, ranges_m=np.empty(0))
+    assert len(points) == 0 and felt.retreat_m_s(belief_at((0.0, 0.0, 0.0), 39)) == 0.0
+
+
+def test_a_slow_robot_retreats_no_faster_than_it_can():
+    slow = DynamicsConfig(speed_max_m_s=0.15)
+    felt, back_m_s = FeltObstacles(slow), []
+    for step in range(20):
+        belief = belief_at((0.0, 0.0, 0.0), step)
+        felt.feel(belief)
+        back_m_s.append(felt.retreat_m_s(belief))
+        felt.tell(0.15)
+    assert min(back_m_s) == -0.15

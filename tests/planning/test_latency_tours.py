@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from twc_env.config import MergingConfig, SignsConfig
 from twc_env.planning import FloorViews, LatencyTours, TeamState, Terrain
+from twc_env.planning.floor_views import _find_marks
+from twc_env.planning.latency_tours import STOPS_MAX, _insert
 from twc_env.records.messages import GridMap
 
 ROOMS = 4
@@ -116,3 +119,64 @@ def test_the_same_seed_gives_the_same_tours(views):
         tours.plan(state, 120.0, 200, np.random.default_rng(3))
         found.append(tours.tours)
     assert np.array_equal(*found)
+
+
+def test_a_robot_that_stands_in_unseen_floor_still_gets_a_tour(views):
+    """What is in view from where it stands shows most for no way at all."""
+    for place_m in views.graph.places_m:
+        state, tours = _team(views, tuple(place_m))
+        tours.plan(state, 120.0, 0, np.random.default_rng(0))
+        assert tours.tours[0, 1] >= 0
+
+
+@pytest.mark.parametrize("position", [STOPS_MAX - 1, STOPS_MAX])
+def test_a_full_tour_loses_its_last_stop_and_that_of_the_next_robot_stays(position):
+    tours = np.zeros((2, STOPS_MAX), np.int64)
+    _insert(tours[0], position, 7)
+    assert tours[0].sum() == (7 if position < STOPS_MAX else 0) and not tours[1].any()
+
+
+def test_places_lie_in_the_part_of_the_floor_in_which_the_start_does():
+    """A shut closet behind the wall has the nearest place."""
+    levels = np.ones((44, 120), np.int16)
+    levels[2:42, 2:92] = -1
+    levels[2:42, 95:108] = -1
+    seen = FloorViews.of(
+        Terrain(GridMap(levels, np.zeros(2), 0.1), 0.2), np.array([9.0, 2.1]), 3.0, 5.0, np.zeros((0, 3))
+    )
+    assert len(seen.graph.places_m) > 3 and seen.graph.places_m[:, 0].max() < 9.2
+
+
+def test_signs_are_read_as_far_and_as_askew_as_the_camera_can(views):
+    sign = np.array([[3.0, 0.2, np.pi / 2]])
+    counts = [
+        int(np.count_nonzero(FloorViews.of(views.terrain, np.array([3.0, 2.5]), 1.2, 5.0, sign, camera).marks))
+        for camera in (SignsConfig(range_max_m=2.0), SignsConfig(), SignsConfig(incidence_max_rad=0.3))
+    ]
+    assert 0 < counts[0] < counts[1] > counts[2] > 0
+
+
+def test_signs_within_the_setting_of_the_merging_count_as_one(views):
+    signs = np.array([[2.0, 0.2, np.pi / 2], [4.5, 0.2, np.pi / 2]])
+    for apart_m, count in ((MergingConfig().spread_min_m, 2), (3.0, 1)):
+        seen = FloorViews.of(views.terrain, np.array([3.0, 2.5]), 1.2, 5.0, signs, apart_m=apart_m)
+        assert len(set(seen.signs[:, 2])) == count
+
+
+def test_a_far_sighted_scanner_sees_all_floor_of_an_empty_hall():
+    levels = np.ones((404, 404), np.int16)
+    levels[2:402, 2:402] = -1
+    seen = FloorViews.of(
+        Terrain(GridMap(levels, np.zeros(2), 0.1), 0.2), np.array([20.0, 20.0]), 5.0, 30.0, np.zeros((0, 3))
+    )
+    assert seen.is_seen(seen.place_at(np.array([20.0, 20.0]))).mean() > 0.99
+
+
+def test_signs_outside_the_map_are_not_read(views):
+    kind = views.terrain.kind
+    places = np.ascontiguousarray(views.terrain.to_cells(views.graph.places_m), float)
+    marks = np.zeros((len(places), 1), np.uint64)
+    for row in (-20.0, len(kind) + 20.0):
+        sign = np.array([[row, 30.0, 1.0 if row < 0 else -1.0, 0.0]])
+        _find_marks.py_func(kind, places, sign, np.zeros(1, int), 60.0, 0.5, marks)
+    assert not marks.any()

@@ -315,6 +315,11 @@ class SignsConfig(Checked):
     character_error_probability: float = number(0.03, 0.0, 1.0)
     """For `simple`: probability that a character is substituted, deleted or followed by an inserted one."""
 
+    @property
+    def legible_m(self) -> float:
+        """Distance up to which signs are in view and their capitals high enough in the image."""
+        return min(self.range_max_m, self.focal_length_px * self.character_height_m / self.height_min_px)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkConfig(Checked):

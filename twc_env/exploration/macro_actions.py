@@ -38,10 +38,11 @@ class CandidateSearch:
 
     def __init__(self, config: EnvConfig, finder: PathFinder | None = None):
         self._config = config
-        self._radii_m = [own.dynamics.robot_radius_m for own in robot_configs(config)]
+        own = robot_configs(config)
+        self._radii_m = [each.dynamics.robot_radius_m for each in own]
+        self._ranges_m = [each.lidar.range_max_m for each in own]
         self._period = max(1, round(config.observation.frontier_period_s / config.dynamics.time_step_s))
         self._finder = finder or PathFinder()
-        self._range_m = config.lidar.range_max_m if config.observation.gains else 0.0
         self._looked = [(-self._period, (-1, -1))] * config.robots
         """Step, and the robot's map then (`map_id`)."""
         self.candidates: list[Candidates] = [NOTHING] * config.robots
@@ -74,13 +75,14 @@ class CandidateSearch:
             if is_old or (len(is_due) and is_due[robot]):
                 self._looked[robot] = step, map_id(belief)
                 terrain = terrain_of(known, belief, self._radii_m[robot])
-                slots = self._config.action.frontier_slots
+                slots, range_m = self._config.action.frontier_slots, self._ranges_m[robot]
                 if self._config.action.goals == "frontiers":
-                    found = find_candidates(belief, terrain, self._finder, slots, self._range_m)
+                    range_m = range_m if self._config.observation.gains else 0.0
+                    found = find_candidates(belief, terrain, self._finder, slots, range_m)
                 else:
                     spent_m = self._spent_m[robot] if self._spent_map[robot] == map_id(belief) else []
                     claimed_m = _goals_of_others(belief, beliefs, goals_m)
-                    where = belief, terrain, self._finder, slots, self._config.lidar.range_max_m
+                    where = belief, terrain, self._finder, slots, range_m
                     found = find_views(*where, claimed_m, np.array(spent_m).reshape(-1, 2))
                 self.candidates[robot] = found
 

@@ -83,6 +83,9 @@ class FeltObstacles:
     def feel(self, belief: Belief) -> Array:
         """(k, 2) where something is that the scanner does not show, in the robot frame; call once per step."""
         pose = np.array(belief.pose_odom, float)
+        if belief.ranges_m is not None and len(belief.ranges_m) == 0:  # not switched on yet, or failed
+            self._told_m.clear()
+            self._poses.clear()
         self._poses.append(pose)
         told_m = sum(self._told_m)
         if len(self._poses) > len(self._told_m) == self._told_m.maxlen and abs(told_m) > STALL_M:
@@ -111,7 +114,7 @@ class FeltObstacles:
         self._points = np.vstack([self._points, point])[-POINTS_MAX:]
         self._until = [*self._until, until][-POINTS_MAX:]
         self._retreat_until = belief.step + round(RETREAT_S / self._dynamics.time_step_s)
-        self._retreat_m_s = -forward * RETREAT_M_S
+        self._retreat_m_s = -forward * min(RETREAT_M_S, self._dynamics.speed_max_m_s)
 
     def _is_seen(self, belief: Belief, forward: float, room_m: float, angle_rad: float) -> bool:
         """Whether the scan shows something within `room_m` of the rim ahead (1) or behind (-1)."""

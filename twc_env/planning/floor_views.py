@@ -8,23 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.config import MergingConfig, SignsConfig
 from twc_env.kernels.compiled import kernel
 from twc_env.planning.covering_walk import WalkGraph
 from twc_env.planning.terrain import FREE, Terrain
 
 CELL = 4
 """Cells of the terrain along a cell of the floor; 8 x 8 of these are the bits of a word."""
-BEAMS = 180
+BEAMS_MIN = 180
 NEIGHBOUR_COUNT = 30
 """Nearest places of each that `WalkGraph.near` names."""
 STRAIGHT, DIAGONAL = 5, 7
 """Lengths of steps between cells."""
-READ_M, READ_COSINE = 3.0, 0.5
-"""Signs are mostly read from within this distance, at most at the incidence angle with this cosine (`SignsConfig`)."""
-SIGNS_APART_M = 1.5
-"""Signs nearer to each other than this count as one (`MergingConfig.spread_min_m`)."""
+READ_SHARE = 0.75
+"""Signs are mostly read from within this share of the distance at which a camera still sees them."""
 SQUARE_M = 2.5
 """Where there are no signs, the squares of this side take their part."""
+_CAMERA, _MERGING = SignsConfig(), MergingConfig()
 
 
 def place_graph(terrain: Terrain, start_m: Array, spacing_m: float) -> tuple[WalkGraph, Array]:
@@ -54,7 +54,10 @@ def place_graph(terrain: Terrain, start_m: Array, spacing_m: float) -> tuple[Wal
     ways_m = np.array(list(edges.values()), float) * terrain.resolution_m / STRAIGHT
     graph = coo_array((ways_m, tuple(pairs.T)), shape=(len(cells), len(cells))).tocsr()
     places_m = terrain.to_metres(cells + 0.5)
-    first = int(np.argmin(np.hypot(*(places_m - start_m).T)))
+    row, column = np.clip(terrain.to_cells(start_m).astype(int), 0, np.array(owner.shape) - 1)
+    first = int(owner[row, column])
+    if first < 0:  # it lies in a closed cell
+        first = int(np.argmin(np.hypot(*(places_m - start_m).T)))
     kept = np.flatnonzero(np.isfinite(dijkstra(graph, directed=False, indices=first)))
     lengths_m, via = dijkstra(graph[kept][:, kept], directed=False, return_predecessors=True)
     near = np.argsort(lengths_m, axis=1, kind="stable")[:, 1 : NEIGHBOUR_COUNT + 1]
@@ -84,12 +87,23 @@ class FloorViews:
     """(signs, 3) x, y and bit of each sign; those that count as one have the same bit."""
     owner: Array
     """(h, w) int32: the place to which each cell of the terrain belongs, -1 for none."""
+    apart_m: float
+    """Signs nearer to each other than this count as one."""
 
     @classmethod
-    def of(cls, terrain: Terrain, start_m: Array, spacing_m: float, range_m: float, signs: Array) -> FloorViews:
+    def of(
+        cls,
+        terrain: Terrain,
+        start_m: Array,
+        spacing_m: float,
+        range_m: float,
+        signs: Array,
+        camera: SignsConfig = _CAMERA,
+        apart_m: float = _MERGING.spread_min_m,
+    ) -> FloorViews:
         """All views of a range [m] on a terrain without unknown floor, from the places of `place_graph`.
 
-        signs (k, 3): x, y and facing [rad] of each.
+        signs (k, 3): x, y and facing [rad] of each; apart_m: `MergingConfig.spread_min_m`.
         """
         graph, owner = place_graph(terrain, start_m, spacing_m)
         is_floor = terrain.kind[CELL // 2 :: CELL, CELL // 2 :: CELL] == FREE
@@ -102,9 +116,10 @@ class FloorViews:
         most = (math.ceil(2 * reach / (8 * CELL)) + 1) ** 2
         seen_words = np.full((len(places), most), -1, np.int32)
         seen_bits = np.zeros((len(places), most), np.uint64)
-        _find_views(terrain.kind, is_floor, places, reach, BEAMS, across, words, seen_words, seen_bits)
-        numbers = _numbers_of(signs)
-        marks = _sign_marks(terrain, places, signs, numbers) if len(signs) else _square_marks(graph.places_m)
+        beams = max(BEAMS_MIN, math.ceil(2 * math.pi * reach / CELL))
+        _find_views(terrain.kind, is_floor, places, reach, beams, across, words, seen_words, seen_bits)
+        numbers = _numbers_of(signs, apart_m)
+        marks = _sign_marks(terrain, places, signs, numbers, camera) if len(signs) else _square_marks(graph.places_m)
         cells_m = terrain.to_metres(np.column_stack([rows, columns]) * CELL + CELL // 2 + 0.5)
         return cls(
             terrain,
@@ -117,6 +132,7 @@ class FloorViews:
             marks,
             np.column_stack([signs[:, :2], numbers]),
             owner,
+            apart_m,
         )
 
     def place_at(self, point_m: Array) -> int:
@@ -130,7 +146,7 @@ class FloorViews:
         found = np.zeros(self.marks.shape[1], np.uint64)
         for point in points_m:
             away = np.hypot(*(self.signs[:, :2] - point).T)
-            if away.min(initial=np.inf) < SIGNS_APART_M:
+            if away.min(initial=np.inf) < self.apart_m:
                 bit = int(self.signs[np.argmin(away), 2])
                 found[bit // 64] |= np.uint64(1 << bit % 64)
         return found
@@ -160,38 +176,42 @@ def _square_marks(places_m: Array) -> Array:
     return marks
 
 
-def _numbers_of(signs: Array) -> Array:
-    """(n,) the number of each of signs (n, 3), one for all that count as one."""
+def _numbers_of(signs: Array, apart_m: float) -> Array:
+    """(n,) the number of each of signs (n, 3), one for all that are nearer to each other than apart_m."""
     numbers = np.arange(len(signs))
     for k, sign in enumerate(signs):
-        near = np.flatnonzero(np.hypot(*(signs[:k, :2] - sign[:2]).T) < SIGNS_APART_M)
+        near = np.flatnonzero(np.hypot(*(signs[:k, :2] - sign[:2]).T) < apart_m)
         numbers[k] = numbers[near[0]] if len(near) else k
     return np.unique(numbers, return_inverse=True)[1].reshape(-1)
 
 
-def _sign_marks(terrain: Terrain, places: Array, signs: Array, numbers: Array) -> Array:
-    """(places, k) uint64 the bits `numbers` of the signs (n, 3: x, y, facing) that can be read from places (k, 2)
+def _sign_marks(terrain: Terrain, places: Array, signs: Array, numbers: Array, camera: SignsConfig) -> Array:
+    """(places, k) uint64 the bits `numbers` of the signs (n, 3: x, y, facing) that a camera can read from places (k, 2)
     [cells]."""
     marks = np.zeros((len(places), 1 + int(numbers.max()) // 64), np.uint64)
     ahead = np.column_stack([np.sin(signs[:, 2]), np.cos(signs[:, 2])])
     cells = np.column_stack([terrain.to_cells(signs[:, :2]), ahead])
-    _find_marks(terrain.kind, places, np.ascontiguousarray(cells), numbers, READ_M / terrain.resolution_m, marks)
+    reach = READ_SHARE * camera.legible_m / terrain.resolution_m
+    cosine = math.cos(camera.incidence_max_rad)
+    _find_marks(terrain.kind, places, np.ascontiguousarray(cells), numbers, reach, cosine, marks)
     return marks
 
 
 @kernel
-def _find_marks(kind, places, signs, numbers, reach, marks):
-    """Set the bits numbers (n,) of signs (n, 4: row, column and its normal) that are in view from places (k, 2)."""
+def _find_marks(kind, places, signs, numbers, reach, cosine, marks):
+    """Set the bits numbers (n,) of signs (n, 4: row, column and its normal) that are in view from places (k, 2), within
+    `reach` cells and at most at the incidence angle with this cosine."""
     for k in range(signs.shape[0]):
         for i in range(places.shape[0]):
             dr, dc = places[i, 0] - signs[k, 0], places[i, 1] - signs[k, 1]
             away = math.hypot(dr, dc)
-            if away > reach or dr * signs[k, 2] + dc * signs[k, 3] < READ_COSINE * away:
+            if away > reach or dr * signs[k, 2] + dc * signs[k, 3] < cosine * away:
                 continue
             is_clear, j = True, 2  # the wall itself is not in the way
             while is_clear and j < int(away):
                 r, c = math.floor(signs[k, 0] + j * dr / away), math.floor(signs[k, 1] + j * dc / away)
-                is_clear, j = kind[r, c] == FREE, j + 1
+                is_inside = 0 <= r < kind.shape[0] and 0 <= c < kind.shape[1]
+                is_clear, j = is_inside and kind[r, c] == FREE, j + 1
             if is_clear:
                 marks[i, numbers[k] // 64] |= np.uint64(1) << np.uint64(numbers[k] % 64)
 

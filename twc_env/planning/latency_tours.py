@@ -204,10 +204,11 @@ def _fill(tours, decay, state, fixed):
             new = _count_new(mask, place, seen_words, seen_bits)
             if new >= GAIN_MIN_CELLS and new * worth > most:
                 best, most = place, new * worth
-        if best < 0 or at[robot] == best:
+        if best < 0:
             ends[robot] = horizon
-            if best >= 0:
-                _look(mask, best, seen_words, seen_bits)
+            continue
+        if best == at[robot]:
+            _look(mask, best, seen_words, seen_bits)
             continue
         tours[robot, counts[robot]] = best
         counts[robot] += 1
@@ -327,7 +328,9 @@ def _value(tours, state, fixed):
 
 @kernel
 def _insert(tour, position, place):
-    """Insert a stop; the last one is lost if the tour is full."""
+    """Insert a stop; the last one is lost if the tour is full, and the new one if it comes after that."""
+    if position >= tour.shape[0]:
+        return
     for k in range(tour.shape[0] - 1, position, -1):
         tour[k] = tour[k - 1]
     tour[position] = place

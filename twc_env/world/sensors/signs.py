@@ -83,7 +83,7 @@ def optics_of(config: SignsConfig, time_step_s: float) -> Array:
     """(6,) what `look` needs to know of a camera."""
     return np.array(
         [
-            min(config.range_max_m, config.focal_length_px * config.character_height_m / config.height_min_px),
+            config.legible_m,
             0.5 * config.field_of_view_rad,
             math.cos(config.incidence_max_rad),
             config.exposure_s * config.focal_length_px / time_step_s,
