@@ -234,8 +234,7 @@ def main(name: str, module, options: argparse.Namespace) -> None:
     runner = Runner(name, options.cache, settings)
     try:
         rows = plain(module.rows(options, runner))
-    except (KeyboardInterrupt, SystemError) as error:
-        end_line()
+    except BaseException as error:
         if is_interruption(error):
             tell("finished parts are kept: the same command continues from there")
         raise
