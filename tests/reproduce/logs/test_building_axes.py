@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from tests.real_data import needs_data
-from twc_env.reproduce.logs.building_axes import figures, spaced
+from twc_env.datasets.logs.scan_log import apart
+from twc_env.reproduce.logs.building_axes import figures
 
 
 def test_share_and_deviation_of_a_made_path_are_found():
@@ -17,7 +18,7 @@ def test_share_and_deviation_of_a_made_path_are_found():
 
 
 def test_places_lie_at_least_three_metres_apart():
-    assert spaced(np.column_stack([np.arange(11.0), np.zeros(11)])).tolist() == [[0, 0], [3, 0], [6, 0], [9, 0]]
+    assert apart(np.column_stack([np.arange(11.0), np.zeros((11, 2))]), 3.0).tolist() == [0, 3, 6, 9]
 
 
 @needs_data

@@ -13,14 +13,13 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.logs.scan_log import read_carmen_log
+from twc_env.datasets.logs.scan_log import apart
+from twc_env.reproduce.logs.laser_logs import LOGS, corrected_log
 from twc_env.reproduce.radio.radio_twins import PLACES, true_path
-from twc_env.reproduce.runner import Runner, add_seeds, data_folder
+from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.slam.radio.building_axes import LENGTH_M, BuildingAxes
 
 CHOOSES = ("seeds",)
-
-LOGS = ("aces", "freiburg-079", "freiburg-101", "intel", "orebro")
 ROUNDS = 100
 LEAST_RAD = np.radians(1.0)
 """Lower limit of the deviation: otherwise a few segments exactly on an axis would dominate the fit."""
@@ -33,8 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per path: {path, role, ways, share, std_deg}."""
-    folder = data_folder() / "lidar" / "carmen"
-    found = runner.each(LOGS, lambda log: figures(read_carmen_log(folder / f"{log}-corrected.log.gz").poses), str)
+    found = runner.each(LOGS, lambda log: figures(corrected_log(log).poses))
     table = [{"path": log, "role": "calibrated", **row} for log, row in zip(LOGS, found, strict=True)]
     walks = runner.grid(PLACES, options.seeds, lambda name, seed: figures(true_path(PLACES[name], seed)))
     return table + [
@@ -46,16 +44,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 def figures(path: Array) -> dict[str, float]:
     """Number of segments of a path (n, 3), the share that follows the axes, and their deviation [deg], at least 1."""
-    places, axes = spaced(path[:, :2]), BuildingAxes()
+    places, axes = path[apart(path, LENGTH_M), :2], BuildingAxes()
     for _ in range(ROUNDS):
         axes = dataclasses.replace(axes.fitted(places), std_rad=max(axes.deviation_rad(places), LEAST_RAD))
     return {"ways": len(places) - 1, "share": axes.share, "std_deg": float(np.degrees(axes.std_rad))}
-
-
-def spaced(path_m: Array) -> Array:
-    """Points of a path (n, 2): the first, then each next one at least `LENGTH_M` from the last chosen."""
-    chosen = [path_m[0]]
-    for place in path_m[1:]:
-        if np.hypot(*(place - chosen[-1])) >= LENGTH_M:
-            chosen.append(place)
-    return np.array(chosen)
