@@ -34,9 +34,10 @@ from twc_env.datasets.logs.scan_log import (
     sensor_frames,
 )
 from twc_env.errors import ConfigError
+from twc_env.pictures.style import new_figure
 from twc_env.records.geometry import between, compose
 from twc_env.records.messages import SensorFrame
-from twc_env.reproduce.drawing import draw_grid, new_figure, save_picture
+from twc_env.reproduce.drawing import draw_grid, save_picture
 from twc_env.reproduce.logs.laser_logs import intel_log, intel_relations
 from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.running.options import count, picture_options
@@ -171,7 +172,7 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
         inside = group == np.argmax(np.bincount(group))
         grid = OccupancyGrid(0.05, RANGE_MAX_M, BEAMS)
         grid.integrate(poses[inside], scans[inside])
-        figure = new_figure(9, 9, dpi=110)
+        figure = new_figure((9, 9), dpi=110)
         axes = figure.add_subplot()
         draw_grid(axes, grid)
         for k, piece in enumerate(np.array_split(np.arange(len(poses)), robots)):
