@@ -22,6 +22,8 @@ POINTS_MAX = 200
 """Most points of a curve that is drawn."""
 THRESHOLDS = np.round(np.arange(0.0, 1.2001, 0.02), 2)
 """Scores of a performance profile."""
+AVERAGED = "coverage_mean", "coverage_end", "ate_m", "bytes_sent", "path_m", "collisions", "stuck_share", "ended_share"
+"""Figures of `ALL` that are means over tasks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,16 +218,6 @@ def _overall(
         own = [played[task, team].row(task, team, scores[task, team], math.nan, "") for task in tasks]
         low, high = team_scores.iqm_interval(strata[team])
         improvement, over = _improvement(strata, team)
-        averaged = (
-            "coverage_mean",
-            "coverage_end",
-            "ate_m",
-            "bytes_sent",
-            "path_m",
-            "collisions",
-            "stuck_share",
-            "ended_share",
-        )
         rows.append(
             Row(
                 task=ALL,
@@ -241,7 +233,7 @@ def _overall(
                 to_50_s=math.nan,
                 to_90_s=math.nan,
                 to_99_s=math.nan,
-                **{key: float(np.mean([getattr(row, key) for row in own])) for key in averaged},
+                **{key: float(np.mean([getattr(row, key) for row in own])) for key in AVERAGED},
             )
         )
     return sorted(rows, key=lambda row: -row.score)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields
 
 from twc_env.records.text_tables import aligned_text, latex_text
 from twc_env.suite.entries import INFORMED, REFERENCES
@@ -145,14 +142,3 @@ def latex_of(standings: Standings) -> str:
 def _latex_cell(row: Row, is_best: bool) -> str:
     score = rf"\textbf{{{_rounded(row.score)}}}" if is_best else _rounded(row.score)
     return f"{score} [{_rounded(row.low)}, {_rounded(row.high)}]" if math.isfinite(row.low) else score
-
-
-def csv_of(standings: Standings) -> str:
-    """All rows with all digits; numbers that do not exist are empty."""
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, [field.name for field in fields(Row)], lineterminator="\n")
-    writer.writeheader()
-    for row in standings.rows:
-        values = asdict(row)
-        writer.writerow({key: "" if isinstance(v, float) and not math.isfinite(v) else v for key, v in values.items()})
-    return buffer.getvalue()
