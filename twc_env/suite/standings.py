@@ -111,8 +111,8 @@ class _Episodes:
     def mean(self, key: str) -> float:
         return float(np.mean([each[key] for each in self.values]))
 
-    def times_to(self, share: float) -> list[float]:
-        return [team_scores.time_to(curve, share, self.period_s) for curve in self.curves]
+    def median_time_to(self, share: float) -> float:
+        return float(np.median([team_scores.time_to(curve, share, self.period_s) for curve in self.curves]))
 
     def row(self, task: str, team: str, scores: Array, improvement: float, over: str) -> Row:
         return Row(
@@ -127,7 +127,7 @@ class _Episodes:
                                       for each in self.values])),
             ate_m=self.mean("ate_m"), bytes_sent=self.mean("bytes_sent"), path_m=self.mean("path_m"),
             collisions=self.mean("collisions"), stuck_share=self.mean("stuck_share"),
-            **{f"to_{share * 100:.0f}_s": float(np.median(self.times_to(share))) for share in SHARES},
+            **{f"to_{share * 100:.0f}_s": self.median_time_to(share) for share in SHARES},
             ended_share=self.mean("is_covered"),
         )  # fmt: skip
 

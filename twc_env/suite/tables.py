@@ -22,15 +22,11 @@ def _rounded(value: float) -> str:
     return f"{round(value, 3) + 0.0:.3f}"
 
 
-def _improved(row: Row) -> str:
-    return f"{row.improvement:.2f}" if math.isfinite(row.improvement) else ABSENT
-
-
 COLUMNS: tuple[tuple[str, str, Callable[[Row], str]], ...] = (
     ("team", "team", lambda row: team_name(row.team)),
     ("score", "score", lambda row: _rounded(row.score)),
     ("95 % interval", "95 %", lambda row: interval_of(row)),
-    ("probability of improvement", "P(improve)", _improved),
+    ("probability of improvement", "P(improve)", lambda row: _plain(".2f")(row.improvement)),
     ("mean coverage", "mean cov.", lambda row: f"{row.coverage_mean:.3f}"),
     ("coverage at the end", "end cov.", lambda row: f"{row.coverage_end:.3f}"),
     ("wrong merges", "wrong", lambda row: str(row.wrong_merges)),

@@ -68,11 +68,6 @@ class Mapped:
     structure: Structure | None = None
 
     @property
-    def k_accuracy(self) -> float:
-        """Share of the readings whose number of walls is right."""
-        return self.k.accuracy
-
-    @property
     def figures(self) -> dict[str, float]:
         """The columns common to all tables of maps."""
         score, all_floor = self.score, np.count_nonzero(self.truth == FREE) / np.count_nonzero(self.truth != UNKNOWN)
@@ -268,7 +263,7 @@ def _maps_figure(title: str, walk: WalkReadings, cells: Cells, maps: dict[str, M
         if name in maps:
             score = maps[name].score
             name += (
-                f"\nk {maps[name].k_accuracy:.1%}, free IoU {score.iou_free:.3f}, wall IoU {score.iou_wall:.2f}, "
+                f"\nk {maps[name].k.accuracy:.1%}, free IoU {score.iou_free:.3f}, wall IoU {score.iou_wall:.2f}, "
                 f"coverage {score.coverage:.2f}"
             )
         axis.set_title(name, fontsize=9)
