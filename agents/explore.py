@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba.core.event import TimingListener, register, unregister
+from numba.core.event import TimingListener, install_listener
 
 import twc_env
 from twc_env import DataError, EnvConfig, EpisodeResult, EpisodeTrace, load_map
@@ -24,7 +24,7 @@ from twc_env.pictures.video import film_name
 from twc_env.records.class_file import digest_of, is_in_file
 from twc_env.records.json_values import plain, write_json
 from twc_env.records.messages import Contacts, SensorFrame
-from twc_env.running.command_start import is_interruption
+from twc_env.running.command_start import Interruption
 from twc_env.running.finished_parts import code_digest
 from twc_env.running.output_folder import alone_in
 
@@ -83,10 +83,9 @@ def explore(
     env.reset(seed=seed)
     begin(policy, agent, env, seed)
     frames, contacts, trace, commands = [env.frames], [env.contacts], EpisodeTrace(env), []
-    thought_s, env_s, counted, step, was_interrupted = 0.0, 0.0, 0, 0, False
+    thought_s, env_s, counted, step = 0.0, 0.0, 0, 0
     compiling = TimingListener()
-    register(COMPILER_EVENT, compiling)
-    try:
+    with Interruption() as interruption, install_listener(COMPILER_EVENT, compiling):
         while env.agents:
             start = _clock_s(compiling)
             beliefs = {name: env.belief(name) for name in env.agents}
@@ -110,12 +109,6 @@ def explore(
                 _film(film, step, env)
             if watch is not None:
                 watch(step, env.episode.coverage)
-    except (KeyboardInterrupt, SystemError) as error:
-        was_interrupted = is_interruption(error)
-        if not was_interrupted:
-            raise
-    finally:
-        unregister(COMPILER_EVENT, compiling)
     result = env.result()
     saved = None if save is None else save_map(save, env.engine)
     if film is not None and (step == 0 or not film.wants(step)):
@@ -124,7 +117,7 @@ def explore(
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
     stuck = {"commanded_stuck_share": commanded_stuck_share(result, commands)}
     report = plain({**result.figures, **stuck, "agent": agent, **origin_of(result.config, agent), **speeds})
-    return Run(result, report, film, was_interrupted, frames, contacts, trace, saved)
+    return Run(result, report, film, interruption.came, frames, contacts, trace, saved)
 
 
 def commanded(actions: Mapping[str, Any], agents: Sequence[str]) -> list[bool]:

@@ -61,6 +61,18 @@ def test_the_band_of_the_mean_curve_is_found_point_by_point():
     assert np.isnan(scores.mean_interval(curves[:1])).all()
 
 
+def test_the_band_holds_the_mean_and_shrinks_with_the_number_of_episodes():
+    draws = np.random.default_rng(1).normal(0.5, 0.1, (400, 3))
+    widths = []
+    for count in (25, 400):
+        low, high = scores.mean_interval(draws[:count])
+        mean = draws[:count].mean(axis=0)
+        assert (low < mean).all() and (mean < high).all()
+        widths.append((high - low).mean())
+        assert widths[-1] == pytest.approx(2 * 1.96 * 0.1 / np.sqrt(count), rel=0.25)
+    assert widths[1] < 0.35 * widths[0]
+
+
 def test_the_probability_of_improvement_counts_buildings_and_half_of_the_ties():
     mine = [np.array([0.5, 0.6, 0.7, 0.8]), np.array([0.1, 0.1])]
     other = [np.array([0.4, 0.6, 0.9, 0.1]), np.array([0.2, 0.3])]

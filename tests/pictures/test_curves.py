@@ -3,25 +3,13 @@
 import numpy as np
 import pytest
 
-from twc_env.pictures.curves import SAMPLES, band_of, coverage_figure, draw_coverage, sampled
+from twc_env.pictures.curves import SAMPLES, coverage_figure, draw_coverage, sampled
 
 
 def test_curves_are_sampled_with_what_was_known_at_each_time():
     curve = sampled(np.array([0, 50, 100]), np.array([0.0, 0.5, 0.75]), 200)
     assert len(curve) == SAMPLES
     assert (curve[0], curve[24], curve[25], curve[49], curve[50], curve[-1]) == (0.0, 0.0, 0.5, 0.5, 0.75, 0.75)
-
-
-def test_the_band_holds_the_mean_and_shrinks_with_the_number_of_episodes():
-    draws = np.random.default_rng(1).normal(0.5, 0.1, (400, 3))
-    widths = []
-    for count in (25, 400):
-        mean, low, high = band_of(draws[:count])
-        assert (low < mean).all() and (mean < high).all()
-        widths.append((high - low).mean())
-        assert widths[-1] == pytest.approx(2 * 1.96 * 0.1 / np.sqrt(count), rel=0.25)
-    assert widths[1] < 0.35 * widths[0]
-    assert np.isnan(band_of(draws[:1])[1]).all()
 
 
 def test_each_team_has_its_curve_band_and_entry(tmp_path):

@@ -16,7 +16,7 @@ from typing import Any
 
 from twc_env.errors import TwcError
 from twc_env.kernels.cache_folder import cache_folder
-from twc_env.running.process_memory import forget_peak, peak_mb
+from twc_env.running.process_memory import peak_mb
 
 SECONDS_MAX = 2.0
 """Limit of CPU time of one attempt, or, if it exceeds that, of its repetition; exceeding it, or the next two, is
@@ -83,7 +83,8 @@ def attempt_all(
     before_mb = float("nan")
     for what, work in attempts:
         if result.tried == 0:
-            forget_peak()
+            with contextlib.suppress(OSError):  # on Linux, let the peak begin anew at the present memory
+                Path("/proc/self/clear_refs").write_text("5")
             before_mb = peak_mb()
         with _touched() as touched:
             took_s, waited_s = _outcome(what, work, error, result)

@@ -33,13 +33,18 @@ def bench_memory(tasks: Sequence[str], report: Callable[[str], object]) -> list[
 
 
 def _growth_mb(config: EnvConfig) -> float:
-    config = override(config, CHOICES)
-    held = [_played(config, 0)]
+    chosen = override(config, CHOICES)
+    return growth_mb(lambda seed: _played(chosen, seed), ENVIRONMENTS)
+
+
+def growth_mb(made: Callable[[int], object], number: int) -> float:
+    """Growth of resident memory [MB] by each of the objects made of 1, 2, ..., while all of them and that of 0 live."""
+    held = [made(0)]
     gc.collect()
     before = resident_mb()
-    held += [_played(config, seed) for seed in range(1, 1 + ENVIRONMENTS)]
+    held += [made(k) for k in range(1, 1 + number)]
     gc.collect()
-    return (resident_mb() - before) / ENVIRONMENTS
+    return (resident_mb() - before) / number
 
 
 def _played(config: EnvConfig, seed: int) -> ExplorationEnv:

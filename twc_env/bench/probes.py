@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import json
 import os
 import statistics
@@ -164,14 +163,9 @@ def _first_step(map_name: str) -> list[float]:
 
 def _memory_mb(steps: int) -> float:
     """Resident memory [MB] of each further environment, each in another building, after an episode."""
-    from twc_env.running.process_memory import resident_mb
+    from twc_env.bench.memory import growth_mb
 
-    envs = [_played(_MEMORY_MAP.format(100), steps)]
-    gc.collect()
-    before = resident_mb()
-    envs += [_played(_MEMORY_MAP.format(101 + k), steps) for k in range(_MEMORY_ENVS)]
-    gc.collect()
-    return (resident_mb() - before) / (len(envs) - 1)
+    return growth_mb(lambda k: _played(_MEMORY_MAP.format(100 + k), steps), _MEMORY_ENVS)
 
 
 def _played(map_name: str, steps: int) -> Any:

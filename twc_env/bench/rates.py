@@ -160,28 +160,26 @@ def bench(config: EnvConfig, episodes: int, report: Callable[[str], None] = lamb
         raise ConfigError(f"bench needs action.kind = 'velocity'; got {config.action.kind!r}: remove this setting")
     plan = load_map(config.map)
     off = override(config, {"slam.mode": "off"})
-    of_world, of_slam = OurRuns(off, plan), OurRuns(config, plan)
     crowd: dict[str, float] = {"people.count": config.people.count or PEOPLE}
-    of_people, of_rolling = OurRuns(override(off, crowd), plan), OurRuns(override(off, crowd | ROLLING), plan)
-    world, slam, people, rolling = [], [], [], []
+    timers = {
+        "world": ("world alone, seed {}", OurRuns(off, plan)),
+        "world_with_people": ("the same among people", OurRuns(override(off, crowd), plan)),
+        "world_with_people_and_rolling_scanner": (
+            "and with a scanner that rolls", OurRuns(override(off, crowd | ROLLING), plan),
+        ),
+        "slam": ("whole step,  seed {}", OurRuns(config, plan)),
+    }  # fmt: skip
+    runs: dict[str, list[Run]] = {kind: [] for kind in timers}
     for seed in range(episodes):
-        world.append(of_world.once(seed))
-        report(f"world alone, seed {seed}: {world[-1].rate:,.0f} steps/s")
-        people.append(of_people.once(seed))
-        report(f"the same among people: {people[-1].rate:,.0f} steps/s")
-        rolling.append(of_rolling.once(seed))
-        report(f"and with a scanner that rolls: {rolling[-1].rate:,.0f} steps/s")
-        slam.append(of_slam.once(seed))
-        report(f"whole step,  seed {seed}: {slam[-1].rate:,.0f} steps/s, team ATE {slam[-1].team_ate_m:.3f} m")
+        for kind, (what, timer) in timers.items():
+            run = timer.once(seed)
+            runs[kind].append(run)
+            error = f", team ATE {run.team_ate_m:.3f} m" if kind == "slam" else ""
+            report(f"{what.format(seed)}: {run.rate:,.0f} steps/s{error}")
+    slam = runs["slam"]
     return {
-        "world_env_steps_per_s": statistics.median(run.rate for run in world),
-        "world_with_people_env_steps_per_s": statistics.median(run.rate for run in people),
-        "world_with_people_and_rolling_scanner_env_steps_per_s": statistics.median(run.rate for run in rolling),
-        "slam_env_steps_per_s": statistics.median(run.rate for run in slam),
-        "world_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in world),
-        "world_with_people_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in people),
-        "world_with_people_and_rolling_scanner_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in rolling),
-        "slam_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in slam),
+        **{f"{kind}_env_steps_per_s": statistics.median(run.rate for run in runs[kind]) for kind in runs},
+        **{f"{kind}_env_steps_per_cpu_s": statistics.median(run.cpu_rate for run in runs[kind]) for kind in runs},
         "slam_agent_steps_per_s": config.robots * statistics.median(run.rate for run in slam),
         "slam_env_steps_per_s_min": min(run.rate for run in slam),
         "slam_env_steps_per_s_max": max(run.rate for run in slam),

@@ -96,7 +96,7 @@ def _bench(options: argparse.Namespace) -> None:
     if options.memory:
         from twc_env.bench.memory import bench_memory
 
-        figures = {"memory": bench_memory(SUITES["v1"], report=_report)}
+        figures = {"memory": bench_memory(SUITES["v1"], report=tell)}
     elif options.teams:
         figures = {"teams": _bench_teams(options)}
     elif options.training:
@@ -104,11 +104,11 @@ def _bench(options: argparse.Namespace) -> None:
     elif options.vector:
         from twc_env.bench.vector_teams import bench_vector
 
-        figures = dict(bench_vector(config, report=_report))
+        figures = dict(bench_vector(config, report=tell))
     elif options.peers or options.scaling:
         figures = _bench_peers(options)
     else:
-        figures = bench(config, options.episodes, report=_report)
+        figures = bench(config, options.episodes, report=tell)
     for key, value in figures.items():
         if key in ("scaling", "vector", "memory", "teams"):
             print(aligned(value, terminal_width()))
@@ -121,8 +121,8 @@ def _bench_peers(options: argparse.Namespace) -> dict:
     from twc_env.bench.peers import bench_peers
     from twc_env.bench.scaling import bench_large_reset, bench_scaling
 
-    figures = bench_peers(report=_report) if options.peers else {}
-    return figures | bench_large_reset() | {"scaling": bench_scaling(report=_report)}
+    figures = bench_peers(report=tell) if options.peers else {}
+    return figures | bench_large_reset() | {"scaling": bench_scaling(report=tell)}
 
 
 def _bench_teams(options: argparse.Namespace) -> list[dict[str, Any]]:
@@ -133,7 +133,7 @@ def _bench_teams(options: argparse.Namespace) -> list[dict[str, Any]]:
 
     task = options.teams if options.teams.startswith("twc/") else f"twc/{options.teams}"
     config = override(task_config(task), assignments(options.set))
-    return bench_teams(config, tuple(TEAMS), options.episodes, report=_report)
+    return bench_teams(config, tuple(TEAMS), options.episodes, report=tell)
 
 
 def _bench_training(options: argparse.Namespace) -> dict[str, float]:
@@ -148,14 +148,10 @@ def _bench_training(options: argparse.Namespace) -> dict[str, float]:
     return found
 
 
-def _report(line: str) -> None:
-    tell(line)
-
-
 def _bench_parts(config: EnvConfig, options: argparse.Namespace) -> None:
     from twc_env.bench.parts import bench_parts, table_of
 
-    rows = bench_parts(config, options.episodes, report=_report)
+    rows = bench_parts(config, options.episodes, report=tell)
     print(table_of(rows))
     write_json(options.json, {row.part: round(row.robot_step_us, 3) for row in rows})
 
@@ -165,6 +161,6 @@ def _bench_long(config: EnvConfig, options: argparse.Namespace) -> None:
 
     from twc_env.bench.long_episode import bench_long
 
-    stretches = [asdict(stretch) for stretch in bench_long(config, report=_report)]
+    stretches = [asdict(stretch) for stretch in bench_long(config, report=tell)]
     print(aligned(stretches, terminal_width()))
     write_json(options.json, {"stretches": stretches})

@@ -9,6 +9,7 @@ from twc_env.commands.team_options import add_agent, add_team, folder_names, par
 from twc_env.exploration.assessment.result_table import ODOMETRY_REMARK
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
 from twc_env.running.command_line import INTERRUPTED
+from twc_env.running.command_start import Interruption
 from twc_env.running.options import add_folder, add_pictures, count, parse_seeds, picture_options
 from twc_env.running.terminal import tell, terminal_width
 from twc_env.suite.options import SUITE_EXAMPLES, SUITE_HELP, add_suite_options, check_options, run_suite
@@ -70,15 +71,12 @@ def _benchmark_maps(options: argparse.Namespace) -> int:
     if outdated:
         tell(f"{outdated} finished runs used other code or another floor plan: running them again")
     reports: dict[str, list[dict[str, Any]]] = {name: [] for name in options.maps}
-    was_interrupted = False
-    try:
+    with Interruption() as interruption:
         for done, (job, report, was_there) in enumerate(benchmark.run_jobs(jobs, options.jobs), 1):
             reports[names[job.folder]].append(report)
             outcome = "passes" if benchmark.passes(report) else "fails"
             origin = " (reused)" if was_there else ""
             tell(f"[{done}/{len(jobs)}] {names[job.folder]} seed {job.seed}: {outcome}{origin}")
-    except KeyboardInterrupt:
-        was_interrupted = True
     for rows in reports.values():
         rows.sort(key=lambda report: report["seed"])  # not as they came, which differs with the processes
     places = {name: options.out / folder for name, folder in folders.items()}
@@ -93,7 +91,7 @@ def _benchmark_maps(options: argparse.Namespace) -> int:
             print(f"\nWhere robots do not share one map: {ODOMETRY_REMARK}")
     for path in paths:
         tell(f"written: {path}")
-    if was_interrupted:
+    if interruption.came:
         finished = sum(map(len, reports.values()))
         tell(f"interrupted after {finished} of {len(jobs)} runs; the same command continues from there")
-    return INTERRUPTED if was_interrupted else 0
+    return INTERRUPTED if interruption.came else 0

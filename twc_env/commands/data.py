@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 from twc_env.records.json_values import check_folder, write_json
@@ -90,15 +91,7 @@ def _list(options: argparse.Namespace) -> None:
             for file in each.files
         ]
         print(aligned(rows) + "\n")
-    write_json(
-        options.json,
-        [
-            {"name": s.name, "about": s.about, "licence": s.licence, "source": s.source, "bytes": s.bytes,
-             "tables": s.tables,
-             "files": [{"place": f.place, "url": f.url, "bytes": f.bytes, "sha256": f.sha256} for f in s.files]}
-            for s in chosen
-        ],
-    )  # fmt: skip
+    write_json(options.json, [{**asdict(each), "bytes": each.bytes} for each in chosen])
 
 
 def _fetch(options: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ import argparse
 
 from twc_env.records.json_values import check_folder
 from twc_env.running.command_line import INTERRUPTED
-from twc_env.running.command_start import is_interruption
+from twc_env.running.command_start import Interruption
 from twc_env.running.options import add_folder, add_set, assignments, count, natural
 from twc_env.running.output_folder import alone_in
 from twc_env.running.terminal import end_line, show_count, tell
@@ -39,23 +39,19 @@ def _record(options: argparse.Namespace) -> int:
     settings = {"map": options.map, "robots": options.robots, "max_cycles": options.steps}
     env = ExplorationEnv(config=override(EnvConfig(), {**settings, **assignments(options.set)}))
     env.reset(seed=options.seed)
-    log, was_interrupted = [(env.frames, env.contacts)], False
-    try:
+    log = [(env.frames, env.contacts)]
+    with Interruption() as interruption:
         for actions in wander(env, options.seed):
             env.step(actions)
             log.append((env.frames, env.contacts))
             show_count(len(log) - 1, env.config.max_cycles, " steps", every=50)
-    except (KeyboardInterrupt, SystemError) as error:
-        was_interrupted = is_interruption(error)
-        if not was_interrupted:
-            raise
-        end_line()
+    end_line()
     steps, contacts = zip(*log, strict=True)
     true_poses = env.episode.record.true_poses[: len(steps)]
     with alone_in(options.out):
         write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
         write_truth_log(options.out / "truth.npz", options.seed, env.episode.config.map, true_poses)
     print(f"{len(steps) - 1} steps of {env.config.robots} robots\nwritten: {options.out}")
-    if was_interrupted:
+    if interruption.came:
         tell(f"interrupted after {len(steps) - 1} steps; the log holds these")
-    return INTERRUPTED if was_interrupted else 0
+    return INTERRUPTED if interruption.came else 0

@@ -187,12 +187,7 @@ def _list_topics(options: argparse.Namespace) -> None:
     for log in options.logs:
         if not is_bag(log):
             raise DataError(f"{log} is no ROS bag: --list is for .bag, .db3, .mcap and folders of ROS 2")
-        rows = [
-            {"topic": r.topic, "type": r.type, "messages": r.messages, "rate [Hz]": round(r.rate_hz, 2),
-             "frame": r.frame or None, "used for": r.used_for or None}
-            for r in list_topics(log, _asked(options, None).wishes)
-        ]  # fmt: skip
-        tables[str(log)] = rows
+        tables[str(log)] = rows = list_topics(log, _asked(options, None).wishes)
         if options.json != TERMINAL:
             print(f"{log}\n{aligned(rows)}")
     write_json(options.json, tables)

@@ -8,7 +8,7 @@ from twc_env.commands.team_options import add_team, agent_names, team_config
 from twc_env.errors import ConfigError
 from twc_env.records.json_values import TERMINAL, write_json
 from twc_env.running.command_line import INTERRUPTED
-from twc_env.running.command_start import is_interruption
+from twc_env.running.command_start import Interruption
 from twc_env.running.options import natural, number
 
 _WATCH_HELP = """\
@@ -71,8 +71,7 @@ def _watch(options: argparse.Namespace) -> int:
     window.frames_per_s = options.speed / config.dynamics.time_step_s
     keys, choices = window.help_text, [None, *range(config.robots)]
     first = 0 if options.drive is None else 1 + options.drive
-    was_interrupted = False
-    try:
+    with Interruption() as interruption:
         window.help_text = _told(choices[first]) + keys
         env.reset(seed=options.seed)
         begin(policy, options.agent, env, options.seed)
@@ -89,16 +88,12 @@ def _watch(options: argparse.Namespace) -> int:
         while not options.close and window.answer():
             env.render()
             window.wait()
-    except (KeyboardInterrupt, SystemError) as error:
-        was_interrupted = is_interruption(error)
-        if not was_interrupted:
-            raise
     result = env.result()
     env.close()
     write_json(options.json, result.figures)
     if options.json != TERMINAL:
         print(result)
-    return INTERRUPTED if was_interrupted else 0
+    return INTERRUPTED if interruption.came else 0
 
 
 def steering(held: set[str]) -> tuple[float, float]:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.metrics.team_scores import mean_interval
 from twc_env.pictures.style import BAND_OPACITY, TEAMS, legend_below, new_figure, save_figure, set_title, style
 
 SAMPLES = 101
 """Points of a curve, from the beginning of an episode to its longest time."""
-DRAWS = 2000
 SIZE_IN = (6.4, 4.2)
 
 
@@ -24,18 +24,8 @@ def sampled(steps: Array, values: Array, steps_max: int) -> list[float]:
     return [round(float(value), 6) for value in np.where(at < 0, 0.0, np.asarray(values, float)[np.maximum(at, 0)])]
 
 
-def band_of(curves: Array) -> tuple[Array, Array, Array]:
-    """Mean of curves (episodes, samples), and its 95 % bootstrap interval; one episode has none (NaN)."""
-    mean = curves.mean(axis=0)
-    if len(curves) < 2:
-        return mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan)
-    draws = np.random.default_rng(0).integers(0, len(curves), (DRAWS, len(curves)))
-    low, high = np.quantile(curves[draws].mean(axis=1), [0.025, 0.975], axis=0)
-    return mean, low, high
-
-
 def coverage_figure(curves: Mapping[str, Any], time_max_s: float, title: str) -> Any:
-    """A figure of curves (episodes, samples) by name."""
+    """A figure of curves (episodes, samples) by name: their means, and the 95 % intervals of these."""
     times_s = np.linspace(0.0, time_max_s, SAMPLES)
     with style():
         figure = new_figure(SIZE_IN)
@@ -45,9 +35,9 @@ def coverage_figure(curves: Mapping[str, Any], time_max_s: float, title: str) ->
         axes.spines[["top", "right"]].set_visible(False)
         for number, (name, values) in enumerate(curves.items()):
             curve = 100 * np.asarray(values, float)
-            mean, low, high = band_of(curve)
+            low, high = mean_interval(curve)
             colour, line = TEAMS[number % len(TEAMS)], ("-", "--", ":")[number // len(TEAMS) % 3]
-            axes.plot(times_s, mean, line, color=colour, lw=1.8, label=f"{name} ({len(curve)})")
+            axes.plot(times_s, curve.mean(axis=0), line, color=colour, lw=1.8, label=f"{name} ({len(curve)})")
             if np.isfinite(low).all():
                 axes.fill_between(times_s, low, high, color=colour, alpha=BAND_OPACITY, lw=0)
         set_title(figure, [title])

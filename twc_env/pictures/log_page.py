@@ -67,7 +67,9 @@ class LogPage:
         moved_m = np.hypot(*np.diff(poses[..., :2], axis=0).reshape(-1, 2).T)
         moved_m = moved_m[moved_m > 0.0]
         usual_m = float(np.median(moved_m)) if len(moved_m) else 0.0
-        signs = [sign for group in range(len(engine.team.groups)) for sign in engine.team.signs_of(group)]
+        team, places = engine.team, self._layout(engine)
+        signs = [(places[group], sign) for group in range(len(team.groups)) for sign in team.signs_of(group)]
+        signs_m = [compose(place, np.array([*sign.position_m, 0.0]))[:2] for place, sign in signs]
         corners = [corner for layer in self._moments[-1]["layers"] for corner in _corners(layer)]
         corners += poses[-1, :, :2].tolist()
         data = {
@@ -83,8 +85,8 @@ class LogPage:
             "bounds_m": _bounds(corners),
             "layers": LAYERS,
             "walls_m": [],
-            "signs_m": rounded(np.array([self._signs_at(engine, k) for k in range(len(signs))]).reshape(-1, 2)),
-            "sign_texts": [sign.text for sign in signs],
+            "signs_m": rounded(np.array(signs_m).reshape(-1, 2)),
+            "sign_texts": [sign.text for _, sign in signs],
             "access_points_m": [],
             "signal": None,
             "true_poses": None,
@@ -94,13 +96,6 @@ class LogPage:
             "report": report,
         }
         return fill_page(path, title, data)
-
-    def _signs_at(self, engine: Engine, number: int) -> Array:
-        """Where a sign of the final maps is on the page."""
-        team, places = engine.team, self._layout(engine)
-        flat = [(group, sign) for group in range(len(team.groups)) for sign in team.signs_of(group)]
-        group, sign = flat[number]
-        return compose(places[group], np.array([*sign.position_m, 0.0]))[:2]
 
     def _layout(self, engine: Engine) -> dict[int, Array]:
         """Place of each group's map, the largest first, side by side."""

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray as Array
 from scipy import ndimage
 
+from twc_env.pictures.style import new_figure
 from twc_env.records.geometry import compose
 from twc_env.records.messages import GridMap
 from twc_env.records.whole_file import whole_file
-from twc_env.reproduce.drawing import draw_grid, new_figure
+from twc_env.reproduce.drawing import draw_grid
 from twc_env.slam.saved_maps.saved_map import SavedMap
 
 LONG_SIDE_INCHES = 10.0
@@ -20,13 +21,13 @@ GAP_M = 0.3
 
 
 def draw_merged(grid: GridMap, maps: list[SavedMap], poses: Array, title: str, path: Path) -> None:
-    """Write the picture of maps at the poses (n, 3) of their frames. Raises DataError without matplotlib."""
+    """Write the picture of maps at the poses (n, 3) of their frames."""
     from matplotlib import colormaps
     from matplotlib.transforms import Affine2D
 
     size_m = np.array(grid.log_odds.shape[::-1]) * grid.resolution_m
     width, height = np.maximum(LONG_SIDE_INCHES * size_m / size_m.max(), 3.0)
-    figure = new_figure(width, height + 0.8, 110)
+    figure = new_figure((width, height + 0.8), 110)
     axes = figure.add_subplot()
     draw_grid(axes, grid)  # type: ignore[arg-type]
     for k, (saved, pose) in enumerate(zip(maps, poses, strict=True)):

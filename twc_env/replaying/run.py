@@ -14,7 +14,7 @@ from twc_env.config import EnvConfig
 from twc_env.datasets.lasting_maps import prior_of
 from twc_env.records.geometry import between, compose, inverse, travelled_m
 from twc_env.replaying.inputs import ReplayInput
-from twc_env.running.terminal import LINE_WIDTH, show_line
+from twc_env.running.terminal import Bar
 from twc_env.slam.modes import Engine, make_engine
 from twc_env.slam.team import TeamMapper
 
@@ -126,7 +126,7 @@ def run(source: ReplayInput, config: EnvConfig, watch: Callable[[int, Engine], N
     robots = contacts[0].heard.shape[1] if contacts else max(seen, 1 if source.is_episode else len(source.names))
     engine = make_engine(config, config.robots if config.robot else robots, prior_of(config))
     first = next(frames[0].step - k for k, frames in enumerate(steps) if frames)
-    odom_poses, step, warm = [], first, begun
+    odom_poses, step, bar = [], first, Bar(len(steps), "steps", every=50)
     for step, frames in enumerate(steps, first):  # steps in the frames may differ between robots
         if frames:
             engine.track(frames)
@@ -134,21 +134,8 @@ def run(source: ReplayInput, config: EnvConfig, watch: Callable[[int, Engine], N
         odom_poses.append(np.array(engine.poses_odom))
         if watch is not None:
             watch(step - first, engine)
-        if step == first:
-            warm = time.monotonic()  # the first step loads compiled kernels
-        _show_progress(step - first + 1, len(steps), time.monotonic() - warm)
+        bar.show(step - first + 1)
     last = max([step, *(frame.step for frame in steps[-1])])
     if last >= config.max_cycles or not source.is_episode:  # a complete episode: the backlog is processed
         engine.finish()
     return Replay(source, config, engine, np.array(odom_poses), time.monotonic() - begun)
-
-
-def _show_progress(done: int, total: int, elapsed_s: float, every: int = 50) -> None:
-    """Bar, count and time left; the cost of a step grows with the map, so that more may be left."""
-    if done % every and done != total:
-        return
-    left_s = elapsed_s / max(done - 1, 1) * (total - done)
-    told = f" {done}/{total} steps, {int(left_s) // 60}:{int(left_s) % 60:02d} left"
-    width = max(LINE_WIDTH - len(told) - 2, 10) // 2
-    full = round(width * done / total)
-    show_line(f"[{'#' * full}{'-' * (width - full)}]{told}", done == total)

@@ -1,16 +1,15 @@
-"""Shared parts of pictures: figures in the style of all pictures, their files, and drawing of an occupancy map."""
+"""Shared parts of pictures: their files, and drawing of an occupancy map."""
 
 from __future__ import annotations
 
-from importlib.util import find_spec
+import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from twc_env.errors import DataError
-from twc_env.pictures.style import new_figure as new_canvas
 from twc_env.pictures.style import save_figure
+from twc_env.running.options import picture_options
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid
 
 if TYPE_CHECKING:
@@ -20,16 +19,17 @@ Kind = tuple[str, float | None]
 """Format of pictures and dots per inch, as `picture_options` reads them."""
 
 
-def can_draw() -> bool:
-    """Whether matplotlib is installed, for pictures that are optional."""
-    return find_spec("matplotlib") is not None
+class Pictures(NamedTuple):
+    """Where a table draws its parts while it works them out."""
+
+    folder: Path
+    kind: Kind
 
 
-def new_figure(width: float, height: float, dpi: int = 100) -> Any:
-    """A figure of this size [inches]. Raises DataError without matplotlib."""
-    if not can_draw():
-        raise DataError("pictures need matplotlib; run `pip install 'twc_env[viz]'`")
-    return new_canvas((width, height), dpi)
+def pictures_of(options: argparse.Namespace) -> Pictures | None:
+    """Those that `--out` and `picture_options` say; None without matplotlib."""
+    kind = picture_options(options)
+    return kind and Pictures(options.out, kind)
 
 
 def save_picture(figure: Any, place: Path, kind: Kind | None) -> Path:

@@ -106,10 +106,6 @@ TABLES = {
     ),
     "radio-table1": Table("radio SLAM in twins of its three environments: WiFi, LTE, WiFi with laser"),
     "radio-scale": Table("radio SLAM over ten kilometres: memory and time per scan; search among 100,000 fingerprints"),
-    "building-axes": Table(
-        "how closely paths follow the directions of walls: five laser logs and the walks of radio-table1",
-        needs_data=True,
-    ),
     "real-radio": Table("real phone walks joined by WiFi alone, and a robot's floor with added drift", needs_data=True),
 }
 """By the name on the command line; with _ instead of - a module in one of the rooms of this package, imported only if
@@ -145,10 +141,12 @@ class Runner:
         self.say(f"{len(parts)}/{len(parts)}", is_last=True)
         return [results[k] for k in range(len(parts))]
 
-    def grid(self, kinds: Iterable, seeds: Iterable, work: Callable[..., object], processes: int = 1) -> dict:
-        """`work(kind, seed)` for each kind and seed, as `each`: kind -> results of its seeds."""
+    def grid(
+        self, kinds: Iterable, seeds: Iterable, work: Callable[..., object], processes: int = 1, what: str = "seed"
+    ) -> dict:
+        """`work(kind, seed)` for each kind and seed, as `each`: kind -> results of its seeds; `what` names a seed."""
         parts = list(itertools.product(dict.fromkeys(kinds), seeds))
-        found = self.each(parts, partial(_unpacked, work), lambda part: f"{part[0]} seed {part[1]}", processes)
+        found = self.each(parts, partial(_unpacked, work), lambda part: f"{part[0]} {what} {part[1]}", processes)
         results: dict = {kind: [] for kind, _ in parts}
         for (kind, _), result in zip(parts, found, strict=True):
             results[kind].append(result)
@@ -234,8 +232,7 @@ def main(name: str, module, options: argparse.Namespace) -> None:
     runner = Runner(name, options.cache, settings)
     try:
         rows = plain(module.rows(options, runner))
-    except (KeyboardInterrupt, SystemError) as error:
-        end_line()
+    except BaseException as error:
         if is_interruption(error):
             tell("finished parts are kept: the same command continues from there")
         raise

@@ -9,7 +9,6 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 from twc_env.errors import TwcError
 from twc_env.records.json_values import check_writable
@@ -21,11 +20,8 @@ from twc_env.running.command_start import (
     is_interruption,
     is_loading,
 )
-from twc_env.running.user_code import told_of_user_code
-
-if TYPE_CHECKING:
-    pass
 from twc_env.running.terminal import end_line, logging_to_terminal
+from twc_env.running.user_code import told_of_user_code
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 """Errors when writing to a path that was writable before: no room, or a broken device."""

@@ -68,6 +68,20 @@ def is_interruption(error: BaseException) -> bool:
     return isinstance(error, KeyboardInterrupt) or (isinstance(error, SystemError) and bool(_received))
 
 
+class Interruption:
+    """A block that a signal may end early, so that what there is can be saved; other errors leave it as usual."""
+
+    came = False
+    """Whether it was ended."""
+
+    def __enter__(self) -> Interruption:
+        return self
+
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> bool:
+        self.came = error is not None and is_interruption(error)
+        return self.came
+
+
 def is_loading() -> bool:
     """Whether `python -m` is starting a package, or one of our commands runs in this process (not in its parent)."""
     name = getattr(getattr(sys.modules.get("__main__"), "__spec__", None), "name", None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,6 @@ def write_results(graph: PlanarGraph, result: OptimisedGraph, folder: Path) -> l
     from twc_env.datasets.logs.pose_graph_file import write_pose_graph
     from twc_env.datasets.logs.tum import write_tum
     from twc_env.pictures.graph_picture import draw_graph
-    from twc_env.reproduce.drawing import can_draw
 
     make_folder(folder)
     paths = [folder / name for name in ("graph.g2o", "poses.tum", "closures.csv")]
@@ -59,7 +59,7 @@ def write_results(graph: PlanarGraph, result: OptimisedGraph, folder: Path) -> l
         writer = csv.DictWriter(file, _COLUMNS)
         writer.writeheader()
         writer.writerows(closures)
-    if can_draw():
+    if find_spec("matplotlib") is not None:
         paths.append(folder / "graph.png")
         draw_graph(graph, result, paths[-1])
     return paths

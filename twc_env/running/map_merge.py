@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +128,6 @@ def _rows(maps: list[SavedMap], joined: JoinedMaps) -> list[dict]:
 def _write_group(maps: list[SavedMap], group: Group, number: int, out: Path) -> list[Path]:
     from twc_env.datasets.buildings.ros_map import write_ros_map
     from twc_env.pictures.merged_maps import draw_merged
-    from twc_env.reproduce.drawing import can_draw
     from twc_env.slam.saved_maps.merged_grid import merged_grid
 
     if len(group.members) < 2:
@@ -135,7 +135,7 @@ def _write_group(maps: list[SavedMap], group: Group, number: int, out: Path) -> 
     members = [maps[m] for m in group.members]
     grid = merged_grid(members, group.poses)
     written = [write_ros_map(grid, out, _stem(number))]
-    if can_draw():
+    if find_spec("matplotlib") is not None:
         title = f"{len(members)} maps in the frame of {members[0].name}"
         draw_merged(grid, members, group.poses, title, out / f"{_stem(number)}.png")
         written.append(out / f"{_stem(number)}.png")

@@ -1,6 +1,5 @@
 """Memory of this process [MB]."""
 
-import contextlib
 import sys
 from pathlib import Path
 
@@ -23,12 +22,6 @@ def peak_mb() -> float:
         return float("nan")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1e6 if sys.platform == "darwin" else 1e3)
-
-
-def forget_peak() -> None:
-    """On Linux, let the peak begin anew at the present memory."""
-    with contextlib.suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")
 
 
 def proportional_mb(process: int) -> float:

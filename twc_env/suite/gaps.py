@@ -16,8 +16,6 @@ from twc_env.metrics import team_scores
 from twc_env.suite.entries import INFORMED, RANDOM, REFERENCES, Entry
 from twc_env.suite.standings import budget_areas
 
-RESAMPLES = 2_000
-
 
 def rows_of_models(
     models: Sequence[str], entries: Sequence[Entry], values: Sequence[dict[str, Any]]
@@ -76,7 +74,7 @@ def _with_interval(statistic: Any, *samples: Array) -> tuple[float, float, float
     value = float(statistic(*samples))
     if count < 2:
         return value, float("nan"), float("nan")
-    drawn = np.random.default_rng(0).integers(count, size=(RESAMPLES, count))
+    drawn = np.random.default_rng(0).integers(count, size=(team_scores.RESAMPLES, count))
     low, high = np.nanpercentile(statistic(*(sample[drawn] for sample in samples)), (2.5, 97.5))
     return value, float(low), float(high)
 

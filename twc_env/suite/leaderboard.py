@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,11 @@ from twc_env._version import __version__
 from twc_env.config import digest
 from twc_env.errors import DataError
 from twc_env.records.json_values import write_json
+from twc_env.records.text_tables import csv_text
 from twc_env.running.finished_parts import code_digest
 from twc_env.suite.entries import INFORMED, Entry
 from twc_env.suite.standings import Standings
-from twc_env.suite.tables import csv_of, latex_of, markdown_of
+from twc_env.suite.tables import latex_of, markdown_of
 from twc_env.tasks import task_config
 
 ROW_KEYS = ("task", "team", "score", "low", "high", "wrong_merges", "merged_s", "ate_m", "coverage_mean")
@@ -91,7 +92,7 @@ def write_leaderboard(
     written = [folder / "leaderboard.json"]
     write_json(written[0], {**origin.as_json(entries), **standings.as_json()})
     texts = {
-        "leaderboard.csv": csv_of(standings),
+        "leaderboard.csv": csv_text([asdict(row) for row in standings.rows]),
         "leaderboard.md": markdown_of(standings, lead),
         "leaderboard.tex": latex_of(standings),
     }
@@ -101,11 +102,13 @@ def write_leaderboard(
             (folder / name).write_text(text, encoding="utf-8")
             written.append(folder / name)
         if pictures:
+            from twc_env.pictures.style import style
             from twc_env.suite.page import page_of
             from twc_env.suite.pictures import draw_curves, draw_profiles
 
-            draw_profiles(standings, folder / "profiles.png")
-            draw_curves(standings, folder / "curves.png")
+            with style():
+                draw_profiles(standings, folder / "profiles.png")
+                draw_curves(standings, folder / "curves.png")
             drawn = [
                 ("Performance profiles", folder / "profiles.png"),
                 ("Floor mapped correctly over time", folder / "curves.png"),

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from functools import wraps
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from twc_env.pictures.style import INK, TEAMS, TRUE_WALL, legend_below, new_figure, save_figure, style
+from twc_env.pictures.style import INK, TEAMS, TRUE_WALL, legend_below, new_figure, save_figure
 from twc_env.suite.entries import REFERENCES
 from twc_env.suite.standings import THRESHOLDS, Standings
 from twc_env.suite.tables import team_name, title_of
@@ -20,18 +19,6 @@ PANEL_IN = (4.2, 3.1)
 DPI = 110
 
 
-def in_style(draw: Callable[[Standings, Path], None]) -> Callable[[Standings, Path], None]:
-    """A drawing with the fonts of all pictures."""
-
-    @wraps(draw)
-    def drawn(standings: Standings, path: Path) -> None:
-        with style():
-            draw(standings, path)
-
-    return drawn
-
-
-@in_style
 def draw_curves(standings: Standings, path: Path) -> None:
     """Correctly mapped floor over time, one panel per task: mean over buildings with its 95 % interval."""
     figure, panels = _panels(len(standings.tasks))
@@ -51,7 +38,6 @@ def draw_curves(standings: Standings, path: Path) -> None:
     _finish(figure, panels, path)
 
 
-@in_style
 def draw_profiles(standings: Standings, path: Path) -> None:
     """Performance profiles: the share of episodes that score above a threshold, averaged over tasks, with its 95 %
     interval."""

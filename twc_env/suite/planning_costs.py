@@ -8,7 +8,7 @@ from typing import Any
 
 from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.suite.player import UNSEEN
+from twc_env.suite.player import UNSEEN, decided
 
 
 def bench_teams(
@@ -38,8 +38,7 @@ def _played(config: EnvConfig, team: str, seed: int, steps: int) -> tuple[float,
     planning_s, began_s = 0.0, time.process_time()
     while env.agents and env.episode.steps < steps:
         asked_s = time.process_time()
-        beliefs = {name: env.belief(name) for name in env.agents}
-        actions = None if policy.finished(beliefs) else policy.act(beliefs)
+        actions = decided(env, policy)
         planning_s += time.process_time() - asked_s
         if actions is None:
             break

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from twc_env.config import override
 from twc_env.exploration.assessment.evaluation import EpisodeResult
@@ -13,6 +13,9 @@ from twc_env.exploration.environment import ExplorationEnv
 from twc_env.records.class_file import digest_of, is_in_file
 from twc_env.running.finished_parts import code_digest
 from twc_env.suite.entries import Entry
+
+if TYPE_CHECKING:
+    from twc_env.agents.policy import Policy
 
 DIGITS = 6
 """Decimal places of coverage in the curves."""
@@ -110,14 +113,16 @@ def drive(env: ExplorationEnv, team: str, seed: int) -> list[list[bool]]:
     env.reset(seed=seed)
     begin(policy, team, env, seed)
     commands = []
-    while env.agents:
-        beliefs = {name: env.belief(name) for name in env.agents}
-        if policy.finished(beliefs):
-            break
-        actions = policy.act(beliefs)
+    while env.agents and (actions := decided(env, policy)) is not None:
         commands.append(commanded(actions, env.possible_agents))
         env.step(actions)
     return commands
+
+
+def decided(env: ExplorationEnv, policy: Policy) -> dict[str, Any] | None:
+    """The next actions of a scripted team; None when it is finished."""
+    beliefs = {name: env.belief(name) for name in env.agents}
+    return None if policy.finished(beliefs) else policy.act(beliefs)
 
 
 def _ready(entry: Entry) -> tuple[ExplorationEnv, Acts]:
@@ -137,7 +142,6 @@ def _ready(entry: Entry) -> tuple[ExplorationEnv, Acts]:
         if is_fresh:
             begin(policy, entry.team, env, entry.number)
             is_fresh = False
-        beliefs = {name: env.belief(name) for name in env.agents}
-        return None if policy.finished(beliefs) else policy.act(beliefs)
+        return decided(env, policy)
 
     return env, act

@@ -22,6 +22,8 @@ POINTS_MAX = 200
 """Most points of a curve that is drawn."""
 THRESHOLDS = np.round(np.arange(0.0, 1.2001, 0.02), 2)
 """Scores of a performance profile."""
+AVERAGED = "coverage_mean", "coverage_end", "ate_m", "bytes_sent", "path_m", "collisions", "stuck_share", "ended_share"
+"""Figures of `ALL` that are means over tasks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +111,8 @@ class _Episodes:
     def mean(self, key: str) -> float:
         return float(np.mean([each[key] for each in self.values]))
 
-    def times_to(self, share: float) -> list[float]:
-        return [team_scores.time_to(curve, share, self.period_s) for curve in self.curves]
+    def median_time_to(self, share: float) -> float:
+        return float(np.median([team_scores.time_to(curve, share, self.period_s) for curve in self.curves]))
 
     def row(self, task: str, team: str, scores: Array, improvement: float, over: str) -> Row:
         return Row(
@@ -125,7 +127,7 @@ class _Episodes:
                                       for each in self.values])),
             ate_m=self.mean("ate_m"), bytes_sent=self.mean("bytes_sent"), path_m=self.mean("path_m"),
             collisions=self.mean("collisions"), stuck_share=self.mean("stuck_share"),
-            **{f"to_{share * 100:.0f}_s": float(np.median(self.times_to(share))) for share in SHARES},
+            **{f"to_{share * 100:.0f}_s": self.median_time_to(share) for share in SHARES},
             ended_share=self.mean("is_covered"),
         )  # fmt: skip
 
@@ -216,16 +218,6 @@ def _overall(
         own = [played[task, team].row(task, team, scores[task, team], math.nan, "") for task in tasks]
         low, high = team_scores.iqm_interval(strata[team])
         improvement, over = _improvement(strata, team)
-        averaged = (
-            "coverage_mean",
-            "coverage_end",
-            "ate_m",
-            "bytes_sent",
-            "path_m",
-            "collisions",
-            "stuck_share",
-            "ended_share",
-        )
         rows.append(
             Row(
                 task=ALL,
@@ -241,7 +233,7 @@ def _overall(
                 to_50_s=math.nan,
                 to_90_s=math.nan,
                 to_99_s=math.nan,
-                **{key: float(np.mean([getattr(row, key) for row in own])) for key in averaged},
+                **{key: float(np.mean([getattr(row, key) for row in own])) for key in AVERAGED},
             )
         )
     return sorted(rows, key=lambda row: -row.score)

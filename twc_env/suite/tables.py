@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields
 
 from twc_env.records.text_tables import aligned_text, latex_text
 from twc_env.suite.entries import INFORMED, REFERENCES
@@ -25,15 +22,11 @@ def _rounded(value: float) -> str:
     return f"{round(value, 3) + 0.0:.3f}"
 
 
-def _improved(row: Row) -> str:
-    return f"{row.improvement:.2f}" if math.isfinite(row.improvement) else ABSENT
-
-
 COLUMNS: tuple[tuple[str, str, Callable[[Row], str]], ...] = (
     ("team", "team", lambda row: team_name(row.team)),
     ("score", "score", lambda row: _rounded(row.score)),
     ("95 % interval", "95 %", lambda row: interval_of(row)),
-    ("probability of improvement", "P(improve)", _improved),
+    ("probability of improvement", "P(improve)", lambda row: _plain(".2f")(row.improvement)),
     ("mean coverage", "mean cov.", lambda row: f"{row.coverage_mean:.3f}"),
     ("coverage at the end", "end cov.", lambda row: f"{row.coverage_end:.3f}"),
     ("wrong merges", "wrong", lambda row: str(row.wrong_merges)),
@@ -145,14 +138,3 @@ def latex_of(standings: Standings) -> str:
 def _latex_cell(row: Row, is_best: bool) -> str:
     score = rf"\textbf{{{_rounded(row.score)}}}" if is_best else _rounded(row.score)
     return f"{score} [{_rounded(row.low)}, {_rounded(row.high)}]" if math.isfinite(row.low) else score
-
-
-def csv_of(standings: Standings) -> str:
-    """All rows with all digits; numbers that do not exist are empty."""
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, [field.name for field in fields(Row)], lineterminator="\n")
-    writer.writeheader()
-    for row in standings.rows:
-        values = asdict(row)
-        writer.writerow({key: "" if isinstance(v, float) and not math.isfinite(v) else v for key, v in values.items()})
-    return buffer.getvalue()

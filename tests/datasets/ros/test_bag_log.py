@@ -168,11 +168,11 @@ def test_an_unknown_mounting_is_said(tmp_path):
 
 def test_topics_are_listed_with_rates_frames_and_uses(tmp_path, capsys):
     write_recording(tmp_path / "a.mcap", [recording("r0"), recording("r1", seed=1)])
-    rows = {row.topic: row for row in list_topics(tmp_path / "a.mcap")}
-    assert rows["/r0/scan"].used_for == "scan of r0"
-    assert rows["/r1/odom"].used_for == "odometry of r1"
-    assert rows["/r0/odom"].frame == "r0/odom->r0/base_link"
-    assert rows["/r0/scan"].rate_hz == pytest.approx(5.0, rel=0.01)
+    rows = {row["topic"]: row for row in list_topics(tmp_path / "a.mcap")}
+    assert rows["/r0/scan"]["used for"] == "scan of r0"
+    assert rows["/r1/odom"]["used for"] == "odometry of r1"
+    assert rows["/r0/odom"]["frame"] == "r0/odom->r0/base_link"
+    assert rows["/r0/scan"]["rate [Hz]"] == pytest.approx(5.0, rel=0.01)
     assert main(["replay", str(tmp_path / "a.mcap"), "--list"]) == 0
     assert "sensor_msgs/LaserScan" in capsys.readouterr().out
 

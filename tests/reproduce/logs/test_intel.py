@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 from tests.real_data import needs_data
-from twc_env.datasets.logs.scan_log import Relations, read_scan_log
+from twc_env.datasets.logs.scan_log import Relations
 from twc_env.reproduce.logs import intel
+from twc_env.reproduce.logs.laser_logs import intel_log
 from twc_env.reproduce.runner import Runner
 
 
@@ -30,7 +31,7 @@ def test_relations_of_scans_that_were_left_out_are_not_among_the_exact_ones():
 @needs_data
 def test_what_the_corrected_log_misses_belongs_to_scans_that_were_left_out():
     _, relations = intel.read_log(910)
-    corrected = read_scan_log(intel._folder() / "intel_corrected_log.json.gz").poses
+    corrected = intel_log(is_corrected=True).poses
     rotation_deg = relations.errors(corrected)[1]
     is_exact = relations.away_s < intel.SAME_SCAN_S
     assert (len(is_exact), is_exact.sum()) == (119, 90)

@@ -1,7 +1,13 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
-from twc_env.slam.radio.building_axes import STD_RAD, BuildingAxes
+from tests.real_data import needs_data
+from twc_env.datasets.logs.scan_log import apart
+from twc_env.reproduce.logs.laser_logs import LOGS, corrected_log
+from twc_env.reproduce.radio.radio_twins import PLACES, true_path
+from twc_env.slam.radio.building_axes import LENGTH_M, STD_RAD, BuildingAxes
 
 RANDOM = np.random.default_rng(3)
 
@@ -44,3 +50,28 @@ def test_axes_with_a_share_of_zero_have_no_effect():
     assert none.share == 0.0
     assert none.cost(CORRIDORS) == 0.0
     assert not any(part.any() for part in none.slopes(CORRIDORS))
+
+
+def fitted_to(path):
+    """The share of a path (n, 3) along axes and its deviation [deg], fitted together; at least one degree, or a few
+    segments exactly on an axis would decide."""
+    places, axes = path[apart(path, LENGTH_M), :2], BuildingAxes()
+    for _ in range(100):
+        axes = dataclasses.replace(axes.fitted(places), std_rad=max(axes.deviation_rad(places), np.radians(1.0)))
+    return axes.share, float(np.degrees(axes.std_rad))
+
+
+def test_share_and_deviation_of_a_made_path_are_found():
+    random = np.random.default_rng(0)
+    on_axis = 0.4 + np.pi / 2 * random.integers(0, 4, 3000) + np.radians(4.0) * random.normal(size=3000)
+    heading = np.where(random.random(3000) < 0.7, on_axis, random.uniform(-np.pi, np.pi, 3000))
+    path = np.cumsum(3.0001 * np.column_stack([np.cos(heading), np.sin(heading)]), axis=0)
+    assert fitted_to(np.column_stack([path, heading])) == pytest.approx((0.7, 4.0), abs=0.5)
+    assert fitted_to(np.column_stack([path, heading]))[0] == pytest.approx(0.7, abs=0.05)
+
+
+@needs_data
+def test_paths_of_robots_stray_as_the_prior_says_and_scripted_walks_by_less():
+    logs = [fitted_to(corrected_log(name).poses)[1] for name in LOGS]
+    assert np.median(logs) == pytest.approx(np.degrees(STD_RAD), abs=0.2)
+    assert all(fitted_to(true_path(place, 0))[1] < min(logs) for place in PLACES.values())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,9 @@ from numpy.typing import NDArray as Array
 
 from twc_env.datasets.buildings.furnish import hung_sign
 from twc_env.datasets.buildings.geojson_features import EXTENT_MAX_M, Area, distinct, name_of, polygons_of, walls_of
-from twc_env.datasets.buildings.house_expo import fill_ring
+from twc_env.datasets.buildings.house_expo import deep_point, fill_ring
 from twc_env.datasets.buildings.outline import sides_of
-from twc_env.datasets.buildings.raster import LEFT_OUT_MIN_M2, WALL_LOSS_DB, deepest_cell, largest_part
+from twc_env.datasets.buildings.raster import WALL_LOSS_DB
 from twc_env.errors import UNFIT, MapError
 from twc_env.world.building.floor_cells import CELLS_MAX
 from twc_env.world.building.floorplan import Floorplan, Room, Sign
@@ -22,7 +21,6 @@ from twc_env.world.building.floorplan_file import load_json
 DRAWING_CLASSES = frozenset({"fuzhumian", "feikaifangquyu", "xishoujianfuzhumian", "kongpu", "zhongkong"})
 """Names of drawing classes (auxiliary, closed, vacant, void), which are not texts of signs."""
 _RASTER_M = 0.2
-_LOG = logging.getLogger(__name__)
 
 
 def competition_floor(features: list[dict], path: Path, name: str) -> Floorplan:
@@ -92,17 +90,10 @@ def _point_between(floor: list[Array], blocks: list[Area], size_m: Array, where:
         covered = np.zeros((last[1] - first[1], last[0] - first[0]), np.bool_)
         fill_ring(np.ascontiguousarray(block.ring_m - first * _RASTER_M), _RASTER_M, covered)
         free[first[1] : last[1], first[0] : last[0]] &= ~covered
-    part = largest_part(free)
-    if not part.any():
+    place = deep_point(free, _RASTER_M, where, "they are closed in by places", "between its places")
+    if place is None:
         raise MapError(f"{where} leaves no floor between its places; check the outline and floor_info.json")
-    lost_m2 = float(free.sum() - part.sum()) * _RASTER_M**2
-    if lost_m2 >= LEFT_OUT_MIN_M2:
-        _LOG.warning(
-            "%s: %.0f of %.0f m2 between its places left out: they are closed in by places",
-            where, lost_m2, free.sum() * _RASTER_M**2,
-        )  # fmt: skip
-    row, column = deepest_cell(part)
-    return (np.array([column, row]) + 0.5) * _RASTER_M
+    return place
 
 
 def _sign_on(plan: Floorplan, block: Area) -> Sign | None:

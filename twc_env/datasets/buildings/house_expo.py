@@ -16,7 +16,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.datasets.buildings.furnish import furnish
 from twc_env.datasets.buildings.outline import sides_of, simplified_ring
-from twc_env.datasets.buildings.raster import LEFT_OUT_MIN_M2, WALL_LOSS_DB, deepest_cell, largest_part
+from twc_env.datasets.buildings.raster import WALL_LOSS_DB, deepest_cell, largest_part, name_left_out
 from twc_env.errors import UNFIT, MapError
 from twc_env.kernels.compiled import kernel
 from twc_env.world.building.floor_cells import CELLS_MAX, Cells
@@ -88,17 +88,22 @@ def interior_point(rings: Sequence[Array], where: str, is_named: bool = False) -
     inside = np.zeros((rows, columns), np.bool_)
     for ring in rings:  # filling a hole clears it
         fill_ring(np.ascontiguousarray(ring - low), _FILL_RESOLUTION_M, inside)
+    why = "the contour touches itself, and nothing leads there"
+    place = deep_point(inside, _FILL_RESOLUTION_M, where, why if is_named else "")
+    return None if place is None else low + place
+
+
+def deep_point(inside: Array, resolution_m: float, where: str, why: str, what: str = "of floor") -> Array | None:
+    """(2,) a point [m] deep inside the largest part of the cells (rows, columns); None if there is none. why: other
+    parts are left out, for a warning that calls them `what`; "": without one."""
     part = largest_part(inside)
     if not part.any():
         return None
-    lost_m2 = float(inside.sum() - part.sum()) * _FILL_RESOLUTION_M**2
-    if is_named and lost_m2 >= LEFT_OUT_MIN_M2:
-        _LOG.warning(
-            "%s: %.0f of %.0f m2 of floor left out: the contour touches itself, and nothing leads there",
-            where, lost_m2, inside.sum() * _FILL_RESOLUTION_M**2,
-        )  # fmt: skip
+    if why:
+        all_m2, kept_m2 = (float(each.sum()) * resolution_m**2 for each in (inside, part))
+        name_left_out(where, all_m2 - kept_m2, all_m2, why, what)
     row, column = deepest_cell(part)
-    return low + (np.array([column, row]) + 0.5) * _FILL_RESOLUTION_M
+    return (np.array([column, row]) + 0.5) * resolution_m
 
 
 def _rooms(categories: object, cells: Cells, where: str) -> tuple[Room, ...]:

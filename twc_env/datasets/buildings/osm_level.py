@@ -26,7 +26,7 @@ from twc_env.datasets.buildings.geojson_features import (
 )
 from twc_env.datasets.buildings.house_expo import interior_point
 from twc_env.datasets.buildings.outline import sides_of
-from twc_env.datasets.buildings.raster import LEFT_OUT_MIN_M2, WALL_LOSS_DB, deepest_cell, largest_part
+from twc_env.datasets.buildings.raster import WALL_LOSS_DB, deepest_cell, largest_part, name_left_out
 from twc_env.errors import MapError
 from twc_env.world.building.floorplan import Floorplan, Room
 
@@ -116,11 +116,8 @@ def osm_level(features: list[dict], where: str, name: str, level: str | None = N
     kept = largest_part(cells.free)
     inside_m = cells.centre_of(np.array([deepest_cell(kept)]))
     all_m2, kept_m2 = (part.sum() * cells.resolution_m**2 for part in (cells.free, kept))
-    if all_m2 - kept_m2 >= LEFT_OUT_MIN_M2:
-        _LOG.warning(
-            "%s: %.0f of %.0f m2 of floor left out: no door leads there; add points tagged door=yes on the walls",
-            where, all_m2 - kept_m2, all_m2,
-        )  # fmt: skip
+    why = "no door leads there; add points tagged door=yes on the walls"
+    name_left_out(where, all_m2 - kept_m2, all_m2, why)
     plan = dataclasses.replace(plan, interior_m=inside_m)
     reached = plan.cells().is_free(np.array(seeds))
     rooms = [Room(area.name or f"ROOM {i + 1}", area.ring_m) for i, area in enumerate(areas) if reached[i]]

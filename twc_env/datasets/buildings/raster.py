@@ -45,11 +45,8 @@ def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Sequen
     """
     wide = _without_strips(_without_specks(largest_part(free), resolution_m), resolution_m)
     free = largest_part(wide)
-    if (lost_m2 := (wide.sum() - free.sum()) * resolution_m**2) >= LEFT_OUT_MIN_M2:
-        _LOG.warning(
-            "%s: %.0f of %.0f m2 of floor left out: no passage wider than %g m leads there",
-            name, lost_m2, wide.sum() * resolution_m**2, STRIP_M,
-        )  # fmt: skip
+    all_m2, kept_m2 = (part.sum() * resolution_m**2 for part in (wide, free))
+    name_left_out(name, all_m2 - kept_m2, all_m2, f"no passage wider than {STRIP_M:g} m leads there")
     if not free.any():
         raise MapError(
             f"map {name!r} shows no free space wider than {STRIP_M} m; free cells must be white, "
@@ -64,6 +61,12 @@ def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Sequen
         wall_loss_db=np.full(len(walls), WALL_LOSS_DB / 2),
         interior_m=origin + (np.array([[column, row]]) + 0.5) * resolution_m,
     )
+
+
+def name_left_out(where: str, lost_m2: float, all_m2: float, why: str, what: str = "of floor") -> None:
+    """Warn that so much of a floor is left out, if it is worth a word."""
+    if lost_m2 >= LEFT_OUT_MIN_M2:
+        _LOG.warning("%s: %.0f of %.0f m2 %s left out: %s", where, lost_m2, all_m2, what, why)
 
 
 def check_closed(free: Array, resolution_m: float, where: str) -> None:
@@ -87,12 +90,8 @@ def check_closed(free: Array, resolution_m: float, where: str) -> None:
     outside = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     sizes[outside[outside > 0] - 1] = 0
     lost = sizes[sizes * resolution_m**2 >= LEFT_OUT_MIN_M2].sum() - (0 if border.any() else kept.sum())
-    if lost > 0:
-        all_m2, lost_m2 = (kept.sum() + lost) * resolution_m**2, lost * resolution_m**2
-        _LOG.warning(
-            "%s: %.0f of %.0f m2 of floor left out: not connected; draw doors of at least %g m",
-            where, lost_m2, all_m2, STRIP_M,
-        )  # fmt: skip
+    all_m2 = (kept.sum() + lost) * resolution_m**2
+    name_left_out(where, lost * resolution_m**2, all_m2, f"not connected; draw doors of at least {STRIP_M:g} m")
 
 
 def _has_inside_walls(free: Array) -> bool:

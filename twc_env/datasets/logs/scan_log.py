@@ -8,21 +8,22 @@ at t2 in the frame of the pose at t1. All may be gzipped. `sensor_frames` conver
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import logging
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.logs.text_file import read_text
 from twc_env.errors import UNFIT, DataError
-from twc_env.records.geometry import between, compose, wrap_angle
+from twc_env.records.geometry import between, compose, wrap_angle, wrap_one
 from twc_env.records.messages import UNSEEN_M, SensorFrame
 from twc_env.records.scanner import Scanner
 
@@ -93,6 +94,15 @@ class ScanLog:
     """Time from the first beam to the last, which is measured at the time of the scan; 0: all at once."""
     turned_rad: Array | None = None
     """(scans,) heading by a gyro, not wrapped; None: the log has none."""
+
+    def at(self, scans: Array | slice) -> ScanLog:
+        """The log with these scans alone."""
+        told: dict[str, Any] = {"times_s": self.times_s, "poses": self.poses, "ranges_m": self.ranges_m}
+        if self.beam_angles_rad.ndim == 2:
+            told["beam_angles_rad"] = self.beam_angles_rad
+        if self.turned_rad is not None:
+            told["turned_rad"] = self.turned_rad
+        return dataclasses.replace(self, **{name: values[scans] for name, values in told.items()})
 
     def ranges_of(self, scan: int) -> Array:
         """(beams,) float64; single precision stands for hundredths of a millimetre."""
@@ -426,12 +436,17 @@ def spaced(log: ScanLog, needed: Sequence[int] | Array = ()) -> Array:
     moved_m, turned_rad = np.hypot(motions[:, 0], motions[:, 1]), np.abs(motions[:, 2])
     if len(motions) < 2 or not (np.median(moved_m) < DENSE_M and np.median(turned_rad) < DENSE_RAD):
         return np.arange(len(log.times_s))
-    kept, needed_scans = [0], set(np.asarray(needed, int).tolist()) | {len(log.times_s) - 1}
-    x, y, heading = log.poses.T.tolist()
+    return apart(log.poses, SPACING_M, SPACING_RAD, {*np.asarray(needed, int).tolist(), len(log.times_s) - 1})
+
+
+def apart(poses: Array, distance_m: float, turn_rad: float = math.inf, needed: Collection[int] = ()) -> Array:
+    """Numbers of poses (n, 3): the first, then each that lies so far from the last chosen one, or is so turned, and the
+    `needed` ones."""
+    kept, (x, y, heading) = [0], poses.T.tolist()
     for k in range(1, len(x)):
         at = kept[-1]
-        turned = abs((heading[k] - heading[at] + math.pi) % (2.0 * math.pi) - math.pi)
-        if math.hypot(x[k] - x[at], y[k] - y[at]) >= SPACING_M or turned >= SPACING_RAD or k in needed_scans:
+        turned = abs(wrap_one(heading[k] - heading[at]))
+        if math.hypot(x[k] - x[at], y[k] - y[at]) >= distance_m or turned >= turn_rad or k in needed:
             kept.append(k)
     return np.array(kept)
 

@@ -57,20 +57,6 @@ class RobotLog:
     """What was used, assumed or left out, one line each."""
 
 
-@dataclass(frozen=True, slots=True)
-class TopicRow:
-    """A topic as `list_topics` describes it."""
-
-    topic: str
-    type: str
-    messages: int
-    rate_hz: float
-    frame: str
-    """Frame of its first message; "" where the type has none or is not decoded."""
-    used_for: str
-    """"scan", "odometry", "imu" or "transforms", and of which robot; "" if it is not used."""
-
-
 def read_bag(path: str | Path, wishes: Wishes | None = None) -> list[RobotLog]:
     """One log for each robot of a bag. Raises DataError if there is no scan or no odometry, or the bag is damaged."""
     with opened(path) as bag:
@@ -84,8 +70,9 @@ def read_bag(path: str | Path, wishes: Wishes | None = None) -> list[RobotLog]:
         return logs
 
 
-def list_topics(path: str | Path, wishes: Wishes | None = None) -> list[TopicRow]:
-    """All topics of a bag, and what they would be used for. Raises DataError as above, but for a missing scan."""
+def list_topics(path: str | Path, wishes: Wishes | None = None) -> list[dict[str, Any]]:
+    """All topics of a bag, with the frame of the first message, where it is decoded and has one, and what they would be
+    used for. Raises DataError as above, but for a missing scan."""
     with opened(path) as bag:
         try:
             robots = choose_topics(bag.topics, wishes or Wishes(), _Transforms(bag, None).moving_frames, path)
@@ -101,20 +88,23 @@ def list_topics(path: str | Path, wishes: Wishes | None = None) -> list[TopicRow
         for topic in bag.topics:
             use = uses.get(topic.name, "transforms" if topic.kind in TRANSFORMS and robots else "")
             rate = (topic.count - 1) / bag.duration_s if topic.count > 1 and bag.duration_s > 0.0 else 0.0
-            rows.append(TopicRow(topic.name, ros_name(topic.kind), topic.count, rate, _frame_of(bag, topic), use))
+            rows.append({
+                "topic": topic.name, "type": ros_name(topic.kind), "messages": topic.count, "rate [Hz]": round(rate, 2),
+                "frame": _frame_of(bag, topic), "used for": use or None,
+            })  # fmt: skip
         return rows
 
 
-def _frame_of(bag: Bag, topic: Topic) -> str:
+def _frame_of(bag: Bag, topic: Topic) -> str | None:
     is_read = topic.count and topic.kind in READ_KINDS
     first = next(iter(bag.messages([topic.name], [topic.kind])), None) if is_read else None
     if first is None:
-        return ""
+        return None
     if topic.kind in TRANSFORMS:
         pairs = [f"{t.header.frame_id}->{t.child_frame_id}" for t in first[2].transforms]
         return ", ".join(pairs[:3]) + (", ..." if len(pairs) > 3 else "")
     frame = clean(first[2].header.frame_id)
-    return f"{frame}->{clean(first[2].child_frame_id)}" if topic.kind == ODOMETRY else frame
+    return f"{frame}->{clean(first[2].child_frame_id)}" if topic.kind == ODOMETRY else frame or None
 
 
 class _Transforms:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray as Array
+from scipy.spatial.transform import Rotation
 
 BASE_FRAMES = ("base_footprint", "base_link", "base", "base_frame", "chassis", "chassis_link", "footprint")
 """Names of robot frames, without namespace."""
@@ -111,14 +112,6 @@ def _matrix(transform: Any) -> Array | None:
     position = np.array([float(place.x), float(place.y), float(place.z)])
     if not (math.isfinite(norm) and norm > 1e-9 and np.isfinite(position).all()):
         return None
-    return np.block([[rotation_of(quaternion / norm), position[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
-
-
-def rotation_of(quaternion: Array) -> Array:
-    """(3, 3) rotation matrix of a unit quaternion x, y, z, w."""
-    x, y, z, w = quaternion
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), position
+    return matrix

@@ -17,7 +17,7 @@ from numpy.typing import NDArray as Array
 from twc_env.datasets.logs.scan_log import onto_circle
 from twc_env.datasets.logs.text_file import read_text
 from twc_env.datasets.surveys.ble_flat import ANCHORS, POSE_LAYOUT_RUN
-from twc_env.datasets.surveys.fingerprints import NUMBER_MAX, numbers, read_numbers
+from twc_env.datasets.surveys.fingerprints import NUMBER_MAX, numbered_words, numbers, read_numbers
 from twc_env.errors import DataError
 from twc_env.records.geometry import between, compose, transform_points
 from twc_env.records.messages import SensorFrame, WifiScan
@@ -148,14 +148,14 @@ def _check_order(times_s: Sequence[float], lines: Sequence[int], path: Path) -> 
 
 def _commanded(path: Path, times_s: Array) -> tuple[Array, Array]:
     """Poses (k, 3) according to the commands, in the middle of each scan, and whether the robot turned during it."""
-    lines = [(k, line.split(",")) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
-    for k, words in lines:
+    rows, lines = numbered_words(path)
+    for k, words in zip(lines, rows, strict=True):
         if len(words) < 3:
             raise DataError(f"{path}, line {k}: expected unix_s,command,speed; got {','.join(words)[:40]!r}")
-    starts, speed = numbers([[words[0], words[2]] for _, words in lines], [k for k, _ in lines], path).T
-    _check_order(starts.tolist(), [k for k, _ in lines], path)
-    ahead = np.array([{"forward": 1.0, "reverse": -1.0}.get(words[1], 0.0) for _, words in lines]) * speed * SPEED_M_S
-    turn = np.array([TURN_RAD_S.get(words[1], 0.0) for _, words in lines]) * speed
+    starts, speed = numbers([[words[0], words[2]] for words in rows], lines, path).T
+    _check_order(starts.tolist(), lines, path)
+    ahead = np.array([{"forward": 1.0, "reverse": -1.0}.get(words[1], 0.0) for words in rows]) * speed * SPEED_M_S
+    turn = np.array([TURN_RAD_S.get(words[1], 0.0) for words in rows]) * speed
     at_start = np.zeros((len(starts), 3))
     for k in range(1, len(starts)):
         at_start[k] = compose(at_start[k - 1], _moved(ahead[k - 1], turn[k - 1], starts[k] - starts[k - 1]))

@@ -108,6 +108,12 @@ def read_table(path: Path, columns: tuple[str, ...] = ()) -> tuple[list[str], li
     return header, [row for _, row in told], [number for number, _ in told]
 
 
+def numbered_words(path: Path, separator: str | None = ",") -> tuple[list[list[str]], list[int]]:
+    """The words of the non-empty lines of a file (None: between spaces), and the numbers of these lines."""
+    lines = [(k, line.strip()) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
+    return [line.split(separator) for _, line in lines], [k for k, _ in lines]
+
+
 def numbers(rows: list[list[str]], lines: Sequence[int], path: Path, filled: Sequence[int] | None = None) -> Array:
     """Rows of text, from these lines of a file, as (rows, columns) floats, empty cells as NaN.
 

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.buildings.raster import read_grey
-from twc_env.datasets.logs.text_file import read_text
-from twc_env.datasets.surveys.fingerprints import numbers
+from twc_env.datasets.surveys.fingerprints import numbered_words, numbers
 from twc_env.errors import DataError
 
 ROUTERS_PX = np.array([(397.0, 236.0), (830.0, 620.0)])
@@ -45,8 +44,8 @@ def read_authors_walk(folder: str | Path, routers: int) -> AuthorsWalk:
         raise DataError(f"the authors published walks with 1 and 2 routers; got {routers}")
     name, columns = _FILES[routers]
     path = Path(folder) / name
-    lines = [(k, line) for k, line in enumerate(read_text(path).splitlines(), 1) if k > 1 and line.strip()]
-    table = numbers([line.split(",")[: 2 + columns] for _, line in lines], [k for k, _ in lines], path)
+    rows, lines = numbered_words(path)
+    table = numbers([row[: 2 + columns] for row in rows[1:]], lines[1:], path)
     if table.shape[1] != 2 + columns:
         raise DataError(f"{path} must hold rows of {2 + columns} numbers or more; got {table.shape[1]}")
     router_of = np.array([0]) if columns == 1 else np.array([0, 0, 1, 1])

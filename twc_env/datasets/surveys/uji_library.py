@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twc_env.datasets.logs.text_file import read_text
-from twc_env.datasets.surveys.fingerprints import RadioSurvey, heard_only, numbers
+from twc_env.datasets.surveys.fingerprints import RadioSurvey, heard_only, numbered_words, numbers
 from twc_env.errors import DataError
 
 _PART = "trn01"
@@ -18,8 +17,7 @@ def read_uji_library(folder: str | Path, month: str) -> RadioSurvey:
     values = []
     paths = [Path(folder) / month / f"{_PART}{what}.csv.gz" for what in ("rss", "crd", "tms")]
     for path in paths:
-        lines = [(k, line.strip()) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
-        values.append(numbers([line.split(",") for _, line in lines], [k for k, _ in lines], path))
+        values.append(numbers(*numbered_words(path), path))
     rssi, places, times = values
     if len({len(table) for table in values}) > 1:
         told = ", ".join(f"{path.name} {len(table)}" for path, table in zip(paths, values, strict=True))

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twc_env.datasets.logs.text_file import read_text
-from twc_env.datasets.surveys.fingerprints import RadioSurvey, from_rows, numbers
+from twc_env.datasets.surveys.fingerprints import RadioSurvey, from_rows, numbered_words, numbers
 from twc_env.errors import DataError
 
 
@@ -17,12 +16,12 @@ def read_uw_floor(path: str | Path) -> RadioSurvey:
     Raises DataError, which names the line, where one is short or holds no numbers.
     """
     path = Path(path)
-    rows = [(k, line.split()) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
-    for k, row in rows:
+    rows, lines = numbered_words(path, separator=None)
+    for k, row in zip(lines, rows, strict=True):
         if len(row) < 5:
             raise DataError(f"{path}, line {k}: expected time, MAC, x, y and strength; got {len(row)} values")
-    values = numbers([[row[0], *row[2:5]] for _, row in rows], [k for k, _ in rows], path)
+    values = numbers([[row[0], *row[2:5]] for row in rows], lines, path)
     time_s, places_m, rssi_dbm = values[:, 0], values[:, 1:3], values[:, 3]
     return from_rows(
-        "uw_floor", time_s, places_m, time_s, np.zeros(len(values), int), [row[1] for _, row in rows], rssi_dbm
+        "uw_floor", time_s, places_m, time_s, np.zeros(len(values), int), [row[1] for row in rows], rssi_dbm
     )

@@ -26,19 +26,19 @@ from numpy.typing import NDArray as Array
 from scipy.spatial import cKDTree
 
 from twc_env.config import from_dict
-from twc_env.datasets.logs.scan_log import RANGE_MAX_M, SETTINGS, ScanLog, beam_count_of, read_carmen_log, sensor_frames
+from twc_env.datasets.logs.scan_log import RANGE_MAX_M, SETTINGS, apart, beam_count_of, sensor_frames
 from twc_env.metrics import align_team
 from twc_env.records.geometry import between, compose
 from twc_env.records.lasting_map import LastingMap
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.logs.intel import place_frames
-from twc_env.reproduce.runner import Runner, add_some, data_folder
+from twc_env.reproduce.logs.laser_logs import LOGS, corrected_log
+from twc_env.reproduce.runner import Runner, add_some
 from twc_env.running.options import count, natural
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.map_localisation import MapLocalisation
 
 CHOOSES = ("logs",)
-LOGS = ("aces", "freiburg-079", "freiburg-101", "intel", "orebro")
 SCALE, CURL_RAD_PER_M, NOISE_PER_M, NOISE_RAD = 0.03, math.radians(0.5), 0.02, 0.005
 """Errors of odometry: of length, turn per metre, standard deviations of length per metre and of turn per step."""
 SPACING_M, SPACING_RAD = 0.3, 0.3
@@ -62,8 +62,8 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 def localised(name: str, scans: int, seed: int) -> list[dict]:
     """One log."""
-    whole = read_carmen_log(data_folder() / "lidar" / "carmen" / f"{name}-corrected.log.gz")
-    log = _thinned(whole, scans)
+    whole = corrected_log(name)
+    log = whole.at(apart(whole.poses[:scans], SPACING_M, SPACING_RAD))
     half, beams = len(log.times_s) // 2, beam_count_of([log])
     drifting = dataclasses.replace(log, poses=drifted(log.poses, random_stream(seed, f"odometry {name}")))
     lidar = SETTINGS["lidar"] | {"beam_count": beams}
@@ -123,18 +123,6 @@ def _longest_s(is_so: Array, times_s: Array) -> float:
         begun = (time_s if begun is None else begun) if so else None
         longest = max(longest, 0.0 if begun is None else time_s - begun)
     return longest
-
-
-def _thinned(log: ScanLog, count_max: int) -> ScanLog:
-    """The scans of a log that are apart from the one before."""
-    kept = [0]
-    for k in range(1, min(len(log.times_s), count_max)):
-        moved = between(log.poses[kept[-1]], log.poses[k])
-        if math.hypot(moved[0], moved[1]) >= SPACING_M or abs(moved[2]) >= SPACING_RAD:
-            kept.append(k)
-    angles = log.beam_angles_rad
-    angles = angles[kept] if angles.ndim == 2 else angles
-    return ScanLog(log.times_s[kept], log.poses[kept], log.ranges_m[kept], angles)
 
 
 def drifted(poses: Array, random: np.random.Generator) -> Array:

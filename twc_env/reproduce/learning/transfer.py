@@ -15,9 +15,8 @@ from __future__ import annotations
 import argparse
 import csv
 
-import numpy as np
-
 from twc_env.config import EnvConfig, override
+from twc_env.metrics.team_scores import mean_interval
 from twc_env.reproduce.runner import Runner, add_some, data_folder
 from twc_env.running.options import count
 from twc_env.suite.entries import Entry
@@ -33,7 +32,6 @@ TEAM_SIZES = {f"{robots} robots": robots for robots in (2, 3, 5, 8)}
 KINDS = (*TEAM_SIZES, FLATS, FLOORS)
 FLOOR_MAPS = "intel.yaml", "lse_arena.yaml", "willow-2010-02-18-0.10.yaml"
 FLATS_MAX = 20
-RESAMPLES = 2_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,12 +67,13 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
             wrong[entry.team] += int(value["wrong_merges"])
         mine = areas[options.model]
         for team in options.agents:
-            low, high = _interval(mine - areas[team])
+            leads = mine - areas[team]
+            (low,), (high,) = mean_interval(leads[:, None])
             table.append(
                 {
                     "kind": kind, "buildings": len(mine), "mean_coverage": float(mine.mean()), "team": team,
-                    "mean_coverage_of_team": float(areas[team].mean()), "lead": float((mine - areas[team]).mean()),
-                    "lead_low": low, "lead_high": high, "wrong_merges": wrong[options.model],
+                    "mean_coverage_of_team": float(areas[team].mean()), "lead": float(leads.mean()),
+                    "lead_low": float(low), "lead_high": float(high), "wrong_merges": wrong[options.model],
                     "wrong_merges_of_team": wrong[team],
                 }
             )  # fmt: skip
@@ -106,10 +105,3 @@ def entry_of(kind: str, team: str, number: int) -> Entry:
 def episode(part: tuple[str, str, int]) -> dict:
     """Play one episode."""
     return play(entry_of(*part))
-
-
-def _interval(leads: np.ndarray) -> tuple[float, float]:
-    """95 % interval of the mean over buildings (bootstrap, percentiles)."""
-    drawn = np.random.default_rng(0).integers(len(leads), size=(RESAMPLES, len(leads)))
-    low, high = np.percentile(leads[drawn].mean(1), (2.5, 97.5))
-    return float(low), float(high)

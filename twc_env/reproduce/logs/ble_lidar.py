@@ -26,9 +26,10 @@ from twc_env import metrics
 from twc_env.config import EnvConfig, from_dict
 from twc_env.datasets.surveys.ble_drive import DRIVES, Drive, read_ble_drive
 from twc_env.datasets.surveys.ble_flat import read_flat
+from twc_env.pictures.style import new_figure
 from twc_env.records.geometry import compose, poses_along
 from twc_env.records.messages import SensorFrame
-from twc_env.reproduce.drawing import draw_grid, new_figure, save_picture
+from twc_env.reproduce.drawing import draw_grid, save_picture
 from twc_env.reproduce.logs.intel import place_frames
 from twc_env.reproduce.radio_places import flat
 from twc_env.reproduce.runner import Runner, add_some, data_folder
@@ -174,7 +175,7 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
     written = []
     for run, result in zip(options.runs, _results(options, runner), strict=True):
         drive = read_ble_drive(data, run, BEAMS, RANGE_MAX_M)
-        figure = new_figure(5 * len(result["paths"]), 6, dpi=80)
+        figure = new_figure((5 * len(result["paths"]), 6), dpi=80)
         for axes, (method, poses) in zip(
             figure.subplots(1, len(result["paths"])), result["paths"].items(), strict=True
         ):

@@ -31,15 +31,15 @@ from twc_env.datasets.logs.scan_log import (
     Relations,
     ScanLog,
     beam_count_of,
-    read_relations,
-    read_scan_log,
     sensor_frames,
 )
 from twc_env.errors import ConfigError
+from twc_env.pictures.style import new_figure
 from twc_env.records.geometry import between, compose
 from twc_env.records.messages import SensorFrame
-from twc_env.reproduce.drawing import draw_grid, new_figure, save_picture
-from twc_env.reproduce.runner import Runner, add_seeds, data_folder
+from twc_env.reproduce.drawing import draw_grid, save_picture
+from twc_env.reproduce.logs.laser_logs import intel_log, intel_relations
+from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.running.options import count, picture_options
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.front_end.particle_filter import ParticleFilterSettings, map_frames
@@ -71,7 +71,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
         most = max(options.robots)
         raise ConfigError(f"{most} robots need {most} scans or more; got {options.scans}")
     log, relations = read_log(options.scans)
-    corrected = read_scan_log(_folder() / "intel_corrected_log.json.gz").poses
+    corrected = intel_log(is_corrected=True).poses
     alone = np.zeros(len(corrected), int)
     table = [
         row("odometry", log.poses, alone, relations, 1),
@@ -100,17 +100,12 @@ def _runs(options: argparse.Namespace, runner: Runner) -> list[dict]:
     return runner.each(options.robots, lambda robots: run_engine(log, robots), lambda robots: f"{robots} robots")
 
 
-def _folder() -> Path:
-    return data_folder() / "lidar" / "raw_odometry"
-
-
 def read_log(count: int) -> tuple[ScanLog, Relations]:
     """The first scans of the raw log, and the relations between them."""
-    whole = read_scan_log(_folder() / "intel_gfs.json.gz")
-    found = read_relations(_folder() / "intel.relations.gz", whole)
+    whole = intel_log()
+    found = intel_relations(whole)
     inside = (found.first < count) & (found.second < count)
-    log = ScanLog(whole.times_s[:count], whole.poses[:count], whole.ranges_m[:count], whole.beam_angles_rad)
-    return log, Relations(
+    return whole.at(slice(count)), Relations(
         found.first[inside], found.second[inside], found.pose_first_second[inside], found.away_s[inside]
     )
 
@@ -177,7 +172,7 @@ def draw(options: argparse.Namespace, runner: Runner, folder: Path) -> list[Path
         inside = group == np.argmax(np.bincount(group))
         grid = OccupancyGrid(0.05, RANGE_MAX_M, BEAMS)
         grid.integrate(poses[inside], scans[inside])
-        figure = new_figure(9, 9, dpi=110)
+        figure = new_figure((9, 9), dpi=110)
         axes = figure.add_subplot()
         draw_grid(axes, grid)
         for k, piece in enumerate(np.array_split(np.arange(len(poses)), robots)):

@@ -31,9 +31,10 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from twc_env.config import EnvConfig, lidar_preset, override
-from twc_env.datasets.logs.scan_log import NO_RETURN_M, ScanLog, onto_circle, read_carmen_log
+from twc_env.datasets.logs.scan_log import NO_RETURN_M, ScanLog, apart, onto_circle
 from twc_env.records.geometry import between, transform_points
-from twc_env.reproduce.runner import Runner, add_some, data_folder
+from twc_env.reproduce.logs.laser_logs import corrected_log
+from twc_env.reproduce.runner import Runner, add_some
 from twc_env.running.options import count
 from twc_env.slam.matching.scan_matching import LineField
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid
@@ -52,7 +53,7 @@ CALIBRATED = {"dark_share": 0.05}
 """Settings of the scanner that replace those of the preset: a data sheet knows no share of dark surfaces."""
 IDEAL = {"detection_range_m": 0.0, "range_noise_std_m": 0.0, "beam_divergence_rad": 0.0}
 """Those of a scanner without errors."""
-SPACING_M = 0.3
+SPACING_M, SPACING_RAD = 0.3, 0.3
 """Scans nearer to the one before are left out: those of `freiburg-079` are 0.1 m apart, of the others 1 m."""
 FAR_M = 15.0
 """End points further away are not compared with the map: errors of the poses' headings displace them."""
@@ -78,11 +79,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """{quantity, dataset, role, real, simulated, real_low, real_high} for each figure of each log."""
-    names, folder = options.logs, data_folder() / "lidar" / "carmen"
+    names = options.logs
     settings = hashlib.sha256(repr((lidar_preset("lms-200"), CALIBRATED)).encode()).hexdigest()[:8]
     found = runner.each(
         names,
-        lambda name: _figures(read_carmen_log(folder / f"{name}-corrected.log.gz"), options.scans, options.seed),
+        lambda name: _figures(corrected_log(name), options.scans, options.seed),
         lambda name: f"{name} {settings}",
     )
     return [
@@ -94,7 +95,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
 
 def _figures(log: ScanLog, scans_max: int, seed: int) -> dict[str, dict]:
     """Figures of one log and of its simulation."""
-    kept = spaced(log)[:scans_max]
+    kept = apart(log.poses, SPACING_M, SPACING_RAD)[:scans_max]
     poses, angles_rad = log.poses[kept], log.beams_of(0)
     real_m = np.where((log.ranges_m[kept] > 0.0) & (log.ranges_m[kept] < NO_RETURN_M), log.ranges_m[kept], np.inf)
     plan = plan_of(real_m, angles_rad, poses)
@@ -118,16 +119,6 @@ def _figures(log: ScanLog, scans_max: int, seed: int) -> dict[str, dict]:
                 "real_high": None,
             }  # fmt: skip
     return figures
-
-
-def spaced(log: ScanLog) -> Array:
-    """Numbers of the scans that are taken: the first, and then the next one at least `SPACING_M` or 0.3 rad away."""
-    kept = [0]
-    for k in range(1, len(log.poses)):
-        away = between(log.poses[kept[-1]], log.poses[k])
-        if np.hypot(away[0], away[1]) >= SPACING_M or abs(away[2]) >= 0.3:
-            kept.append(k)
-    return np.array(kept)
 
 
 def ends_of(ranges_m: Array, angles_rad: Array, pose: Array, far_m: float = FAR_M) -> Array:

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import OdometryConfig
-from twc_env.datasets.logs.scan_log import Relations, read_relations, read_scan_log
+from twc_env.datasets.logs.scan_log import Relations
 from twc_env.records.geometry import between, compose, poses_along, travelled_m, wrap_angle
-from twc_env.reproduce.runner import Runner, add_seeds, data_folder
+from twc_env.reproduce.logs.laser_logs import intel_log, intel_relations
+from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.running.options import number
 from twc_env.world.sensors.odometry import PRESETS, Odometry
 
@@ -43,9 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per figure: {quantity, role, relations, real, simulated, simulated_std}."""
-    folder = data_folder() / "lidar" / "raw_odometry"
-    raw, corrected = (read_scan_log(folder / name) for name in ("intel_gfs.json.gz", "intel_corrected_log.json.gz"))
-    relations = read_relations(folder / "intel.relations.gz", raw)
+    raw, corrected = intel_log(), intel_log(is_corrected=True)
+    relations = intel_relations(raw)
     groups = _groups(relations, corrected.times_s, corrected.poses)
     config = OdometryConfig(platform=options.platform, drift=options.drift, variation=options.variation)
 

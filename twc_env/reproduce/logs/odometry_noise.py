@@ -12,12 +12,12 @@ import argparse
 
 import numpy as np
 
+from twc_env.reproduce.logs.laser_logs import LOGS
 from twc_env.reproduce.logs.resampled_odometry import drive_again
 from twc_env.reproduce.runner import Runner, add_seeds, add_some, data_folder
 from twc_env.running.options import count, number
 
 CHOOSES = ("logs", "sizes", "seeds")
-LOGS = ("freiburg-101", "freiburg-079", "intel", "aces", "orebro")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

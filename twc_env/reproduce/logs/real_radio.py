@@ -12,32 +12,6 @@ positions, on the map that they span (`real_radio_oracle`); with `own shape and 
 position is estimated. They show that most of the error comes from what radio says about places, not from steps and
 compass. Errors of the scans of one walk are correlated, so more scans hardly help.
 
-The following was tried once and is not part of the table:
-
-- A small network that predicts a likelihood of distance from measures of a scan pair, trained on surveyed positions of
-  one floor and used on the other: misleading when added up over pairs, since pairs are redundant. Trained without
-  surveyed positions, within walks and against scans of other walks, it learns nothing: scans of one walk are similar
-  for reasons that two walks never share. Trained within walks only, on scans some seconds apart, and used for short
-  distances only, it localises one walk of site1_B1 about as well as the oracle's cosine; walks matched by it are no
-  closer to the truth.
-- A network that learns places from the surveyed positions of most walks of site1_B1: localises the other walks no
-  better than the oracle.
-- Similarity of a scan to the map by many measures, weighted by a network trained on surveyed positions of the other
-  floor: little better than the oracle's cosine, and it needs ground truth. Likelihoods of signal levels and of silence
-  are not better on both floors either, alone or added to the cosine.
-- On site1_B1, moving groups of walks as one on the map of the rest: this inflates the map. Moving walks in turn by
-  cosine and levels together, with the spread held, also drifts away from the truth. Layouts from half of the radios
-  differ by more than such changes do, and their mean is no closer.
-- Placing each walk at the mean of all its possible positions on the map of the others, in turn: closer at first, then
-  further away, as it inflates the map. Started at the truth, it leaves it.
-- Moving scans ahead of where they were taken, or comparing only scans with similar heading: no better. The errors have
-  hardly any radial component.
-- Started at the truth, the fit of `trace_joining` leaves it. So do, by more, likelihoods of similarity over all pairs,
-  Gaussian processes, transmitters as landmarks with path loss, and signal levels predicted from the other walks. Their
-  minima are flat, so a descent that is stopped early looks better than it is.
-- Links from the end of each walk to the start of the same phone's next one, or where the scans of two walks repeat
-  identical readings, do not help.
-
 Settings of `phone_hearing`, `trace_joining` and `real_radio_oracle` were chosen on these floors.
 """
 

@@ -7,18 +7,18 @@ and turn, drawn at random.
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.logs.scan_log import ScanLog, read_any_log, read_scan_log, spaced
+from twc_env.datasets.logs.scan_log import ScanLog, spaced
 from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.records.geometry import between, compose, poses_along, wrap_angle
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.logs.intel import run_engine
-from twc_env.reproduce.runner import data_folder
+from twc_env.reproduce.logs.laser_logs import corrected_log, intel_log
 
 NEIGHBOURS = 10
 LENGTH_M, TURN_RAD = 0.5, 0.5
@@ -35,12 +35,11 @@ def drive_again(name: str, size: float, seed: int) -> dict:
 
 def drive_intel() -> dict:
     """As `drive_again`, of Intel with its own raw odometry."""
-    return _driven(_corrected(INTEL), read_scan_log(_raw_folder() / "intel_gfs.json.gz").poses)
+    return _driven(_corrected(INTEL), intel_log().poses)
 
 
 def _driven(log: ScanLog, raw: Array) -> dict:
-    driven = ScanLog(log.times_s, raw, log.ranges_m, log.beam_angles_rad)
-    found = np.array(run_engine(driven, 1)["poses"])
+    found = np.array(run_engine(dataclasses.replace(log, poses=raw), 1)["poses"])
     turned_deg = np.degrees(np.abs(_errors(raw, log.poses)[:, 2]))
     return {
         "ate_m": absolute_trajectory_error_m(found, log.poses),
@@ -65,8 +64,7 @@ def resampled(poses: Array, size: float, seed: int) -> Array:
 def intel_errors() -> tuple[Array, Array]:
     """Motions (909, 3) from scan to scan of the Intel log, corrected, and the errors (909, 3) of its odometry."""
     corrected = _corrected(INTEL).poses
-    raw = read_scan_log(_raw_folder() / "intel_gfs.json.gz").poses
-    return between(corrected[:-1], corrected[1:]), _errors(raw, corrected)
+    return between(corrected[:-1], corrected[1:]), _errors(intel_log().poses, corrected)
 
 
 def _errors(raw: Array, true: Array) -> Array:
@@ -82,11 +80,6 @@ def _kind(motions: Array) -> Array:
 def _corrected(name: str) -> ScanLog:
     """The scans of a log that are used, at its corrected poses."""
     if name == INTEL:
-        return read_scan_log(_raw_folder() / "intel_corrected_log.json.gz")
-    log = read_any_log(data_folder() / "lidar" / "carmen" / f"{name}-corrected.log.gz")
-    kept, angles = spaced(log), log.beam_angles_rad
-    return ScanLog(log.times_s[kept], log.poses[kept], log.ranges_m[kept], angles[kept] if angles.ndim == 2 else angles)
-
-
-def _raw_folder() -> Path:
-    return data_folder() / "lidar" / "raw_odometry"
+        return intel_log(is_corrected=True)
+    log = corrected_log(name)
+    return log.at(spaced(log))

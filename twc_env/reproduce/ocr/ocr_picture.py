@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from twc_env.pictures.style import SIGNAL_MAP, TEAMS, save_figure, style
+from twc_env.pictures.style import SIGNAL_MAP, TEAMS, new_figure, save_figure, style
 from twc_env.records.random_streams import random_stream
-from twc_env.reproduce.drawing import new_figure
 from twc_env.reproduce.ocr.ocr import held_out_texts, rates
 from twc_env.world.sensors.misreading import TableReader, codes_of, draw_count
 from twc_env.world.sensors.ocr import read_signs
@@ -36,7 +35,7 @@ def draw_table(path: Path, dpi: float | None = None) -> Path:
     The suffix names the format; returns the path.
     """
     with style():
-        figure = new_figure(11.0, 6.6)
+        figure = new_figure((11.0, 6.6), dpi=100)
         top, bottom = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.0, 1.6))[:, 0]
         top.suptitle("Signs as a camera sees them, and what the OCR reads", fontsize=10)
         bottom.suptitle("How often it reads rightly, by size, angle and blur of a sign", fontsize=10)

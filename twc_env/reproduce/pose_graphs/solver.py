@@ -109,16 +109,17 @@ def _compared(dataset: str, start: str, solvers: Mapping[str, Solver], graph: Gr
 def solve_ours(start: Array, graph: Graph) -> tuple[Array, float, float]:
     """Poses, and CPU seconds (twice, as `solve_gtsam`)."""
     config = PoseGraphConfig(robust="plain", iterations_max=100)
-    began = time.process_time()
-    poses = pose_graph.optimise(start, *graph.parts, config)
-    spent = time.process_time() - began
-    return poses, spent, spent
+    return _timed(lambda: pose_graph.optimise(start, *graph.parts, config))
 
 
 def solve_whole(graph: PlanarGraph, robust: str) -> tuple[Array, float, float]:
     """Poses by `twc-env optimise`, and CPU seconds (twice, as `solve_gtsam`)."""
+    return _timed(lambda: optimise_graph(graph, robust).poses)
+
+
+def _timed(solve: Callable[[], Array]) -> tuple[Array, float, float]:
     began = time.process_time()
-    poses = optimise_graph(graph, robust).poses
+    poses = solve()
     spent = time.process_time() - began
     return poses, spent, spent
 

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.maps import load_map
-from twc_env.pictures.style import ROBOTS, fit_height, legend_below
+from twc_env.pictures.style import ROBOTS, fit_height, legend_below, new_figure
 from twc_env.records.geometry import inverse, transform_points
 from twc_env.records.messages import GridMap
-from twc_env.reproduce.drawing import Kind, new_figure, save_picture
+from twc_env.reproduce.drawing import Kind, save_picture
 from twc_env.reproduce.radio.radio_methods import Outcome
 
 PATHS = {"odometry": ROBOTS[1], "lte": ROBOTS[2], "wifi": ROBOTS[0]}
@@ -58,11 +58,11 @@ def _picture(grid: GridMap, start: Array) -> dict[str, Any]:
 def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any], kind: Kind | None = None) -> list[Path]:
     """Write pictures NAME-models, NAME-trajectories and NAME-map, if the walk (`content_of`) has the content.
 
-    `twin` names the map. Returns the paths. Raises DataError without matplotlib.
+    `twin` names the map. Returns the paths.
     """
     figures = {}
     if walk["models"]:
-        figure = new_figure(8, 4, dpi=110)
+        figure = new_figure((8, 4), dpi=110)
         axes = figure.add_subplot()
         for cue, model in walk["models"].items():
             centre, mean, std = (np.array(model[key]) for key in ("centre", "mean_m", "std_m"))
@@ -72,7 +72,7 @@ def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any], kind: Kind
         axes.legend()
         figures["models"] = figure
     if walk["paths"]:
-        figure = new_figure(9, 6, dpi=110)
+        figure = new_figure((9, 6), dpi=110)
         axes = figure.add_subplot()
         walls_m = _walls_of(twin)
         axes.plot(*walls_m.T, color="0.8", lw=0.8, label="walls")
@@ -86,7 +86,7 @@ def draw(folder: Path, name: str, twin: str, walk: Mapping[str, Any], kind: Kind
         fit_height(figure, axes, high / wide, 9.0)
         figures["trajectories"] = figure
     for method, picture in walk["maps"].items():
-        figure = new_figure(10, 7, dpi=110)
+        figure = new_figure((10, 7), dpi=110)
         axes = figure.add_subplot()
         cells = np.frombuffer(zlib.decompress(base64.b64decode(picture["cells"])), np.uint8).reshape(picture["shape"])
         height, width = np.array(cells.shape) * picture["resolution_m"]

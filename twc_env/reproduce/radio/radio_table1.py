@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twc_env.reproduce.drawing import new_figure
+from twc_env.exploration.drawing.figures import require_matplotlib
 from twc_env.reproduce.radio import radio_figures, radio_survey, radio_sweep
 from twc_env.reproduce.radio.radio_methods import METHODS, location_errors_m, means, outcomes
 from twc_env.reproduce.radio.radio_twins import PLACES
@@ -59,7 +59,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     if options.survey:
         return radio_survey.rows(options.seeds, runner, options.share, options.jobs)
     if options.out:
-        new_figure(1, 1)  # without matplotlib this fails before the first walk
+        require_matplotlib()  # before the first walk
     table = []
     for name, found in _walks(options, runner, options.seeds).items():
         walks = [walk["errors"] for walk in found]

@@ -8,7 +8,6 @@ buildings. Rolling scans are shown with and without being undone by odometry (`s
 from __future__ import annotations
 
 import argparse
-import json
 import math
 
 import numpy as np
@@ -51,14 +50,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per effect; `none` is always among them."""
     names = list(dict.fromkeys(["none", *options.effects]))
-    buildings = first_buildings(options.buildings)
-    parts = [(building, name) for name in names for building in buildings]
-    found = runner.each(
-        parts,
-        lambda part: merge_in(part[0], options.robots, options.seed, EFFECTS[part[1]]),
-        lambda part: f"{part[0]} {json.dumps(EFFECTS[part[1]])}",
-    )
-    runs = {name: found[k * len(buildings) : (k + 1) * len(buildings)] for k, name in enumerate(names)}
+
+    def merged(name: str, building: str) -> dict:
+        return merge_in(building, options.robots, options.seed, EFFECTS[name])
+
+    runs = runner.grid(names, first_buildings(options.buildings), merged, what="building")
     return [_row(name, runs[name], runs["none"]) for name in names]
 
 

@@ -16,10 +16,10 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import itertools
 import math
 import re
 from collections import Counter
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -58,13 +58,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per condition; the normal run is always among them."""
     conditions = list(dict.fromkeys(["normal", *options.conditions]))
-    parts = list(itertools.product(first_buildings(options.buildings), conditions))
-    found = runner.each(parts, lambda part: episode(part[0], part[1], options.robots, options.seed), " ".join)
-    runs = {condition: found[k :: len(conditions)] for k, condition in enumerate(conditions)}
+    play = partial(episode, options.robots, options.seed)
+    runs = runner.grid(conditions, first_buildings(options.buildings), play, what="building")
     return [_row(condition, runs[condition], runs["normal"]) for condition in conditions]
 
 
-def episode(building: str, condition: str, robots: int, seed: int) -> dict:
+def episode(robots: int, seed: int, condition: str, building: str) -> dict:
     """One building under one condition."""
     plan = load_map(building)
     ways = overlapping_ways(plan, robots)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray as Array
 from twc_env import metrics
 from twc_env.config import EnvConfig
 from twc_env.maps import load_map
-from twc_env.pictures.style import INK, ROBOTS, legend_below, robot_colour
+from twc_env.pictures.style import INK, ROBOTS, legend_below, new_figure, robot_colour
 from twc_env.records.geometry import compose
-from twc_env.reproduce.drawing import Kind, new_figure, save_picture
+from twc_env.reproduce.drawing import Kind, save_picture
 from twc_env.reproduce.routes import Walk
 from twc_env.reproduce.twc.offline_mapping import Matched, OfflineMap, point_cloud, wall_thickness_m
 from twc_env.reproduce.twc.twc_scenes import SCENES
@@ -43,7 +43,7 @@ def _sheet(scene: str, walks: Sequence[Walk], maps: Sequence[Entry], draw: Calla
     x0, y0, x1, y1 = plan.bounds_m
     height = PANEL_INCHES * (y1 - y0 + 2 * MARGIN_M) / (x1 - x0 + 2 * MARGIN_M) + 0.3
     shown = [name for name in METHODS if any(method == name for method, *_ in maps)]
-    figure = new_figure(PANEL_INCHES * len(BACKENDS), height * len(shown) + 0.4, dpi=130)
+    figure = new_figure((PANEL_INCHES * len(BACKENDS), height * len(shown) + 0.4), dpi=130)
     panels = figure.subplots(len(shown), len(BACKENDS), squeeze=False)
     for method, backend, matched, built in maps:
         if method not in METHODS or backend not in BACKENDS:
@@ -112,7 +112,7 @@ def draw_curves(
     recall: Array, curves: dict[str, dict[str, dict[str, list[float]]]], folder: Path, kind: Kind | None
 ) -> Path:
     """Draw precision over recall of every method, a row per scene, before (left) and after (right) verification."""
-    figure = new_figure(10.0, 4.0 * len(curves), dpi=90)
+    figure = new_figure((10.0, 4.0 * len(curves)), dpi=90)
     panels = figure.subplots(len(curves), 2, squeeze=False, sharex=True, sharey=True)
     for row, (scene, methods) in zip(panels, curves.items(), strict=True):
         for axes, when in zip(row, ("before", "after"), strict=True):

@@ -26,12 +26,12 @@ from twc_env.datasets.surveys.sfw_authors import (
     read_lidar_map,
 )
 from twc_env.metrics.k_visibility import walls_crossed_in_raster
-from twc_env.reproduce.drawing import Kind
+from twc_env.reproduce.drawing import Pictures, pictures_of
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.walls import sfw_scoring as scoring
 from twc_env.reproduce.walls.sfw_registration import Registration, register
 from twc_env.reproduce.walls.sfw_walks import WalkReadings
-from twc_env.running.options import add_folder, add_pictures, picture_options
+from twc_env.running.options import add_folder, add_pictures
 from twc_env.world.building.floor_cells import Cells
 
 AS_COVERED = "ours, as covered"
@@ -51,7 +51,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     folder = data_folder() / "sfw_authors"
     walks = runner.each(
         (1, 2),
-        lambda routers: measure(routers, folder, options.out, picture_options(options)),
+        lambda routers: measure(routers, folder, pictures_of(options)),
         lambda n: f"walk {n}, drawn in {options.out}",
     )
     return [row for walk in walks for row in walk]
@@ -68,7 +68,7 @@ def remarks(table: list[dict]) -> list[str]:
     ]
 
 
-def measure(routers: int, folder: Path, out: Path | None, kind: Kind | None = None) -> list[dict]:
+def measure(routers: int, folder: Path, pictures: Pictures | None) -> list[dict]:
     """The rows of one walk."""
     laid = lay(folder, routers)
     walk, fit, cells, placed = laid.walk, laid.fit, laid.cells, laid.placed
@@ -83,15 +83,8 @@ def measure(routers: int, folder: Path, out: Path | None, kind: Kind | None = No
         rays = scoring.on_grid(ours.structure.grid.rays, ours.structure.grid.origin_m, cells, 0)
         maps[AS_COVERED] = scoring.at_coverage(ours, rays, maps["paper"].score.coverage)
     experiment, accuracy, iou = _PRINTED[routers]
-    if out is not None:
-        scoring.draw_maps(
-            out / f"experiment-{experiment}",
-            kind,
-            f"authors' log, {('one router', 'two routers')[routers - 1]}",
-            placed,
-            cells,
-            maps,
-        )
+    title = f"authors' log, {('one router', 'two routers')[routers - 1]}"
+    scoring.draw_maps(pictures, f"experiment-{experiment}", title, placed, cells, maps)
     return [
         {
             "experiment": experiment,

@@ -19,11 +19,11 @@ import numpy as np
 
 from twc_env.datasets.surveys.ble_flat import read_ble_run, read_flat
 from twc_env.reproduce import radio_places as places
-from twc_env.reproduce.drawing import Kind
+from twc_env.reproduce.drawing import Pictures, pictures_of
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.walls import sfw_scoring as scoring
 from twc_env.reproduce.walls.sfw_walks import WalkReadings
-from twc_env.running.options import add_folder, add_pictures, picture_options
+from twc_env.running.options import add_folder, add_pictures
 from twc_env.slam.walls.k_clusters import k_means, predict_walls, sliding_window
 from twc_env.slam.walls.k_visibility_signal import fit_identical_routers
 from twc_env.slam.walls.path_bins import bin_along_path
@@ -48,7 +48,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     folder = data_folder() / "wifi" / "ble_lidar"
     runs = runner.each(
         RUNS,
-        lambda run: measure(run, folder, options.out, picture_options(options)),
+        lambda run: measure(run, folder, pictures_of(options)),
         lambda run: f"{run}, drawn in {options.out}",
     )
     table = []
@@ -72,7 +72,7 @@ def remarks(table: list[dict]) -> list[str]:
     ]
 
 
-def measure(run: str, folder: Path, out: Path | None, kind: Kind | None = None) -> dict:
+def measure(run: str, folder: Path, pictures: Pictures | None) -> dict:
     """True and estimated k of every reading heard, by method and k_max."""
     survey = read_ble_run(folder, run.partition(",")[0])
     if run == TEST:
@@ -100,8 +100,6 @@ def measure(run: str, folder: Path, out: Path | None, kind: Kind | None = None) 
         by_signal = np.column_stack([fit.walls[bins.bin_of] for fit in fit_identical_routers(bins, routers, k_max)])
         found = {"k-means": by_means, "known signal": known, "map": structure.walls, "ours": by_signal}
         figures |= {f"{method} {k_max}": np.minimum(walls, k_max)[heard] for method, walls in found.items()}
-    if out is not None:
-        scoring.draw_maps(
-            out / run, kind, f"flat, {run} (k of the strongest transmitter)", walk, cells, {"map": mapped}
-        )
+    title = f"flat, {run} (k of the strongest transmitter)"
+    scoring.draw_maps(pictures, run, title, walk, cells, {"map": mapped})
     return figures

@@ -19,13 +19,13 @@ from twc_env.datasets.buildings.house_expo import read_house_expo
 from twc_env.errors import DataError, MapError
 from twc_env.metrics import path_length_m
 from twc_env.metrics.k_visibility import UNKNOWN, WALL, calibration_error, reliability
-from twc_env.pictures.style import style
-from twc_env.reproduce.drawing import Kind, new_figure, save_picture
+from twc_env.pictures.style import new_figure, style
+from twc_env.reproduce.drawing import Pictures, pictures_of, save_picture
 from twc_env.reproduce.radio_places import WALL_FACES
 from twc_env.reproduce.runner import Runner, data_folder
 from twc_env.reproduce.walls import sfw_scoring as scoring
 from twc_env.reproduce.walls.sfw_walks import read_walk, resampled, wall_following_route
-from twc_env.running.options import add_folder, add_pictures, count, picture_options
+from twc_env.running.options import add_folder, add_pictures, count
 from twc_env.world.building.floorplan import Floorplan
 
 CHOOSES = ("plans",)
@@ -52,7 +52,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
         raise DataError(f"{folder} holds no plans (*.json); check the path")
     found = runner.each(
         paths,
-        lambda path: measure(path, options.out, picture_options(options)),
+        lambda path: measure(path, pictures_of(options)),
         lambda path: f"{path.stem[:8]}, drawn in {options.out}",
     )
     runs = [run for run in found if run]
@@ -67,13 +67,12 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     if cells and table:
         both = np.concatenate(cells)
         table[-1]["calibration_error"] = calibration_error(both[:, 0], both[:, 1] > 0.5)
-        draw_reliability(options.out / "reliability", picture_options(options), both[:, 0], both[:, 1] > 0.5)
+        draw_reliability(pictures_of(options), both[:, 0], both[:, 1] > 0.5)
     return [row for run in runs for row in run["rows"]] + table
 
 
-def measure(path: Path, out: Path | None, kind: Kind | None = None) -> dict | None:
-    """Results of both methods on one plan, and (probability, is wall) of our cells; None without a complete route. out:
-    folder for the picture; None: none is drawn."""
+def measure(path: Path, pictures: Pictures | None) -> dict | None:
+    """Results of both methods on one plan, and (probability, is wall) of our cells; None without a complete route."""
     plan = read_house_expo(path)
     found = _route(plan)
     if found is None:
@@ -86,8 +85,7 @@ def measure(path: Path, out: Path | None, kind: Kind | None = None) -> dict | No
     walk = read_walk(plan, radio, route, seed=0, faces_per_wall=WALL_FACES)
     cells = plan.cells(scoring.RESOLUTION_M)
     maps = {"paper": scoring.by_paper(walk, cells), "ours": scoring.by_ours(walk, cells, seed=0)}
-    if out is not None:
-        scoring.draw_maps(out / path.stem[:8], kind, path.stem, walk, cells, maps)
+    scoring.draw_maps(pictures, path.stem[:8], path.stem, walk, cells, maps)
     ours = maps["ours"]
     told = np.isfinite(ours.probability) & (ours.truth != UNKNOWN)
     pairs = np.column_stack([ours.probability[told], ours.truth[told] == WALL]).round(3)
@@ -136,16 +134,16 @@ def _names(rows_: list[dict]) -> str:
     return ", ".join(row["plan"] for row in rows_) or "none"
 
 
-def draw_reliability(place: Path, kind: Kind | None, probability: np.ndarray, is_wall: np.ndarray) -> None:
-    """Draw the share of walls among cells by probability. Does nothing without a kind."""
-    if kind is not None:
+def draw_reliability(pictures: Pictures | None, probability: np.ndarray, is_wall: np.ndarray) -> None:
+    """Draw the share of walls among cells by probability, if there are to be pictures."""
+    if pictures is not None:
         with style():
-            save_picture(_reliability_figure(probability, is_wall), place, kind)
+            save_picture(_reliability_figure(probability, is_wall), pictures.folder / "reliability", pictures.kind)
 
 
 def _reliability_figure(probability: np.ndarray, is_wall: np.ndarray) -> Any:
     mean, share, count = reliability(probability, is_wall)
-    figure = new_figure(5, 5)
+    figure = new_figure((5, 5), dpi=100)
     axes = figure.add_subplot()
     axes.plot([0, 1], [0, 1], color="0.7")
     axes.plot(mean, share, "o-")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,8 @@ from twc_env.metrics.k_visibility import (
     truth_map,
     walls_crossed_map,
 )
-from twc_env.pictures.style import ROBOTS, legend_below, style
-from twc_env.reproduce.drawing import Kind, new_figure, save_picture
+from twc_env.pictures.style import ROBOTS, legend_below, new_figure, style
+from twc_env.reproduce.drawing import Pictures, save_picture
 from twc_env.reproduce.walls.sfw_walks import WalkReadings
 from twc_env.slam.walls import k_visibility_rules as published
 from twc_env.slam.walls.k_clusters import compensate_distance, k_means, predict_walls, silhouette_k, sliding_window
@@ -67,11 +66,6 @@ class Mapped:
     truth: Array
     probability: Array
     structure: Structure | None = None
-
-    @property
-    def k_accuracy(self) -> float:
-        """Share of the readings whose number of walls is right."""
-        return self.k.accuracy
 
     @property
     def figures(self) -> dict[str, float]:
@@ -241,19 +235,19 @@ def _scores(k: Counted, classes: Array, probability: Array, truth: Array, struct
 
 
 def draw_maps(
-    place: Path, kind: Kind | None, title: str, walk: WalkReadings, cells: Cells, maps: dict[str, Mapped]
+    pictures: Pictures | None, name: str, title: str, walk: WalkReadings, cells: Cells, maps: dict[str, Mapped]
 ) -> None:
-    """Draw the truth and the map of each method. Does nothing without a kind."""
-    if kind is not None:
+    """Draw the truth and the map of each method, if there are to be pictures."""
+    if pictures is not None:
         with style():
-            save_picture(_maps_figure(title, walk, cells, maps), place, kind)
+            save_picture(_maps_figure(title, walk, cells, maps), pictures.folder / name, pictures.kind)
 
 
 def _maps_figure(title: str, walk: WalkReadings, cells: Cells, maps: dict[str, Mapped]) -> Any:
     rows, columns = cells.free.shape
     across = 2 if columns > rows else 3
     down = -(-(len(maps) + 1) // across)
-    figure = new_figure(5.0 * across, (5.0 * rows / columns + 0.6) * down + 0.6, dpi=130)
+    figure = new_figure((5.0 * across, (5.0 * rows / columns + 0.6) * down + 0.6), dpi=130)
     figure.suptitle(f"{title}: walls black, floor white, unknown grey")
     panels = figure.subplots(down, across, squeeze=False)
     axes = panels.ravel()
@@ -269,7 +263,7 @@ def _maps_figure(title: str, walk: WalkReadings, cells: Cells, maps: dict[str, M
         if name in maps:
             score = maps[name].score
             name += (
-                f"\nk {maps[name].k_accuracy:.1%}, free IoU {score.iou_free:.3f}, wall IoU {score.iou_wall:.2f}, "
+                f"\nk {maps[name].k.accuracy:.1%}, free IoU {score.iou_free:.3f}, wall IoU {score.iou_wall:.2f}, "
                 f"coverage {score.coverage:.2f}"
             )
         axis.set_title(name, fontsize=9)

@@ -19,20 +19,19 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import time
-from pathlib import Path
 
 import numpy as np
 
 from twc_env.config import radio_preset
 from twc_env.maps import load_map
 from twc_env.metrics import path_length_m
-from twc_env.reproduce.drawing import Kind
+from twc_env.reproduce.drawing import Pictures, pictures_of
 from twc_env.reproduce.runner import Runner, add_seeds, add_some
 from twc_env.reproduce.walls import sfw_scoring as scoring
 from twc_env.reproduce.walls.sfw_flats import flat
 from twc_env.reproduce.walls.sfw_slam import slam_walk
 from twc_env.reproduce.walls.sfw_walks import read_walk, resampled, wall_following_route
-from twc_env.running.options import add_folder, add_pictures, natural, picture_options
+from twc_env.running.options import add_folder, add_pictures, natural
 from twc_env.slam.walls.radio_structure import update_reading
 from twc_env.world.building.floorplan import Floorplan
 
@@ -69,13 +68,13 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     experiments = [int(number) for number in options.experiments]
     parts = [(experiment, seed) for experiment in experiments for seed in options.seeds]
 
-    def drawn_in(part: tuple[int, int]) -> Path | None:
-        return options.out if part[1] == options.seeds[0] else None
+    def drawn(part: tuple[int, int]) -> Pictures | None:
+        return pictures_of(options) if part[1] == options.seeds[0] else None
 
     runs = runner.each(
         parts,
-        lambda part: measure(part[0], part[1], drawn_in(part), picture_options(options)),
-        lambda part: f"experiment {part[0]} seed {part[1]}" + (f", drawn in {options.out}" if drawn_in(part) else ""),
+        lambda part: measure(part[0], part[1], drawn(part)),
+        lambda part: f"experiment {part[0]} seed {part[1]}" + (f", drawn in {options.out}" if drawn(part) else ""),
     )
     table = []
     for experiment in experiments:
@@ -93,7 +92,7 @@ def _flat_rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     parts = [(number, routers) for routers in (1, 2) for number in range(options.flats)]
     runs = runner.each(
         parts,
-        lambda part: measure_flat(part[0], part[1], options.out, picture_options(options)),
+        lambda part: measure_flat(part[0], part[1], pictures_of(options)),
         lambda part: f"flat {part[0]}, {part[1]} router(s), drawn in {options.out}",
     )
     table = []
@@ -147,21 +146,21 @@ def remarks(table: list[dict]) -> list[str]:
     return missed + paper + below
 
 
-def measure(experiment: int, seed: int, out: Path | None, kind: Kind | None = None) -> dict:
+def measure(experiment: int, seed: int, pictures: Pictures | None) -> dict:
     """All methods on one walk of an experiment: {method: figures}."""
-    picture = None if out is None else out / f"experiment-{experiment}"
-    return _measured(load_map(f"sfw-e{experiment}"), POINTS[experiment], seed, picture, kind)
+    plan = load_map(f"sfw-e{experiment}")
+    return _measured(plan, POINTS[experiment], seed, f"experiment-{experiment}", pictures)
 
 
-def measure_flat(number: int, routers: int, out: Path | None, kind: Kind | None = None) -> dict:
+def measure_flat(number: int, routers: int, pictures: Pictures | None) -> dict:
     """All methods on one generated flat: {method: figures}, and the number of readings under `points`."""
     plan = flat(number, routers)
     points = round(_READINGS_PER_M * path_length_m(wall_following_route(plan)))
-    picture = None if out is None else out / f"{plan.name}-{routers}"
-    return {"points": points, **_measured(plan, points, _FLAT_NOISE_SEED + number, picture, kind)}
+    figures = _measured(plan, points, _FLAT_NOISE_SEED + number, f"{plan.name}-{routers}", pictures)
+    return {"points": points, **figures}
 
 
-def _measured(plan: Floorplan, points: int, seed: int, picture: Path | None, kind: Kind | None) -> dict:
+def _measured(plan: Floorplan, points: int, seed: int, name: str, pictures: Pictures | None) -> dict:
     route = wall_following_route(plan)
     walk = read_walk(plan, radio_preset("sfw"), resampled(route, points), seed)
     cells = plan.cells(scoring.RESOLUTION_M)
@@ -175,8 +174,7 @@ def _measured(plan: Floorplan, points: int, seed: int, picture: Path | None, kin
     paths_m = {WITH_SLAM: drive.slam_m, BY_ODOMETRY: drive.odometry_m, BY_RADIO: drive.radio_m}
     for method, path_m in paths_m.items():
         maps[method] = scoring.by_ours(dataclasses.replace(driven, position_m=path_m), cells, seed)
-    if picture is not None:
-        scoring.draw_maps(picture, kind, picture.name, walk, cells, {name: maps[name] for name in DRAWN})
+    scoring.draw_maps(pictures, name, name, walk, cells, {method: maps[method] for method in DRAWN})
     maps[scoring.BY_SILHOUETTE] = scoring.by_paper(walk, cells, k_by_silhouette=True)
     maps[scoring.ALGORITHM_1] = scoring.by_algorithm_1(walk, cells)
     maps[scoring.DENSE] = scoring.by_dense_inverse(walk, cells)

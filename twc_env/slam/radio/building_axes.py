@@ -16,8 +16,8 @@ from twc_env.records.geometry import wrap_angle
 
 STD_RAD, LENGTH_M = np.radians(5.0), 3.0
 """Standard deviation of the direction of segments at least this long; that of shorter ones is inversely proportional to
-their length. Laser logs of five buildings: 2.8 to 5.7 degrees, median 4.9; share 0.28 to 0.91
-(`reproduce building-axes`)."""
+their length. Laser logs of five buildings: 2.8 to 5.7 degrees, median 4.9; share 0.28 to 0.91 (measured in
+tests/slam/radio/test_building_axes.py)."""
 LENGTH_MIN_M = 0.01
 """Shorter segments are treated as this long."""
 ITERATIONS = 12

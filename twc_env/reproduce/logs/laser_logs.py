@@ -1,0 +1,24 @@
+"""The public laser logs of several tables, in the folder of real data."""
+
+from __future__ import annotations
+
+from twc_env.datasets.logs.scan_log import Relations, ScanLog, read_carmen_log, read_relations, read_scan_log
+from twc_env.reproduce.runner import data_folder
+
+LOGS = ("aces", "freiburg-079", "freiburg-101", "intel", "orebro")
+
+
+def corrected_log(name: str) -> ScanLog:
+    """One of LOGS, of Radish: the poses are corrected."""
+    return read_carmen_log(data_folder() / "lidar" / "carmen" / f"{name}-corrected.log.gz")
+
+
+def intel_log(is_corrected: bool = False) -> ScanLog:
+    """The Intel Lab log of the Freiburg SLAM benchmark, with raw odometry, or with the poses of GMapping."""
+    name = "intel_corrected_log" if is_corrected else "intel_gfs"
+    return read_scan_log(data_folder() / "lidar" / "raw_odometry" / f"{name}.json.gz")
+
+
+def intel_relations(log: ScanLog) -> Relations:
+    """The hand-verified relations of that benchmark."""
+    return read_relations(data_folder() / "lidar" / "raw_odometry" / "intel.relations.gz", log)
