@@ -30,7 +30,7 @@ def test_relations_of_scans_that_were_left_out_are_not_among_the_exact_ones():
 @needs_data
 def test_what_the_corrected_log_misses_belongs_to_scans_that_were_left_out():
     _, relations = intel.read_log(910)
-    corrected = read_scan_log(intel._folder() / "intel_corrected_log.json.gz").poses
+    corrected = read_scan_log(intel.log_folder() / "intel_corrected_log.json.gz").poses
     rotation_deg = relations.errors(corrected)[1]
     is_exact = relations.away_s < intel.SAME_SCAN_S
     assert (len(is_exact), is_exact.sum()) == (119, 90)

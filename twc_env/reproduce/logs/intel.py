@@ -45,6 +45,7 @@ from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.front_end.particle_filter import ParticleFilterSettings, map_frames
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid
 
+FILES = RAW, CORRECTED, RELATIONS = "intel_gfs.json.gz", "intel_corrected_log.json.gz", "intel.relations.gz"
 CHOOSES = ("robots", "seeds")
 
 SAME_SCAN_S = 1e-6
@@ -71,7 +72,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
         most = max(options.robots)
         raise ConfigError(f"{most} robots need {most} scans or more; got {options.scans}")
     log, relations = read_log(options.scans)
-    corrected = read_scan_log(_folder() / "intel_corrected_log.json.gz").poses
+    corrected = read_corrected(options.scans)
     alone = np.zeros(len(corrected), int)
     table = [
         row("odometry", log.poses, alone, relations, 1),
@@ -100,19 +101,25 @@ def _runs(options: argparse.Namespace, runner: Runner) -> list[dict]:
     return runner.each(options.robots, lambda robots: run_engine(log, robots), lambda robots: f"{robots} robots")
 
 
-def _folder() -> Path:
+def log_folder() -> Path:
+    """The folder of FILES. Raises DataError without TWC_DATA."""
     return data_folder() / "lidar" / "raw_odometry"
 
 
 def read_log(count: int) -> tuple[ScanLog, Relations]:
     """The first scans of the raw log, and the relations between them."""
-    whole = read_scan_log(_folder() / "intel_gfs.json.gz")
-    found = read_relations(_folder() / "intel.relations.gz", whole)
+    whole = read_scan_log(log_folder() / RAW)
+    found = read_relations(log_folder() / RELATIONS, whole)
     inside = (found.first < count) & (found.second < count)
     log = ScanLog(whole.times_s[:count], whole.poses[:count], whole.ranges_m[:count], whole.beam_angles_rad)
     return log, Relations(
         found.first[inside], found.second[inside], found.pose_first_second[inside], found.away_s[inside]
     )
+
+
+def read_corrected(count: int) -> Array:
+    """(count, 3) poses of the first scans in the published log, corrected by GMapping."""
+    return read_scan_log(log_folder() / CORRECTED).poses[:count]
 
 
 def run_engine(log: ScanLog, robots: int) -> dict:
