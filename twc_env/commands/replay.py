@@ -96,7 +96,8 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="QUANTITY=UNIT",
-        help="units of these tables where they are not recognised: time=s|ms|us|ns, angle=rad|deg, length=m|cm|mm",
+        help="units of these tables where they are not recognised: time=s|ms|us|ns, angle=rad|deg, length=m|cm|mm, "
+        "date=dmy|mdy",
     )
     for option, what in (
         ("--html", "write the web page (default: RUN/replay.html)"),
