@@ -1,4 +1,5 @@
 import json
+import re
 
 import pytest
 
@@ -37,6 +38,8 @@ def test_a_replay_is_localised_in_a_saved_map_and_in_a_ros_map(tmp_path, capsys,
         assert main(["replay", str(tmp_path / "a"), "--prior", str(prior), "--localise", *out]) == 0
         figures = json.loads((tmp_path / "c.json").read_text())
         assert figures["found_prior"] == [0] and figures["lost_share"][0] < 0.9
+        assert (figures["groups"], figures["maps"]) == ([[0]], ["robot 0"])  # the prior map is no robot
+        assert re.search(r"^lost +robot 0 \d+% of the scans$", capsys.readouterr().out, re.MULTILINE)
         assert (tmp_path / "c" / "trajectories" / "robot_0_estimated.tum").exists()
     again = ["replay", str(tmp_path / "a"), "--prior", str(tmp_path / "map.npz"), "--localise", "--save", "d.npz"]
     assert "--localise changes none" in refusal(main, again)

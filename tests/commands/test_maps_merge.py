@@ -1,4 +1,6 @@
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -6,6 +8,7 @@ import pytest
 from tests.slam.saved_maps.cuts import saved_cut
 from twc_env.__main__ import main
 from twc_env.datasets.buildings.ros_map import read_ros_cells
+from twc_env.running.map_merge import read_saved_maps
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +35,14 @@ def test_maps_that_do_not_fit_stay_apart_with_a_reason(files, tmp_path, capsys):
     assert "monday and sfw-e3 not merged:" in capsys.readouterr().out
     assert not (tmp_path / "map.yaml").exists()
     assert json.loads((tmp_path / "transforms.json").read_text())["groups"][1]["map"] is None
+
+
+def test_maps_of_one_name_are_told_apart_by_their_folders(files, tmp_path):
+    for day, file in zip(("monday", "tuesday"), files, strict=True):
+        shutil.copytree(Path(file).parent, tmp_path / day)
+        (tmp_path / day / Path(file).name).rename(tmp_path / day / "map.yaml")
+    found = read_saved_maps([str(tmp_path / day / "map.yaml") for day in ("monday", "tuesday")])
+    assert [one.name for one in found] == ["monday/map", "tuesday/map"]
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,12 @@ def test_the_picture_of_a_graph_has_the_palette_and_a_title_apart_from_its_axes(
     assert names["accepted closures (8)"] == palette.CLOSURE != names["rejected closures (1)"]
 
 
+def test_vertices_without_an_edge_are_nothing_to_optimise(tmp_path, refusal):
+    path = tmp_path / "a.g2o"
+    path.write_text("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n")
+    assert "has 2 vertices and no edge (EDGE_SE2)" in refusal(main, ["optimise", str(path)])
+
+
 def test_a_lost_graph_ends_with_one_and_says_why(ring, capsys):
     assert main(["optimise", str(ring), "--robust", "none"]) == 1
     assert "LOST, component 0: what is accepted contradicts itself" in capsys.readouterr().out

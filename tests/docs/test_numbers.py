@@ -83,11 +83,6 @@ NUMBERS = [
         lambda: f"{carried('team_ate_m')['mean']:.3f}" * (carried("wrong_merges")["max"] == 0),
     ),
     (
-        "lasting_maps.md",
-        "relations is {}, {} and {} m in sessions one to three",
-        lambda: " ".join(f"{session['relation_error_m']:.3f}" for session in read("sessions-intel")),
-    ),
-    (
         "structure_from_wifi.md",
         "k accuracy of {}, {}, {}, {}, {} and {} in E1 to E6",
         lambda: " ".join(
@@ -140,7 +135,6 @@ def test_every_kept_file_is_checked():
         "twc-table2",
         "sfw-table1",
         "radio-table1",
-        "sessions-intel",
         "carried",
     } | {f"tutorial-{name}" for name in TUTORIALS}
     assert kept <= checked

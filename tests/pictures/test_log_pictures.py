@@ -9,7 +9,8 @@ import pytest
 from twc_env.datasets.logs.scan_log import ScanLog
 from twc_env.errors import DataError
 from twc_env.pictures.log_page import LogPage
-from twc_env.pictures.log_picture import draw_log, one_name_per_sign
+from twc_env.pictures.log_picture import _figure, draw_log, one_name_per_sign
+from twc_env.pictures.style import style
 from twc_env.replaying.inputs import Asked, input_of
 from twc_env.replaying.run import run
 
@@ -48,6 +49,14 @@ def test_a_map_is_drawn_in_all_formats_and_equal_logs_give_equal_files(replayed,
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="cannot write the picture"):
         draw_log(done, [tmp_path / "file" / "map.png"])
+
+
+def test_the_legend_names_what_there_is(replayed):
+    done, _ = replayed
+    with style():
+        (legend,) = _figure(done).legends
+    shown = [text.get_text() for text in legend.get_texts()]
+    assert "mapped walls" in shown and "start" in shown and "signs, as read" not in shown
 
 
 def test_the_page_of_a_log_has_no_truth_and_maps_side_by_side(replayed, tmp_path):

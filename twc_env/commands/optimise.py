@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twc_env.errors import ConfigError, one_of
+from twc_env.errors import ConfigError, DataError, one_of
 from twc_env.records.json_values import check_folder, write_json
 from twc_env.running.options import add_json
 from twc_env.running.terminal import aligned
@@ -50,6 +50,11 @@ def _optimise(options: argparse.Namespace) -> int:
         raise ConfigError(f"unknown method {options.robust!r} for --robust{among}")
     check_folder(options.out)
     graph = read_pose_graph(options.graph)
+    if not len(graph.edges) + len(graph.sightings):
+        raise DataError(
+            f"{options.graph} has {len(graph.vertex_ids)} vertices and no edge (EDGE_SE2): there is nothing to "
+            "optimise; export the edges too"
+        )
     for remark in graph.remarks:
         print(f"note: {remark}")
     result = optimise_graph(graph, options.robust)

@@ -96,7 +96,8 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="QUANTITY=UNIT",
-        help="units of these tables where they are not recognised: time=s|ms|us|ns, angle=rad|deg, length=m|cm|mm",
+        help="units of these tables where they are not recognised: time=s|ms|us|ns, angle=rad|deg, length=m|cm|mm, "
+        "date=dmy|mdy",
     )
     for option, what in (
         ("--html", "write the web page (default: RUN/replay.html)"),
@@ -211,7 +212,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     from twc_env.pictures.log_page import LogPage
     from twc_env.replaying.inputs import read_input
     from twc_env.replaying.outputs import write_bag
-    from twc_env.replaying.run import run
+    from twc_env.replaying.run import groups_by_size, run
     from twc_env.slam.map_localisation import MapLocalisation
 
     formats = _formats(options.format)
@@ -249,7 +250,11 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     figures = {
         "log": " ".join(map(str, logs)),
         "steps": len(source.steps),
-        "groups": [list(group.robots) for group in team.groups],
+        "groups": [
+            [robot for robot in range(done.robots) if team.group_index(robot) == group]
+            for group in groups_by_size(team)
+        ],
+        "maps": done.maps(),
         "keyframes": [len(team.keyframe_steps(robot)) for robot in range(done.robots)],
         "closures_accepted": sum(c.status == "accepted" for c in team.closures),
         "closures_proposed": team.closures_verified,
@@ -273,7 +278,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
         if len(team.groups) > 1 and lacked:
             print("\nwhy there is more than one map:", *lacked, sep="\n  ")
         elif carried := [line for line in lacked if "put down elsewhere" in line]:
-            print("\nnoticed:", *carried, sep="\n  ")
+            print("\nnoticed, as scans do not go on from those before:", *carried, sep="\n  ")
     write_json(options.json, figures | {"robots": done.table()})
     if options.out:
         _write_folder(options.out, done, formats)
@@ -295,18 +300,20 @@ def _named(folder: Path, formats: Sequence[str]) -> str:
 
 def _told(figures: dict[str, Any]) -> list[tuple[str, str]]:
     """The summary for the terminal: names and values with units; a table of the robots follows."""
-    sharing = [f"robot{'s' * (len(group) > 1)} {', '.join(map(str, group))}" for group in figures["groups"]]
     rows = [
         ("log", figures["log"]),
         ("time steps", f"{figures['steps']:,}"),
-        ("maps", "; ".join(f"map {number}: {robots}" for number, robots in enumerate(sharing, 1))),
+        ("maps", "; ".join(f"map {number}: {robots}" for number, robots in enumerate(figures["maps"], 1))),
         ("loop closures", f"{figures['closures_accepted']} accepted of {figures['closures_proposed']} proposed"),
     ]
     if "team_ate_m" in figures:
         rows.append(("team ATE", f"{figures['team_ate_m']:.3f} m"))
     if "found_prior" in figures:
-        found = ", ".join(map(str, figures["found_prior"])) or "none"
-        rows.append(("in the old map", f"robots {found}"))
+        found = ", ".join(map(str, figures["found_prior"]))
+        rows.append(("in the old map", f"robots {found}" if figures["found_prior"] else "no robot"))
+    if "lost_share" in figures:
+        shares = ", ".join(f"robot {robot} {share:.0%}" for robot, share in enumerate(figures["lost_share"]))
+        rows.append(("lost", f"{shares} of the scans"))
     if "saved" in figures:
         rows.append(("map saved", str(figures["saved"])))
     return [*rows, ("settings digest", figures["config_digest"])]

@@ -93,8 +93,8 @@ def save_map(path: str | Path, engine: Mapper) -> str:
     size = write_lasting_map(path, lasting)
     texts = {sign.text for signs in lasting.signs for sign in signs}
     return (
-        f"{path} ({size / 1000:,.0f} kB: {len(lasting.poses)} keyframes of {lasting.sessions} sessions, "
-        f"{len(texts)} sign texts)"
+        f"{path} ({size / 1000:,.0f} kB: {len(lasting.poses)} keyframes of {lasting.sessions} session"
+        f"{'s' * (lasting.sessions != 1)}, {len(texts)} sign texts)"
     )
 
 

@@ -68,17 +68,21 @@ def _figure(replay: Replay) -> Any:
         grid = team.grid_of(group)
         draw_smoothly(axes, grid, np.zeros(3), rgb(FLOOR))
         title = f"map {number}" if len(drawn) > 1 else "map"
-        axes.set_title(f"{title}: {_free_m2(grid):,.0f} m² of floor seen")
-        handles |= _draw_paths(axes, replay, group)
+        paths = _draw_paths(axes, replay, group)
+        what = "of floor seen" if paths else f"of floor, {replay.maps()[groups.index(group)]}"
+        axes.set_title(f"{title}: {_free_m2(grid):,.0f} m² {what}")
+        handles |= paths
         _draw_closures(axes, replay, group)
     handles = dict(sorted(handles.items())) | {
         "mapped walls": Line2D([], [], color=WALL, lw=2.6),
         "start": Line2D([], [], ls="", marker="o", color=INK, mfc=FLOOR, ms=6),
         "end": Line2D([], [], ls="", marker="o", color=INK, ms=6),
-        "accepted closures": Line2D([], [], color=CLOSURE, lw=1.0),
-        "signs, as read": Line2D([], [], ls="", marker="s", color=TRUE_TEXT, ms=3.5),
     }
     accepted = sum(closure.status == "accepted" for closure in team.closures)
+    if accepted:
+        handles["accepted closures"] = Line2D([], [], color=CLOSURE, lw=1.0)
+    if any(team.signs_of(group) for group in drawn):
+        handles["signs, as read"] = Line2D([], [], ls="", marker="s", color=TRUE_TEXT, ms=3.5)
     robots, maps = _counted(len(replay.paths()), "robot"), _counted(len(groups), "map")
     counts = f"{robots} in {maps}, {_counted(accepted, 'loop closure')} accepted"
     set_title(figure, [counts])

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray as Array
 from scipy import ndimage
 
-from twc_env.pictures.style import new_figure
+from twc_env.errors import ConfigError, DataError
+from twc_env.exploration.drawing.episode_map import draw_smoothly
+from twc_env.exploration.drawing.palette import FLOOR, UNKNOWN, WALL, rgb, robot_colour
+from twc_env.pictures.style import legend_below, new_figure, save_figure, set_title, settle, style
 from twc_env.records.geometry import compose
 from twc_env.records.messages import GridMap
-from twc_env.records.whole_file import whole_file
-from twc_env.reproduce.drawing import draw_grid
 from twc_env.slam.saved_maps.saved_map import SavedMap
 
 LONG_SIDE_INCHES = 10.0
@@ -21,27 +23,35 @@ GAP_M = 0.3
 
 
 def draw_merged(grid: GridMap, maps: list[SavedMap], poses: Array, title: str, path: Path) -> None:
-    """Write the picture of maps at the poses (n, 3) of their frames."""
-    from matplotlib import colormaps
+    """Write the picture of maps at the poses (n, 3) of their frames. Raises DataError without matplotlib."""
+    try:
+        with style():
+            save_figure(_figure(grid, maps, poses, title), path)
+    except ConfigError as error:
+        raise DataError(str(error)) from error
+
+
+def _figure(grid: GridMap, maps: list[SavedMap], poses: Array, title: str) -> Any:
+    from matplotlib.lines import Line2D
     from matplotlib.transforms import Affine2D
 
     size_m = np.array(grid.log_odds.shape[::-1]) * grid.resolution_m
     width, height = np.maximum(LONG_SIDE_INCHES * size_m / size_m.max(), 3.0)
-    figure = new_figure((width, height + 0.8), 110)
-    axes = figure.add_subplot()
-    draw_grid(axes, grid)  # type: ignore[arg-type]
+    figure = new_figure((width, height + 0.8))
+    axes = figure.add_subplot(facecolor=UNKNOWN)
+    draw_smoothly(axes, grid, np.zeros(3), rgb(FLOOR))
+    handles = {"mapped walls": Line2D([], [], color=WALL, lw=2.6)}
     for k, (saved, pose) in enumerate(zip(maps, poses, strict=True)):
-        colour = colormaps["tab10"](k % 10)
         x, y, turn = compose(pose, saved.origin)
         place = Affine2D().scale(saved.resolution_m).rotate(turn).translate(x, y) + axes.transData
-        axes.contour(_outlined(saved), [0.5], colors=[colour], linewidths=2.0, transform=place)
-        axes.plot([], [], color=colour, lw=2.0, label=saved.name)
+        axes.contour(_outlined(saved), [0.5], colors=[robot_colour(k)], linewidths=1.6, transform=place)
+        handles[saved.name] = Line2D([], [], color=robot_colour(k), lw=1.6)
     (left, low), (right, top) = grid.origin_m, grid.origin_m + size_m
     axes.set(xlim=(left, right), ylim=(low, top), aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    axes.set_title(title, parse_math=False, fontsize=10)
-    figure.legend(loc="outside lower center", ncols=min(len(maps), 4), fontsize=8, frameon=False)
-    with whole_file(path) as beside:
-        figure.savefig(beside)
+    set_title(figure, [title])
+    legend_below(figure, list(handles.values()), list(handles))
+    settle(figure)
+    return figure
 
 
 def _outlined(saved: SavedMap) -> Array:

@@ -15,6 +15,7 @@ from twc_env.datasets.lasting_maps import prior_of
 from twc_env.records.geometry import between, compose, inverse, travelled_m
 from twc_env.replaying.inputs import ReplayInput
 from twc_env.running.terminal import Bar
+from twc_env.slam.mapping.segments import NO_ROBOT
 from twc_env.slam.modes import Engine, make_engine
 from twc_env.slam.team import TeamMapper
 
@@ -108,14 +109,35 @@ class Replay:
             )
         return rows
 
+    def maps(self) -> list[str]:
+        """Who is in each map, by name, in the order of the numbers in the table."""
+        team, found = self.engine.team, []
+        for group in groups_by_size(team):
+            robots = [robot for robot in range(self.robots) if team.group_index(robot) == group]
+            owners = {self.owner(segment) for segment in team.groups[group].robots}
+            told = self._named("robot", robots) if robots else "the prior map" if NO_ROBOT in owners else ""
+            found.append(told or f"{self._named('robot', sorted(owners))} before being carried")
+        return found
+
+    def _named(self, what: str, robots: list[int]) -> str:
+        names = [self.source.names[robot] or str(robot) for robot in robots]
+        return f"{what}{'s' * (len(names) > 1)} {', '.join(names)}"
+
     def owner(self, segment: int) -> int:
         """The robot of a segment."""
         return self.engine.team.segments.owners[segment]
 
 
 def groups_by_size(team: TeamMapper) -> list[int]:
-    """Numbers of the groups of robots that share a map, the largest first, as their maps are numbered."""
-    return sorted(range(len(team.groups)), key=lambda group: -len(team.groups[group].robots))
+    """Numbers of the groups of robots that share a map, as their maps are numbered: first those with most robots, then
+    with most keyframes."""
+
+    def size(group: int) -> tuple[int, int]:
+        segments = team.groups[group].robots
+        robots = sum(segment in segments for segment in team.segments.current)
+        return robots, sum(len(team.keyframes[segment]) for segment in segments)
+
+    return sorted(range(len(team.groups)), key=size, reverse=True)
 
 
 def run(source: ReplayInput, config: EnvConfig, watch: Callable[[int, Engine], None] | None = None) -> Replay:

@@ -48,7 +48,7 @@ def merge_files(
 
 
 def read_saved_maps(names: Sequence[str], resolution_m: float | None = None) -> list[SavedMap]:
-    """The maps of these files or names; equal names are numbered. Raises MapError."""
+    """The maps of these files or names; equal names are told apart by their folders, or numbered. Raises MapError."""
     from twc_env.datasets.buildings.grid_file import grid_of_plan, read_grid
     from twc_env.maps import load_map
 
@@ -58,6 +58,8 @@ def read_saved_maps(names: Sequence[str], resolution_m: float | None = None) -> 
         is_grid = bool(suffixes & _GRID_SUFFIXES) and os.path.isfile(name)
         grids.append(read_grid(name, resolution_m) if is_grid else grid_of_plan(load_map(name)))
     stems = [Path(name).name.split(".")[0] or name for name in names]
+    if len(set(stems)) < len(stems) and all(len(Path(name).parts) > 1 for name in names):
+        stems = [f"{Path(name).parent.name}/{stem}" for name, stem in zip(names, stems, strict=True)]
     labels = [
         stem if stems.count(stem) == 1 else f"{stem} ({stems[: k + 1].count(stem)})" for k, stem in enumerate(stems)
     ]

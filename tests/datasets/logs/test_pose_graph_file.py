@@ -73,6 +73,8 @@ def test_vertices_without_a_line_are_named(tmp_path):
     [
         ("VERTEX3 0 0 0 0 0 0 0\nEDGE3 0 1 0 0 0 0 0 0\n", "is a graph in three dimensions (VERTEX3, EDGE3)"),
         ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "is a graph in three dimensions"),
+        ("VERTEX_SE2 0 0 0 0\nEDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1 1\n", "is a graph in three dimensions (EDGE_SE3:QUAT)"),
+        ("\x01\x02 1 2\n", "it is a binary file"),
         ("", "it is empty"),
         ("hello world\n", "it holds hello"),
         ("VERTEX_SE2 0 0 0\n", "line 1: expected 4 finite numbers after VERTEX_SE2; got '0 0 0'"),

@@ -29,6 +29,14 @@ def table(tmp_path, text: str):
         f"time,bssid,rssi\n{1e9 * BEGUN + 1e9:.0f},{MAC}1,-50\n{1e9 * BEGUN + 1e9:.0f},{MAC}2,-60\n",
         f"stamp,bssid,signal strength\n2023-11-14T22:13:21Z,{MAC}1,-50\n2023-11-14T23:13:21+01:00,{MAC}2,-60\n",
         f"{BEGUN + 1},{MAC}1,-50\n{BEGUN + 1},{MAC}2,-60\n",
+        f"# wlan0\n\ntime|bssid|rssi\n{BEGUN + 1}|{MAC}1|-50\n{BEGUN + 1}|{MAC}2|-60\n",
+        f"# time bssid rssi\n{BEGUN + 1}  {MAC}1 -50\n{BEGUN + 1}  {MAC}2 -60\n",
+        f"%time,bssid,rssi\n{1e9 * BEGUN + 1e9:.0f},{MAC}1,-50 dBm\n{1e9 * BEGUN + 1e9:.0f},{MAC}2,-60dBm\n",
+        f"time,bssid,rssi\n14.11.2023 22:13:21,{MAC}1,-50\n14.11.2023 22:13:21.0,{MAC}2,-60\n",
+        f"time,bssid,rssi\n11/14/2023 10:13:21 PM,{MAC}1,-50\n11/14/2023 10:13:21 PM,{MAC}2,-60\n",
+        f"time,bssid,rssi\n2023/11/14 22:13:21,{MAC}1,-50\n2023/11/14 22:13:21,{MAC}2,-60\n",
+        f"time,bssid,rssi,robot\n{BEGUN + 1},{MAC}1,-50,spot\n{BEGUN + 1},{MAC}2,-60,spot\n",
+        f"time,{MAC}2,{MAC}1,note\n{BEGUN + 1},-60,-50,x\n",
         f"\ufefftime,bssid,rssi\r\n{BEGUN + 1},{MAC}1,-50\r\n\r\n{BEGUN + 1},{MAC}2,-60\r\n",
     ],
 )
@@ -37,6 +45,37 @@ def test_separators_names_and_units_are_recognised(tmp_path, text):
     assert found.times_s == pytest.approx([BEGUN + 1.0])
     assert found.values[0].macs.tolist() == [0xAABBCCDDEE01, 0xAABBCCDDEE02]
     assert found.values[0].rssi_dbm == pytest.approx([-50.0, -60.0])
+
+
+def test_a_table_of_a_spreadsheet_in_utf_16_is_read(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_bytes(f"time\tbssid\trssi\n{BEGUN + 1}\t{MAC}1\t-50\n".encode("utf-16"))
+    (found,), _ = read_wifi(path, SPAN)
+    assert found.times_s.tolist() == [BEGUN + 1]
+
+
+def test_dates_that_can_be_day_or_month_first_are_asked_for(tmp_path):
+    rows = "time,bssid,rssi\n" + f"11/12/2023 08:00:00,{MAC}1,-50\n"
+    with pytest.raises(DataError, match="'11/12/2023 08:00:00' can be day or month first; give --units date=dmy or"):
+        read_wifi(table(tmp_path, rows), SPAN)
+    for order, begun_s in (("dmy", 1_702_281_600.0), ("mdy", 1_699_776_000.0)):
+        span = Span(begun_s - 1, begun_s + 1, units=unit_choices([f"date={order}"]))
+        assert read_wifi(table(tmp_path, rows), span)[0][0].times_s.tolist() == [begun_s]
+
+
+def test_times_since_the_log_began_are_recognised_and_said(tmp_path):
+    rows = "".join(f"{t},{MAC}1,-50\n" for t in (0, 40, 99))
+    (found,), notes = read_wifi(table(tmp_path, "t,bssid,rssi\n" + rows), SPAN)
+    assert found.times_s.tolist() == [BEGUN, BEGUN + 40, BEGUN + 99]
+    assert any("from 0 s are taken as since the log began" in note for note in notes)
+    with pytest.raises(DataError, match=r"unit of time \(0 to 40\) cannot be told"):
+        read_wifi(table(tmp_path, "t,bssid,rssi\n" + rows.replace(f"99,{MAC}1,-50\n", "")), SPAN)
+
+
+def test_times_of_day_in_another_zone_are_told(tmp_path):
+    rows = f"time,bssid,rssi\n2023-11-14T23:13:21,{MAC}1,-50\n"
+    with pytest.raises(DataError, match="put both on one clock, or name the time zone, as in"):
+        read_wifi(table(tmp_path, rows), SPAN)
 
 
 def test_what_was_not_heard_is_left_out_and_said(tmp_path):

@@ -1,7 +1,8 @@
 import numpy as np
 
+from tests.real_data import needs_data
 from twc_env.maps import load_map
-from twc_env.reproduce.lasting import sessions
+from twc_env.reproduce.lasting import intel_sessions, sessions
 from twc_env.reproduce.lasting.changed_buildings import changed, doorways, fitted, with_fittings
 from twc_env.reproduce.lasting.localisation import _longest_s, drifted
 from twc_env.world.building.floorplan_check import validate
@@ -42,6 +43,23 @@ def test_two_sessions_merge_and_find_what_has_changed(written):
     assert building["ate_m"] < 0.05 and building["grid_change_found"] > 0.9
     assert building["shared_m"] > 20
     assert rows[1]["building"] == "all 1" and rows[1]["merged"] == 1 and rows[1]["apart"] == 0
+
+
+@needs_data
+def test_the_intel_log_goes_on_in_the_map_of_an_earlier_session():
+    first, second = intel_sessions.intel_sessions(2, scans=160)
+    assert (first["merged"], second["merged"], first["wrong"], second["wrong"]) == (None, 1, 0, 0)
+    assert max(first["ate_m"], second["ate_m"]) < 0.15 and second["relation_error_m"] < 0.05
+    assert second["file_kb"] > first["file_kb"] > 10
+
+
+def test_a_table_without_the_intel_log_says_that_it_is_left_out(written, monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("TWC_DATA", str(tmp_path))
+    assert written("sessions", "--buildings", "0", "--sessions", "0") == []
+    assert "three sessions: " in capsys.readouterr().out
+    assert "lacks intel_gfs.json.gz, intel_corrected_log.json.gz, intel.rel" in intel_sessions.lacks_log()
+    monkeypatch.delenv("TWC_DATA")
+    assert "set the environment variable TWC_DATA" in intel_sessions.lacks_log()
 
 
 def test_what_two_sessions_share_is_the_second_path_near_the_first():

@@ -41,8 +41,8 @@ _MAGIC: tuple[tuple[bytes, str, str], ...] = (
     (b"\x89HDF", "an HDF5 or MATLAB file", f"its layout is its author's own; {_LASER}"),
     (b"MATLAB 5.0", "a MATLAB file", f"its layout is its author's own; {_LASER}"),
     (b"\x93NUMPY", "a single array of numpy", _ARRAYS),
-    (b"VERTEX", "a pose graph (g2o)", "a graph has no scans: twc_env.datasets.logs.g2o reads it"),
-    (b"EDGE", "a pose graph (g2o)", "a graph has no scans: twc_env.datasets.logs.g2o reads it"),
+    (b"VERTEX", "a pose graph (g2o)", "a graph has no scans: `twc-env optimise` reads it"),
+    (b"EDGE", "a pose graph (g2o)", "a graph has no scans: `twc-env optimise` reads it"),
 )  # fmt: skip
 """First bytes, what they are of, and what would work."""
 

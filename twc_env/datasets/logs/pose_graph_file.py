@@ -124,7 +124,7 @@ class _Lines:
 
     def graph(self, turns: bool) -> PlanarGraph:
         """The graph of all lines. Raises DataError if there is none in two dimensions."""
-        if not self.edges and not self.vertices:
+        if not self.edges and (not self.vertices or any(kind in _SPATIAL for kind in self.unknown)):
             self._refuse()
         known = {*self.vertices, *(end for edge in self.edges for end in edge[:2]), *(s[0] for s in self.sightings)}
         sightings = [s for s in self.sightings if s[1] not in known]
@@ -179,7 +179,10 @@ class _Lines:
                 f"{self.path} is a graph in three dimensions ({', '.join(spatial[:NAMED_MAX])}); planar ones have "
                 "VERTEX_SE2 and EDGE_SE2 lines: export it in two dimensions"
             )
-        found = f"it holds {', '.join(list(self.unknown)[:NAMED_MAX])}" if self.unknown else "it is empty"
+        kinds = list(self.unknown)[:NAMED_MAX]
+        is_text = all(kind.isprintable() and "\ufffd" not in kind for kind in kinds)
+        found = f"it holds {', '.join(kinds)}" if kinds else "it is empty"
+        found = found if is_text else "it is a binary file"
         raise DataError(f"{self.path} has no VERTEX_SE2, EDGE_SE2, VERTEX2 or EDGE2 line ({found}); name a pose graph")
 
     def _remarks(self, of_poses: int) -> list[str]:

@@ -15,7 +15,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +29,9 @@ UNITS = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "angle": {"rad": 1.0, "deg": math.pi / 180.0},
     "length": {"m": 1.0, "cm": 0.01, "mm": 0.001},
+    "date": {"dmy": 1.0, "mdy": 1.0},
 }
-"""Units of each quantity, as multiples of seconds, radians and metres."""
+"""Units of each quantity, as multiples of seconds, radians and metres; of dates, what comes first."""
 _UNIT_NAMES = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "millis": "ms", "milliseconds": "ms",
     "micros": "us", "microseconds": "us", "µs": "us", "nsec": "ns", "nanos": "ns", "nanoseconds": "ns",
@@ -47,7 +48,16 @@ _NAMES = {
     "range": ("range", "distance", "dist", "r", "depth"),
 }
 """Names of columns in other tables, without units, spaces and underscores."""
-_SEPARATORS = ",;\t"
+_SEPARATORS = ",;\t|"
+_NUMBER = re.compile(r"([+-]?[\d.,]+(?:e[+-]?\d+)?)\s*(?:dbm|m|rad|deg|°)", re.IGNORECASE)
+"""A number with its unit in the cell."""
+_MAC = re.compile(r"[0-9a-fA-F]{2}([:-])(?:[0-9a-fA-F]{2}\1){4}[0-9a-fA-F]{2}")
+_DATE = re.compile(
+    r"(\d{1,2})([./-])(\d{1,2})\2(\d{4})[ T,]+(\d{1,2}):(\d\d)(?::(\d\d(?:[.,]\d+)?))?(?: ?([AaPp])[Mm])?"
+)
+"""Date with the year last, and time of day."""
+_OF_LOG = 0.5
+"""Times from 0 that cover more than this share of the log are seconds since it began."""
 _RSSI_MIN_DBM, _RSSI_MAX_DBM = -150.0, 30.0
 """Strengths outside, and 0, stand for "not heard"."""
 _SCAN_S = 0.5
@@ -57,6 +67,7 @@ _EPOCHS = (("s", 1e8, 1e11), ("ms", 1e11, 1e14), ("us", 1e14, 1e17), ("ns", 1e17
 _READINGS_MIN = 20
 """So many bearings that all are within a turn of 2 pi are radians."""
 _ROWS_MAX = 20_000_000
+_MONTHS = 12
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 """A time zone at the end of a time."""
 
@@ -135,9 +146,11 @@ class _Table:
         text = read_text(path, errors="replace")
         if "\x00" in text:
             raise DataError(f"{path} is no table of text; give one with the columns {', '.join(needed)}")
-        lines = text.lstrip("\ufeff").splitlines()
+        lines = _without_comments(text.lstrip("\ufeff").splitlines())
         first = next((line for line in lines if line.strip()), "")
         separator = max(_SEPARATORS, key=first.count)
+        if separator not in first and len(first.split()) >= len(needed):
+            separator, lines = " ", [" ".join(line.split()) for line in lines]
         try:
             rows = [
                 row
@@ -152,6 +165,7 @@ class _Table:
             raise DataError(f"{path} has {len(rows)} rows, {_ROWS_MAX} are possible; cut it into parts")
         self._decimal_comma = separator == ";"
         self._units: dict[str, str] = {}
+        rows = self._one_per_reading(rows, needed)
         self._columns = self._header(rows[0], needed)
         if self._columns is not None:
             rows = rows[1:]
@@ -169,6 +183,19 @@ class _Table:
             if len(row) <= width:
                 raise DataError(f"{path}, row {k}: {len(row)} columns, expected {width + 1}; fix or delete it")
         self._rows = rows
+
+    def _one_per_reading(self, rows: list[list[str]], needed: Sequence[str]) -> list[list[str]]:
+        """Rows of one reading each, of a table with a column per transmitter; other tables as they are."""
+        at = [k for k, cell in enumerate(rows[0]) if _MAC.fullmatch(cell.strip())]
+        if "address" not in needed or len(at) < 2 or not self._found(rows[0], "time"):
+            return rows
+        self.notes.append(f"{self._path}: {len(at)} columns, one per transmitter")
+        others = [k for k in range(len(rows[0])) if k not in at]
+        long = [[rows[0][k] for k in others] + ["address", "strength"]]
+        for row in rows[1:]:
+            own = [row[k] for k in others if k < len(row)]
+            long += [[*own, rows[0][k], row[k]] for k in at if k < len(row) and row[k].strip()]
+        return long
 
     def _found(self, header: Sequence[str], name: str) -> bool:
         return any(_plain(cell)[0] in _NAMES[name] for cell in header)
@@ -201,8 +228,9 @@ class _Table:
             if missing is not None and word.lower() in ("", "nan", "null", "none", "na"):
                 values.append(missing)
                 continue
+            with_unit = _NUMBER.fullmatch(word)
             try:
-                number = float(word)
+                number = float(with_unit[1] if with_unit else word)
             except ValueError:
                 number = math.nan
             if not math.isfinite(number) or len(word) > 40:
@@ -227,25 +255,55 @@ class _Table:
         if cells and not _is_number(cells[0].replace(",", ".")):
             if not any(_ZONE.search(cell.strip()) for cell in cells):
                 self.notes.append(f"{self._path}: times without a time zone are taken for UTC")
-            return np.array([self._clock(cell, k) for k, cell in enumerate(cells, 2)])
-        times_s, unit = self.in_unit("time", "time", span, lambda values: _time_unit(values, span))
-        self.notes.append(f"{self._path}: times in {unit}")
+            is_day_first = self._is_day_first(cells, span)
+            times_s = np.array([self._clock(cell, k, is_day_first) for k, cell in enumerate(cells, 2)])
+            remedy = "put both on one clock, or name the time zone, as in 2026-05-01T12:00:00+02:00"
+        else:
+            times_s, unit = self.in_unit("time", "time", span, lambda values: _time_unit(values, span))
+            self.notes.append(f"{self._path}: times in {unit}")
+            if _is_since_begin(times_s, span):
+                self.notes.append(f"{self._path}: times from {times_s.min():g} s are taken as since the log began")
+                times_s = times_s + span.begin_s
+            remedy = "put both on one clock, or give --units time=ms or another"
         if len(times_s) and not (times_s.min() <= span.end_s + 1.0 and times_s.max() >= span.begin_s - 1.0):
             raise DataError(
-                f"{self._path}: times are {times_s.min():.1f} to {times_s.max():.1f} s, those of the log "
-                f"{span.begin_s:.1f} to {span.end_s:.1f} s; put both on one clock, or give --units time=ms or another"
+                f"{self._path}: times are {_moments(times_s.min(), times_s.max())}, those of the log "
+                f"{_moments(span.begin_s, span.end_s)}; {remedy}"
             )
         return times_s
+
+    def _is_day_first(self, cells: Sequence[str], span: Span) -> bool | None:
+        """Whether dates such as 01/05/2026 begin with the day; None if there are none. With points they do."""
+        dates = [match for match in (_DATE.fullmatch(cell.strip()) for cell in cells) if match]
+        if not dates:
+            return None
+        if dates[0][2] == ".":
+            return True
+        told = span.units.get("date")
+        can = {
+            "dmy": all(int(date[3]) <= _MONTHS for date in dates),
+            "mdy": all(int(date[1]) <= _MONTHS for date in dates),
+        }
+        if told is None and all(can.values()):
+            shown = dates[0][0]
+            raise DataError(
+                f"{self._path}: the date {shown!r} can be day or month first; give --units date=dmy or --units date=mdy"
+            )
+        return told == "dmy" if told else can["dmy"]
 
     def name_left_out(self, times_s: Array, span: Span) -> None:
         """Note how many rows are before or after the log."""
         if odd := int((~_is_within(times_s, span)).sum()):
             self.notes.append(f"{self._path}: {odd} readings before or after the log left out")
 
-    def _clock(self, cell: str, row: int) -> float:
-        """Unix time of ISO 8601 text; without a time zone it is UTC."""
+    def _clock(self, cell: str, row: int, is_day_first: bool | None) -> float:
+        """Unix time of ISO 8601 text, or of a date with the year last; without a time zone it is UTC."""
+        date = _DATE.fullmatch(cell.strip())
         try:
-            moment = datetime.fromisoformat(cell.strip())
+            if date and is_day_first is not None:
+                moment = _moment(date, is_day_first)
+            else:
+                moment = datetime.fromisoformat(cell.strip().replace("/", "-"))
             return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
         except (ValueError, OverflowError) as error:
             raise DataError(
@@ -261,6 +319,8 @@ class _Table:
                     f"(0 to {len(span.robots) - 1})"
                 )
             return np.zeros(len(self._rows), int)
+        if span.robots == ("",) and len({cell.strip() for cell in self.column("robot")}) == 1:
+            return np.zeros(len(self._rows), int)
         known = {name: k for k, name in enumerate(span.robots) if name}
         known |= {str(k): k for k in range(len(span.robots))}
         numbers = []
@@ -271,6 +331,35 @@ class _Table:
                 )
             numbers.append(known[cell.strip().strip("/")])
         return np.array(numbers, int)
+
+
+def _without_comments(lines: Sequence[str]) -> list[str]:
+    """Lines without comments before the table; a header may be one (`# time, bssid, rssi`, `%time,...`)."""
+    begin = next((k for k, line in enumerate(lines) if line.strip() and line.lstrip()[0] not in "#%"), len(lines))
+    head = lines[begin - 1].lstrip("#% \t") if begin else ""
+    is_header = any(_plain(cell)[0] in _NAMES["time"] for cell in re.split(rf"[{_SEPARATORS}\s]+", head))
+    return [*([head] if is_header else []), *lines[begin:]]
+
+
+def _moment(date: re.Match[str], is_day_first: bool) -> datetime:
+    """Time of a match of `_DATE`."""
+    first, _, second, year, hour, minute, seconds, half = date.groups()
+    day, month = (first, second) if is_day_first else (second, first)
+    hours = int(hour) % 12 + 12 * (half in "Pp") if half else int(hour)
+    whole = datetime(int(year), int(month), int(day), hours, int(minute), tzinfo=UTC)
+    return whole + timedelta(seconds=float((seconds or "0").replace(",", ".")))
+
+
+def _moments(first_s: float, last_s: float) -> str:
+    return f"{first_s:.1f} to {last_s:.1f} s"
+
+
+def _is_since_begin(times_s: Array, span: Span) -> bool:
+    """Whether times that miss a log on another clock are since its begin: from about 0, and of its length."""
+    if not len(times_s) or times_s.max() >= span.begin_s - 1.0:
+        return False
+    log_s = span.end_s - span.begin_s
+    return bool(times_s.min() >= -1.0 and _OF_LOG * log_s <= times_s.max() <= log_s + 1.0)
 
 
 def _plain(cell: str) -> tuple[str, str]:
@@ -302,6 +391,8 @@ def _time_unit(values: Array, span: Span) -> str | None:
         unit for unit, factor in UNITS["time"].items()
         if values.min() * factor <= span.end_s and values.max() * factor >= span.begin_s
     ]  # fmt: skip
+    if not meets and _is_since_begin(values, span):
+        return "s"
     return meets[0] if len(meets) == 1 else None
 
 

@@ -32,7 +32,8 @@ def read_text(path: str | Path, errors: str = "strict") -> str:
             raw = file.read(TEXT_BYTES_MAX + 1)
         if len(raw) > TEXT_BYTES_MAX:
             raise DataError(f"{path} holds more than {TEXT_BYTES_MAX // 10**6} MB of text; cut it into parts")
-        return raw.decode("utf-8-sig", errors)
+        is_wide = raw[:2] in (b"\xff\xfe", b"\xfe\xff")  # "Unicode text" of spreadsheets
+        return raw.decode("utf-16" if is_wide else "utf-8-sig", errors)
     except UnicodeDecodeError as error:
         raise DataError(f"{path} is not UTF-8 text: {error}; save it as UTF-8") from error
     except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:

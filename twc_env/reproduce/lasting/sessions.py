@@ -13,14 +13,14 @@ map shows as they are now. `shared_m` is the length of the second session's path
 session that shares nothing, because doors are shut, cannot find the old map; the row of all counts these as `apart`.
 
 `--sessions 10` rows: that many sessions in one building, each with the map of the one before: size of the file,
-keyframes in it, median time of an engine's step. With TWC_DATA also the Intel Lab log, cut in three.
+keyframes in it, median time of an engine's step. With TWC_DATA also the Intel Lab log, cut in three; see
+`intel_sessions`.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-import os
 import tempfile
 import time
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import GridMap
 from twc_env.records.random_streams import random_stream
 from twc_env.reproduce.lasting.changed_buildings import Fittings, changed, fitted, with_fittings
-from twc_env.reproduce.lasting.intel_sessions import intel_sessions
+from twc_env.reproduce.lasting.intel_sessions import intel_sessions, lacks_log
 from twc_env.reproduce.routes import CLEARANCE_M, RoutePlanner, room_tour
 from twc_env.reproduce.runner import Runner
 from twc_env.reproduce.twc.merging import STEPS_PER_M, begin_episode, step_walkers
@@ -92,7 +92,10 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     chain = runner.each(
         [options.sessions] if options.sessions else [], partial(_chain, names[0], options.seed, settings)
     )
-    logs = runner.each([3] if os.environ.get("TWC_DATA") else [], intel_sessions, lambda k: f"intel in {k} sessions")
+    lacks = lacks_log()
+    if lacks:
+        runner.notes.append(f"left out: the Intel Lab log in three sessions: {lacks}")
+    logs = runner.each([] if lacks else [3], intel_sessions, lambda k: f"intel in {k} sessions")
     return out + [row for own in (*chain, *logs) for row in own]
 
 

@@ -71,7 +71,7 @@ def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
         most = max(options.robots)
         raise ConfigError(f"{most} robots need {most} scans or more; got {options.scans}")
     log, relations = read_log(options.scans)
-    corrected = intel_log(is_corrected=True).poses
+    corrected = read_corrected(options.scans)
     alone = np.zeros(len(corrected), int)
     table = [
         row("odometry", log.poses, alone, relations, 1),
@@ -108,6 +108,11 @@ def read_log(count: int) -> tuple[ScanLog, Relations]:
     return whole.at(slice(count)), Relations(
         found.first[inside], found.second[inside], found.pose_first_second[inside], found.away_s[inside]
     )
+
+
+def read_corrected(count: int) -> Array:
+    """(count, 3) poses of the first scans in the published log, corrected by GMapping."""
+    return intel_log(is_corrected=True).poses[:count]
 
 
 def run_engine(log: ScanLog, robots: int) -> dict:

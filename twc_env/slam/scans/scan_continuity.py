@@ -27,8 +27,10 @@ BUMP_MAX_M = 0.3
 are alike."""
 BEAMS_MIN = 8
 """With fewer returns, scans are not compared."""
-MOTION_MAX_M, TURN_MAX_RAD = 0.8, 0.6
-"""Nor after greater motions: too much of what is seen is new."""
+MOTION_MAX_M, TURN_MAX_RAD = 0.6, 0.6
+"""Nor after greater motions: too much of what is seen is new. Five public logs have 56 pairs of scans 0.6 to 0.8 m
+apart, and the least share there is .53, of a robot that nobody carried; nearer ones have .65 or more, but for two where
+odometry misread a turn."""
 DOUBT_STDS = 4.0
 """Odometry may err by so many standard deviations: a robot is carried only if no motion within explains its scan."""
 DOUBT_STEP_M, DOUBT_STEP_RAD = 0.15, 0.04
