@@ -49,6 +49,28 @@ def lead(kind: str) -> str:
     return f"{-row('results/transfer', kind=kind, team='information-gain')['lead']:.3f}"
 
 
+def scanned(dataset: str, quantity: str, where: str = "simulated") -> float:
+    """A figure of `lidar-model`."""
+    return row("results/lidar-model", dataset=dataset, quantity=quantity)[where]
+
+
+def ideal_mm() -> str:
+    """Least and greatest residual of ideal scanners in four logs, and that of freiburg-101."""
+    found = {
+        r["dataset"]: 1e3 * r["simulated"] for r in read("results/lidar-model") if r["quantity"] == "residual, ideal"
+    }
+    last = found.pop("freiburg-101")
+    return f"{min(found.values()):.0f} {max(found.values()):.0f} {last:.0f}"
+
+
+def too_much() -> str:
+    """By how much the simulated share of points off the map is too great in the two Freiburg logs [%]."""
+    name = "off the map of a run"
+    return " ".join(
+        f"{100 * (scanned(log, name) - scanned(log, name, 'real')):.1f}" for log in ("freiburg-079", "freiburg-101")
+    )
+
+
 def covered(model: str) -> float:
     return read("results/es")[0]["mean_coverage"][model]
 
@@ -115,6 +137,13 @@ NUMBERS = [
         lambda: f"{covered('informed') - covered('information-gain'):.3f}",
     ),
     ("learning.md", "is ahead of it by {} to {}, though", lambda: f"{lead('2 robots')} {lead('floors')}"),
+    ("world.md", "residuals, {} to {} mm ({} mm in `freiburg-101`)", ideal_mm),
+    (
+        "world.md",
+        "The rest, {} and {} %, the simulation",
+        lambda: " ".join(f"{100 * scanned(log, 'off the map of a run', 'real'):.1f}" for log in ("aces", "orebro")),
+    ),
+    ("world.md", "has too much, by {} to {} %", too_much),
     ("world.md", "map bent by {} m in", lambda: f"{row('results/lidar-effects', effect='lds-01')['ate_max_m']:.1f}"),
     (
         "lasting_maps.md",
