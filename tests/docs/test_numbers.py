@@ -193,6 +193,10 @@ def test_every_number_that_the_readme_claims_stands_in_the_brief_table_of_the_re
     assert [number for number in numbers if not re.search(rf"(?<![\d.,]){re.escape(number)}(?![\d])", brief)] == []
 
 
+def test_no_graph_takes_twice_the_time_of_gtsam():
+    assert max(r["of_gtsam"] for r in read("results/solver")) < 2
+
+
 def test_words_about_scanners_are_those_of_their_table():
     table = read("results/lidar-effects")
     assert {r["effect"]: 5 - r["fully_merged"] for r in table if "fully_merged" in r and r["fully_merged"] < 4} == {
