@@ -44,6 +44,15 @@ def gaps(method: str, count: int) -> str:
     return " ".join(re.findall(r"(?:error|#01|#02) ([\d.]+)", line)[:count])
 
 
+def least_recall() -> float:
+    """Recall of `fused` at precision 1.00 [%], of both scenes and sign sets."""
+    return min(
+        r["recall_at_full_precision"]
+        for r in read("results/twc-table1")
+        if r["method"] in ("fused", "fused departments")
+    )
+
+
 def lead(kind: str) -> str:
     """How far `information-gain` is ahead of the shipped policy."""
     return f"{-row('results/transfer', kind=kind, team='information-gain')['lead']:.3f}"
@@ -69,6 +78,11 @@ def too_much() -> str:
     return " ".join(
         f"{100 * (scanned(log, name) - scanned(log, name, 'real')):.1f}" for log in ("freiburg-079", "freiburg-101")
     )
+
+
+def noisy(figure: str, sizes: tuple[float, ...] = (0.0, 0.25, 1.0, 2.0)) -> list[float]:
+    """A figure of freiburg-101 driven again with Intel's odometry errors times each size [m]."""
+    return [row("odometry-noise", log="freiburg-101", size=size)[figure] for size in sizes]
 
 
 def covered(model: str) -> float:
@@ -137,6 +151,21 @@ NUMBERS = [
         lambda: f"{covered('informed') - covered('information-gain'):.3f}",
     ),
     ("learning.md", "is ahead of it by {} to {}, though", lambda: f"{lead('2 robots')} {lead('floors')}"),
+    (
+        "results.md",
+        "the path ends {}, {}, {} and {} m from the corrected one",
+        lambda: " ".join(f"{ate_m:.3f}" for ate_m in noisy("ate_m")),
+    ),
+    (
+        "results.md",
+        "over the three draws {}, {}, {} and {})",
+        lambda: " ".join(f"{std_m:.3f}" for std_m in noisy("ate_std_m")),
+    ),
+    *(
+        (page, f"ends {{}} m worse than {rest}", lambda: f"{noisy('ate_m')[0] - noisy('ate_m')[1]:.3f}")
+        for page, rest in (("results.md", "a quarter on freiburg-101"), ("trust.md", "it on freiburg-101"))
+    ),
+    ("trust.md", "the twins, recall .{} at", lambda: f"{least_recall():.0f}"),
     ("world.md", "residuals, {} to {} mm ({} mm in `freiburg-101`)", ideal_mm),
     (
         "world.md",
