@@ -175,11 +175,6 @@ NUMBERS = [
     ("world.md", "has too much, by {} to {} %", too_much),
     ("world.md", "map bent by {} m in", lambda: f"{row('results/lidar-effects', effect='lds-01')['ate_max_m']:.1f}"),
     (
-        "lasting_maps.md",
-        "relations is {}, {} and {} m in sessions one to three",
-        lambda: " ".join(f"{session['relation_error_m']:.3f}" for session in read("results/sessions-intel")),
-    ),
-    (
         "structure_from_wifi.md",
         "k accuracy of {}, {}, {}, {}, {} and {} in E1 to E6",
         lambda: " ".join(
