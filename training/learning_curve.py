@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -78,11 +77,6 @@ class LearningCurve:
             f"merged {means['merged_robots']:.1f}, wrong merges {means['wrong_merges']:.2f}",
             refresh=False,
         )
-
-    @staticmethod
-    def now_s() -> float:
-        """Seconds on a clock."""
-        return time.perf_counter()
 
     def values(self) -> dict[str, Any]:
         """What a resumed run needs."""

@@ -154,8 +154,8 @@ class Rollouts:
         self._open: list[list[Decision | None]] = [[None] * self._robots for _ in range(self._count)]
         """Decisions that still last."""
         self._totals = EpisodeTotals(self._count)
-        self.waited_s = self.inferred_s = 0.0
-        """Time spent in `collect` with the environments and with the policy."""
+        self.clock, self.inferred_s = time.perf_counter, 0.0
+        """How time is measured, and the time that `collect` spent with the policy."""
 
     def begin(self) -> None:
         """Begin new episodes."""
@@ -175,19 +175,17 @@ class Rollouts:
         uniform = chance.random((settings.rollout_steps, self._count, self._robots))
         closed: list[list[list[Decision]]] = [[[] for _ in range(self._robots)] for _ in range(self._count)]
         episodes: list[tuple[int, int, dict]] = []
-        self.waited_s = self.inferred_s = 0.0
+        self.inferred_s = 0.0
         steps, ready, in_flight = np.zeros(self._count, int), np.arange(self._count), 0
         while len(ready := ready[steps[ready] < settings.rollout_steps]) or in_flight:
             if len(ready):
-                began = time.perf_counter()
+                began = self.clock()
                 actions = self._decide(policy, ready, uniform[steps[ready], ready], closed)
-                self.inferred_s += time.perf_counter() - began
+                self.inferred_s += self.clock() - began
                 self._teams.send(actions, ready)
                 in_flight += len(ready)
-            began = time.perf_counter()
             wanted = max(1, in_flight // 2) if self._teams.workers > 1 else in_flight
             ready, seen, rewards, ended, infos = self._teams.recv(wanted)
-            self.waited_s += time.perf_counter() - began
             in_flight -= len(ready)
             for k, each in zip(ready.tolist(), self._take(ready, seen, rewards, ended, infos, closed), strict=True):
                 if each:
@@ -448,7 +446,8 @@ def train(
                 count = sum(len(own) for own in sequences)
                 update, decisions = update + 1, decisions + count
                 figures["speed/decisions_per_s"] = count / (ended - began)
-                parts = {"environments": rollouts.waited_s, "inference": rollouts.inferred_s, "update": ended - learnt}
+                inferred_s = rollouts.inferred_s
+                parts = {"environments": learnt - began - inferred_s, "inference": inferred_s, "update": ended - learnt}
                 figures |= {f"speed/{name}_share": part_s / (ended - began) for name, part_s in parts.items()}
                 curve.note(decisions, count, episodes, figures)
                 arrays, told = rollouts.snapshot()

@@ -7,6 +7,7 @@ decides to go on, and the discount counts decisions.
 
 from __future__ import annotations
 
+import time
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -239,7 +240,7 @@ class Saving(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         self._note_update()
-        self._began_s, self._new, self._ended = self._curve.now_s(), 0, list[dict]()
+        self._began_s, self._new, self._ended = time.perf_counter(), 0, list[dict]()
         set_random_seed(int(random_stream(self._seed, "sampling", self.num_timesteps).integers(2**31)))
 
     def _on_step(self) -> bool:
@@ -254,7 +255,7 @@ class Saving(BaseCallback):
         if not self._new:
             return
         figures: dict[str, Any] = {k: v for k, v in self.logger.name_to_value.items() if k.startswith("train/")}
-        figures["speed/decisions_per_s"] = self._new / (self._curve.now_s() - self._began_s)
+        figures["speed/decisions_per_s"] = self._new / (time.perf_counter() - self._began_s)
         self._curve.note(self.num_timesteps, self._new, self._ended, figures)
         assert isinstance(self.model, PPO)
         save_model(self.model, self._teams, self._path, self._curve.values())

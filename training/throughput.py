@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from contextlib import closing
 
 import torch
@@ -25,10 +24,10 @@ def throughput(task: Task, updates: int, settings: Settings, ray: str | None = N
     with closing(Rollouts(task, settings, ray)) as rollouts:
         learner = Learner(rollouts.space, settings, task.config.dynamics.time_step_s)
         rollouts.begin()
-        _play(rollouts, learner, range(1), time.perf_counter)
+        rollouts.clock = time.process_time if is_alone else time.perf_counter
+        _play(rollouts, learner, range(1))
         began_s = time.perf_counter()
-        clock = time.process_time if is_alone else time.perf_counter
-        parts, decisions, time_steps = _play(rollouts, learner, range(1, updates + 1), clock)
+        parts, decisions, time_steps = _play(rollouts, learner, range(1, updates + 1))
         wall_s, total_s = time.perf_counter() - began_s, sum(parts.values())
     figures = {"decisions_per_s": decisions / wall_s}
     if is_alone:
@@ -39,25 +38,17 @@ def throughput(task: Task, updates: int, settings: Settings, ray: str | None = N
     return figures | {f"{name}_share": part_s / total_s for name, part_s in parts.items()}
 
 
-def _play(
-    rollouts: Rollouts, learner: Learner, updates: range, clock: Callable[[], float]
-) -> tuple[dict[str, float], int, int]:
+def _play(rollouts: Rollouts, learner: Learner, updates: range) -> tuple[dict[str, float], int, int]:
     """Seconds by part, decisions, and their time steps."""
     parts, decisions, time_steps = dict.fromkeys(("environments", "inference", "update"), 0.0), 0, 0
-
-    def policy(seen: dict) -> object:
-        began = clock()
-        logits = learner.logits(seen)
-        parts["inference"] += clock() - began
-        return logits
-
     for update in updates:
-        began, inferred_s = clock(), parts["inference"]
-        sequences, _ = rollouts.collect(policy, update)
-        between = clock()
+        began = rollouts.clock()
+        sequences, _ = rollouts.collect(learner.logits, update)
+        between = rollouts.clock()
         learner.learn(sequences, rollouts.lasting(), update, 1.0)
-        parts["environments"] += between - began - (parts["inference"] - inferred_s)
-        parts["update"] += clock() - between
+        parts["inference"] += rollouts.inferred_s
+        parts["environments"] += between - began - rollouts.inferred_s
+        parts["update"] += rollouts.clock() - between
         done = [each for own in sequences for each in own]
         decisions, time_steps = decisions + len(done), time_steps + sum(each.time_steps for each in done)
     return parts, decisions, time_steps

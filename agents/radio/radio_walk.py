@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, robot_configs
-from twc_env.planning import Driver, PathFinder, Terrain, WalkGraph, as_action, covering_walk, walk_graph
+from twc_env.planning import Drivers, PathFinder, Terrain, WalkGraph, as_action, covering_walk, walk_graph
 from twc_env.records.geometry import travelled_m
 from twc_env.records.messages import Belief
 
@@ -51,7 +51,7 @@ class RadioWalk:
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Discard all state."""
-        self._drivers = {agent: Driver(own, self._finder) for agent, own in zip(agents, self._own, strict=False)}
+        self._drivers = {agent: Drivers([own], self._finder) for agent, own in zip(agents, self._own, strict=False)}
         self._random = {agent: np.random.default_rng([seed, n]) for n, agent in enumerate(agents)}
         self._goals_m: dict[str, Array] = {}
         self._turns_m: dict[str, Array] = {agent: np.zeros((0, 2)) for agent in agents}
@@ -74,19 +74,20 @@ class RadioWalk:
         driver, here, walked = self._drivers[agent], belief.pose_map_robot[:2], self._walked_m[agent]
         if not walked or math.dist(walked[-1], here) >= SPACING_M / 2:
             walked.append(np.array(here, float))
-        if driver.status == "failed" or (driver.status == "driving" and self._is_held_up(agent, here)):
+        status = driver.status(0)
+        if status == "failed" or (status == "driving" and self._is_held_up(agent, here)):
             self._given_up_m[agent].append(self._goals_m[agent])
-            driver.stop()
-        if driver.status == "arrived":  # cells that cannot be cleared from here are not tried again
+            driver.stop(0)
+        if driver.status(0) == "arrived":  # cells that cannot be cleared from here are not tried again
             walked += list(self._stretch_m[agent])
-        if driver.status != "driving":
+        if driver.status(0) != "driving":
             goal = self._choose(agent, belief)
             self._idle[agent] = 0 if goal is not None else self._idle[agent] + 1
             if goal is None:
                 return as_action(0.0, 0.6 * own.turn_rate_max_rad_s, own)
             self._goals_m[agent], self._nearest[agent] = goal, (math.inf, 0)
-            driver.start(goal, belief, arrival_m=ARRIVAL_M)
-        speed, turn_rate = driver.command(belief, self._terrain_of)
+            driver.start(0, goal, belief, arrival_m=ARRIVAL_M)
+        speed, turn_rate = driver.commands([belief], self._terrain_of)[0].tolist()
         return as_action(min(speed, PACE_M_S), turn_rate, own)
 
     def _is_held_up(self, agent: str, here: Array) -> bool:

@@ -7,16 +7,8 @@ same frontier.
 
 from __future__ import annotations
 
-import numpy as np
-
-from twc_env.records.messages import Belief
-
-from ..shared.frontier_team import Frontiers, FrontierTeam
+from ..shared.frontier_team import FrontierTeam
 
 
 class GreedyFrontier(FrontierTeam):
     """Each robot drives to its nearest frontier and decides anew when that is mapped."""
-
-    def choose(self, agent: str, beliefs: dict[str, Belief], frontiers: Frontiers) -> int | None:
-        """The nearest frontier."""
-        return int(np.argmin(frontiers.lengths_m))

@@ -3,8 +3,8 @@
 import numpy as np
 
 from twc_env.config import DynamicsConfig
-from twc_env.planning import Driver, PathFinder, Terrain, path_is_blocked
-from twc_env.planning.drivers import _COLUMNS, _CORNERS, _RADIUS, _SEGMENT, Drivers, _is_blocked
+from twc_env.planning import Drivers, PathFinder, Terrain, path_is_blocked
+from twc_env.planning.drivers import _COLUMNS, _CORNERS, _RADIUS, _SEGMENT, _is_blocked
 from twc_env.records.geometry import points_along, travelled_m
 from twc_env.records.messages import Belief, GridMap
 
@@ -29,20 +29,20 @@ def terrain_of(belief: Belief, factor: float) -> Terrain:
 
 def test_a_team_drives_as_each_of_its_robots_alone():
     dynamics, grid, random = DynamicsConfig(), walled_room(), np.random.default_rng(0)
-    team, alone = Drivers([dynamics] * 3, PathFinder()), [Driver(dynamics, PathFinder()) for _ in range(3)]
+    team, alone = Drivers([dynamics] * 3, PathFinder()), [Drivers([dynamics], PathFinder()) for _ in range(3)]
     poses = np.array([[1.0, 1.0, 0.0], [2.0, 3.0, 1.0], [4.5, 1.0, 3.0]])
     goals = np.array([[4.5, 1.0], [1.0, 0.6], [0.8, 1.0]])
     for robot, goal in enumerate(goals):
         team.start(robot, goal, belief_of(robot, grid, poses[robot]))
-        alone[robot].start(goal, belief_of(robot, grid, poses[robot]))
+        alone[robot].start(0, goal, belief_of(robot, grid, poses[robot]))
     statuses = set()
     for tick in range(200):
         beliefs = [belief_of(robot, grid, pose.copy(), tick // 90) for robot, pose in enumerate(poses)]
         commands = team.commands(beliefs, terrain_of)
-        singly = [each.command(belief, terrain_of) for each, belief in zip(alone, beliefs, strict=True)]
+        singly = [each.commands([belief], terrain_of)[0] for each, belief in zip(alone, beliefs, strict=True)]
         assert np.array_equal(commands, singly)
         statuses |= {team.status(robot) for robot in range(3)}
-        assert [team.status(robot) for robot in range(3)] == [each.status for each in alone]
+        assert [team.status(robot) for robot in range(3)] == [each.status(0) for each in alone]
         if tick < 120:  # later they are held: stuck, out of the corner, failed
             step = commands * dynamics.time_step_s
             poses[:, 0] += step[:, 0] * np.cos(poses[:, 2])
@@ -71,14 +71,14 @@ def test_a_robot_drives_around_a_box_that_it_only_feels():
     dynamics, grid = DynamicsConfig(), walled_room()
     box_m, arrived = np.array([2.0, 3.2]), {}
     for feels in (False, True):
-        driver, pose, speed = Driver(dynamics, PathFinder(), feels=feels), np.array([1.0, 3.2, 0.0]), 0.0
+        driver, pose, speed = Drivers([dynamics], PathFinder(), feels=feels), np.array([1.0, 3.2, 0.0]), 0.0
 
         def now(tick: int, pose: np.ndarray) -> Belief:
             return Belief(0, tick, pose.copy(), grid, ranges_m=np.full(36, -3.0), pose_odom=pose.copy())
 
-        driver.start(np.array([4.0, 3.2]), now(0, pose))
+        driver.start(0, np.array([4.0, 3.2]), now(0, pose))
         for tick in range(150):
-            told, turn_rate = driver.command(now(tick, pose), terrain_of)
+            told, turn_rate = driver.commands([now(tick, pose)], terrain_of)[0].tolist()
             change = dynamics.acceleration_max_m_s2 * dynamics.time_step_s
             speed = min(max(told, speed - change), speed + change)
             ahead = pose[:2] + speed * dynamics.time_step_s * np.array([np.cos(pose[2]), np.sin(pose[2])])
@@ -88,9 +88,9 @@ def test_a_robot_drives_around_a_box_that_it_only_feels():
             else:
                 pose[:2] = ahead
             pose[2] += turn_rate * dynamics.time_step_s
-            if driver.status != "driving":
+            if driver.status(0) != "driving":
                 break
-        arrived[feels] = driver.status
+        arrived[feels] = driver.status(0)
     assert arrived == {False: "failed", True: "arrived"}
 
 

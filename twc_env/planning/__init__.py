@@ -2,7 +2,7 @@
 
 from twc_env.planning.candidates import Candidates, can_tell_places, find_candidates, find_views
 from twc_env.planning.covering_walk import WalkGraph, covering_walk, walk_graph
-from twc_env.planning.driver import Driver
+from twc_env.planning.drivers import Drivers
 from twc_env.planning.felt_obstacles import FeltObstacles, shown
 from twc_env.planning.floor_views import FloorViews, place_graph
 from twc_env.planning.follow import Follower, as_action, drive_to, room_around_m
@@ -19,7 +19,7 @@ __all__ = [
     "WALL",
     "Candidates",
     "Disc",
-    "Driver",
+    "Drivers",
     "FeltObstacles",
     "FloorViews",
     "Follower",

@@ -13,9 +13,10 @@ from twc_env.config import EnvConfig, shared_config
 from twc_env.errors import DataError
 from twc_env.kernels.compiled import BindsAnew, borrowing_kernel, bound
 from twc_env.records.messages import Belief, Contacts, Keyframe, SensorFrame
-from twc_env.records.team_messages import TeamBeliefs, TeamFrames, nobody, read_only
+from twc_env.records.team_messages import TeamBeliefs, TeamFrames, nobody
 from twc_env.slam.engine import View
 from twc_env.slam.front_end.scan_intake import ScanIntake
+from twc_env.slam.mapping.map_beliefs import HeldMaps, MapBeliefs
 from twc_env.slam.team import TeamMapper
 
 
@@ -30,21 +31,20 @@ class DeadReckoning(BindsAnew):
         config = shared_config(config)
         self.team = TeamMapper(config, robot_count)
         self.mappers = [self.team]
-        self._grid = self.team.grid_of(0)
         self._everyone, self._intake = np.arange(robot_count), ScanIntake(config, robot_count)
         self._shape = robot_count, 3, 3
         self._poses = np.zeros(self._shape)
         """(robots, 3, 3) as `TeamBeliefs.poses`."""
-        self._ranges_m: list[Array] | Array = [np.zeros(0)] * robot_count
-        self._steps: Sequence[int] | int = 0
-        """Latest scan of each robot and its step; one number if all robots have sensed in the same step."""
-        grids = [self._grid] * robot_count
-        self._constant = np.zeros(robot_count), grids, [()] * robot_count, *nobody(robot_count)
-        """Constant fields of `TeamBeliefs`: drift, grids, signs, teammates, their poses and contact steps."""
+        self._latest_scans: tuple[list[int], list[Array] | Array] = [0] * robot_count, [np.zeros(0)] * robot_count
+        """Step of each robot's latest scan, and that scan."""
+        empty, signs = self.team.grid_of(0), self.team.signs_of(0)
+        maps: HeldMaps = [empty] * robot_count, [signs] * robot_count, [0] * robot_count, [None] * robot_count
+        self._constant = np.zeros(robot_count), maps, *nobody(robot_count)
+        """Constant fields of `MapBeliefs`: drift, maps, teammates, their poses and contact steps."""
         self._views = [View(self.team, k, group.robots) for k, group in enumerate(self.team.groups)]
         self.bytes_sent: dict[str, int] = {}
         """Empty: no messages."""
-        self._beliefs: _OdometryBeliefs | None = None
+        self._beliefs: MapBeliefs | None = None
         """The beliefs, once requested, until the next frames."""
         self._run: Callable[..., None] | None = None
         """`_integrate` bound to all robots."""
@@ -68,14 +68,13 @@ class DeadReckoning(BindsAnew):
         frames, circles = self._intake.on_circle(frames)
         team, robots, before = TeamFrames.of(frames), self._everyone, self._poses
         if len(team.signs) == len(robots):
-            self._ranges_m, self._steps = circles, team.step
+            self._latest_scans = [team.step] * len(robots), circles
         else:
             robots = np.array([frame.robot for frame in frames])
-            steps = self._steps
-            self._ranges_m = list(self._ranges_m)
-            self._steps = [steps] * len(self._everyone) if isinstance(steps, int) else list(steps)
-            for robot, ranges_m in zip(robots.tolist(), circles, strict=True):
-                self._ranges_m[robot], self._steps[robot] = ranges_m, team.step
+            steps, scans = map(list, self._latest_scans)  # copies: earlier beliefs refer to the old lists
+            for robot, circle in zip(robots.tolist(), circles, strict=True):
+                steps[robot], scans[robot] = team.step, circle
+            self._latest_scans = steps, scans
         self._poses = np.empty(self._shape)
         moves = team.odometry, before, self._poses
         if robots is not self._everyone:
@@ -121,35 +120,12 @@ class DeadReckoning(BindsAnew):
     def beliefs(self) -> TeamBeliefs:
         """Beliefs of all robots: integrated odometry, empty maps, no teammates and no signs."""
         if self._beliefs is None:
-            self._beliefs = _OdometryBeliefs(self._poses, self._constant, self._steps, self._ranges_m)
+            self._beliefs = MapBeliefs(self._poses, *self._constant, *self._latest_scans)
         return self._beliefs
 
     def belief(self, robot: int) -> Belief:
         """Belief of one robot."""
         return self.beliefs()[robot]
-
-
-class _OdometryBeliefs(TeamBeliefs):
-    """Beliefs of robots without teammates; the records are created on demand."""
-
-    __slots__ = ("_ranges_m", "_steps")
-
-    def __init__(self, poses: Array, constant: tuple, steps: Sequence[int] | int, ranges_m: Sequence[Array] | Array):
-        # Sets the parent's fields directly: faster, and this runs in every step of an environment without engine.
-        self._records, self.poses = None, poses
-        self.since_closure_m, self.grids, self.signs, self.teammates, self.teammate_poses, self.contact_steps = constant
-        self._steps, self._ranges_m = steps, ranges_m
-
-    def _make(self) -> list[Belief]:
-        beliefs, poses, all_ranges_m = [], read_only(self.poses), self._ranges_m
-        steps = [self._steps] * len(self) if isinstance(self._steps, int) else self._steps
-        if isinstance(all_ranges_m, np.ndarray):
-            all_ranges_m = read_only(all_ranges_m)
-        for robot, (step, ranges_m, grid) in enumerate(zip(steps, all_ranges_m, self.grids, strict=True)):
-            in_map, std, in_odom = poses[robot]
-            belief = Belief(robot, step, in_map, grid, ranges_m=ranges_m, pose_odom=in_odom, pose_std=std)
-            beliefs.append(belief)
-        return beliefs
 
 
 @borrowing_kernel

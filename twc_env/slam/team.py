@@ -307,10 +307,6 @@ class TeamMapper:
         """The current merged map of a group."""
         return self.groups[group].grid.snapshot()
 
-    def known_box_of(self, group: int) -> tuple[int, int, int, int]:
-        """First row and column, end row and column of the bounding box of known cells of a group's map."""
-        return self.groups[group].grid.known_box()
-
     def signs_of(self, group: int) -> KnownSigns:
         """The sign texts read by a group, each once per place."""
         robots, version = self.groups[group].robots, self.groups[group].version

@@ -42,7 +42,7 @@ def score_view(view: View, record: EpisodeRecord, cells: Cells) -> GroupScore:
     if place is not None:
         area_m2 = metrics.correct_area_m2(
             grid.log_odds, grid.origin_m, grid.resolution_m, pose, cells.free, cells.origin_m, cells.resolution_m,
-            box=view.mapper.known_box_of(view.group),
+            box=view.mapper.groups[view.group].grid.known_box(),
         )  # fmt: skip
     return GroupScore(view, view.robots, grid, pose, wrong, area_m2)
 

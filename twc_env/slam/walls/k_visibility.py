@@ -53,12 +53,8 @@ class Structure:
     grid: WallGrid
     wall_loss_db: float
     explained: float
-    """Share of the variance of readings, beyond path loss, that the walls explain."""
-
-    @property
-    def is_told(self) -> bool:
-        """Whether strengths say anything about walls; else only the path is known as free, and no wall is counted."""
-        return self.explained >= EXPLAINED_MIN
+    """Share of the variance of readings, beyond path loss, that the walls explain; below `EXPLAINED_MIN` only the path
+    is known as free, and no wall is counted."""
 
 
 def map_structure(
