@@ -67,6 +67,7 @@ class InformationGain(FrontierTeam):
         if self._taken.get(agent, (map_id, []))[0] != map_id or agent not in self._taken:
             self._taken[agent] = map_id, []
         taken = self._taken[agent][1]
-        if math.dist(robot.goal_m, robot.pose[:2]) <= self.explorer.failed_radius_m:
+        is_near = math.dist(robot.goal_m, robot.pose[:2]) <= self.explorer.failed_radius_m
+        if is_near and not (taken and np.array_equal(taken[-1], robot.goal_m)):
             taken.append(robot.goal_m.copy())
         return taken
