@@ -120,7 +120,9 @@ def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:
 
 
 def _with_whole_words(code: str) -> str:
-    """Short words with hyphens, at which browsers break lines, in spans that are not broken."""
+    """Short words with hyphens, at which browsers break lines, in spans that are not broken; a name alone stays."""
+    if not re.search(r"\s", re.sub(r"<[^>]*>", "", code)):
+        return code
     texts = re.split(r"(<[^>]*>)", code)
     words = rf"(?<!\S)(?=\S{{1,{WORD_MAX}}}(?!\S))\S*-\S*"
     texts[::2] = [re.sub(words, r'<span class="whole">\g<0></span>', text) for text in texts[::2]]
