@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -57,7 +58,8 @@ class Standing:
     agent: str
     outcomes: tuple[Outcome, ...]
     sooner_s: tuple[float, float, float]
-    """Time by which it reaches `GOAL` sooner than the first agent: mean and 95 % bootstrap confidence interval."""
+    """Time by which it reaches `GOAL` sooner than the first agent: mean and 95 % bootstrap confidence interval. One
+    building has no interval (NaN); all are NaN where neither ever reaches it."""
     more: tuple[float, float, float]
     """Gain in coverage over time (`coverage_mean`), likewise."""
 
@@ -122,7 +124,7 @@ NUMBERS = tuple(key for key in Outcome.__slots__ if key != "curve")
 
 def rows_of(standings: Sequence[Standing]) -> list[list[str]]:
     """Titles, and one row of cells per agent: means over buildings (time also as interquartile mean, time stuck as
-    maximum), and the gain over the first agent."""
+    maximum), and the gain over the first agent. A time to what was never reached is a dash."""
     from scipy.stats import trim_mean  # slow to import
 
     goal = f"{100 * GOAL:.0f} %"
@@ -133,9 +135,11 @@ def rows_of(standings: Sequence[Standing]) -> list[list[str]]:
     for s in standings:
         of = {key: np.array([getattr(o, key) for o in s.outcomes], float) for key in NUMBERS}
         gains = ["", ""] if s is standings[0] else [_interval(s.sooner_s, ".1f"), _interval(s.more, ".3f")]
+        times_s = of["goal_s"].mean(), trim_mean(of["goal_s"], 0.25)
         rows.append([
-            display_name(s.agent), f"{of['is_reached'].mean():.0%}", f"{of['goal_s'].mean():.1f}",
-            f"{trim_mean(of['goal_s'], 0.25):.1f}", f"{of['coverage_mean'].mean():.3f}", f"{of['coverage'].mean():.3f}",
+            display_name(s.agent), f"{of['is_reached'].mean():.0%}",
+            *(f"{time_s:.1f}" if of["is_reached"].any() else "-" for time_s in times_s),
+            f"{of['coverage_mean'].mean():.3f}", f"{of['coverage'].mean():.3f}",
             f"{of['path_m'].mean():.0f}", f"{of['team_ate_m'].mean():.3f}", str(int(of["wrong_merges"].sum())),
             f"{of['stuck_share'].max():.1%}", *gains,
         ])  # fmt: skip
@@ -175,7 +179,7 @@ def write_tables(
     if pictures is not None and all(o.curve for s in standings for o in s.outcomes):
         curves = {display_name(s.agent): [o.curve for o in s.outcomes] for s in standings}
         time_max_s = config.max_cycles * config.dynamics.time_step_s
-        title = f"{len(maps)} buildings, {config.robots} robots"
+        title = f"{len(maps)} building{'s' * (len(maps) > 1)}, {config.robots} robots"
         paths.append(draw_coverage(curves, time_max_s, folder / f"coverage.{pictures[0]}", title, pictures[1]))
     return paths
 
@@ -190,11 +194,16 @@ def as_json(standings: Sequence[Standing]) -> dict:
 
 def _standing(agent: str, mine: Sequence[Outcome], first: Sequence[Outcome]) -> Standing:
     sooner = np.array([b.goal_s - a.goal_s for a, b in zip(mine, first, strict=True)])
+    if not any(o.is_reached for o in (*mine, *first)):
+        sooner[:] = np.nan
     more = np.array([a.coverage_mean - b.coverage_mean for a, b in zip(mine, first, strict=True)])
     return Standing(agent, tuple(mine), _bootstrap(sooner), _bootstrap(more))
 
 
 def _bootstrap(gained: Array) -> tuple[float, float, float]:
+    """Mean and 95 % interval; one building has no interval (NaN)."""
+    if len(gained) < 2:
+        return float(gained.mean()), math.nan, math.nan
     draws = np.random.default_rng(0).integers(0, len(gained), (DRAWS, len(gained)))
     low, high = np.quantile(gained[draws].mean(axis=1), [0.025, 0.975])
     return float(gained.mean()), float(low), float(high)
@@ -202,7 +211,9 @@ def _bootstrap(gained: Array) -> tuple[float, float, float]:
 
 def _interval(triple: tuple[float, float, float], form: str) -> str:
     mean, low, high = triple
-    return f"{mean:{form}} ({low:{form}} to {high:{form}})"
+    if math.isnan(mean):
+        return "-"
+    return f"{mean:{form}}" if math.isnan(low) else f"{mean:{form}} ({low:{form}} to {high:{form}})"
 
 
 def _line(count: int, total: int, part: tuple[str, str, int], outcome: Outcome) -> str:

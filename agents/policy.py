@@ -55,6 +55,8 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     Raises ConfigError for an unknown name, and unless `action.kind` is `velocity`.
     """
     if name not in TEAMS and name != LEARNED and not is_in_file(str(name)):
+        if str(name).endswith(".py"):
+            raise ConfigError(f"{name} names a file and no class in it; write {name}:CLASS, for example {name}:Mine")
         begun = [team for team in TEAMS if team.startswith(str(name))]
         known = begun or [*policy_names(), LEARNED]
         told = one_of(name, known, "choose one of")

@@ -12,6 +12,8 @@ import numpy as np
 from .references import TEAMS
 
 SIZE_IN = (6.4, 4.2)
+FEW = 10
+"""Points of a curve up to which each is marked."""
 
 
 def draw_curve(folder: Path, means: Mapping[str, float], title: str) -> Path | None:
@@ -32,7 +34,9 @@ def draw_curve(folder: Path, means: Mapping[str, float], title: str) -> Path | N
     with pictures.style():
         figure = pictures.new_figure(SIZE_IN)
         axes = figure.add_subplot(xlabel="decisions", ylabel="floor mapped, mean over time [%]")
-        axes.plot(decisions, 100 * values, color=pictures.TEAMS[0], lw=1.8, label="in training, last 100 episodes")
+        mark = "o" if len(rows) <= FEW else ""  # a line through one point would be seen as none at all
+        label = f"in training, last {min(int(rows[-1]['episodes']), 100)} episodes"
+        axes.plot(decisions, 100 * values, color=pictures.TEAMS[0], lw=1.8, marker=mark, clip_on=False, label=label)
         for team, mean in means.items():
             colour, line = lines.get(team, (pictures.INK, "--"))
             axes.axhline(100 * mean, color=colour, ls=line, lw=1.4, label=f"{TEAMS[team]}: {100 * mean:.1f} %")

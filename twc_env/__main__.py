@@ -11,6 +11,7 @@ from importlib import import_module
 
 import argcomplete
 
+from twc_env.commands.completion import Completer
 from twc_env.running.argument_parser import Parser, add_version
 from twc_env.running.command_line import is_without_memory, run_command
 
@@ -50,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     when interrupted by Ctrl-C and 143 by SIGTERM."""
     try:
         parser = _parser()
-        argcomplete.autocomplete(parser)
+        argcomplete.autocomplete(parser, default_completer=Completer())
         return run_command(parser, arguments)
     except (MemoryError, ImportError, OSError) as error:
         if not is_without_memory(error):

@@ -29,6 +29,8 @@ BESIDE = {
     "maps/README.md": "project/maps.md",
 }
 """Pages outside docs/ -> where they stand in the site."""
+WORD_MAX = 30
+"""Letters of a word with hyphens in code that is kept on one line: a phone has room for it."""
 SAME = {"README.md": "docs/index.md"}
 """A link to the first leads to the second."""
 PACKAGES = {
@@ -109,6 +111,22 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     parts = re.split(r"(^````.*?^````|^```.*?^```|`[^`\n]+`)", markdown, flags=re.DOTALL | re.MULTILINE)
     parts[::2] = [_with_links(part, uri, home) for part in parts[::2]]
     return "".join(parts)
+
+
+def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:
+    """Keep options such as `--out` on one line, and let a picture be opened in its full size by a click."""
+    html = re.sub(r"<code>.*?</code>", lambda m: _with_whole_words(m[0]), html, flags=re.DOTALL)
+    return re.sub(r'(?<!">)<img [^>]*src="([^":]+)"[^>]*>', r'<a href="\1">\g<0></a>', html)
+
+
+def _with_whole_words(code: str) -> str:
+    """Short words with hyphens, at which browsers break lines, in spans that are not broken; a name alone stays."""
+    if not re.search(r"\s", re.sub(r"<[^>]*>", "", code)):
+        return code
+    texts = re.split(r"(<[^>]*>)", code)
+    words = rf"(?<!\S)(?=\S{{1,{WORD_MAX}}}(?!\S))\S*-\S*"
+    texts[::2] = [re.sub(words, r'<span class="whole">\g<0></span>', text) for text in texts[::2]]
+    return "".join(texts)
 
 
 def made_tasks_v0() -> str:
@@ -352,10 +370,11 @@ def _notebooks() -> dict[str, str | bytes]:
 def _shown(output: dict, name: str, made: dict[str, str | bytes]) -> str:
     """The text of an output of a cell; a picture becomes a file of its own."""
     data = output.get("data", {})
-    if "image/png" in data:
-        place = f"{name}-{sum(key.startswith(name + '-') for key in made)}.png"
-        made[place] = base64.b64decode(data["image/png"])
-        return f"![Output of the cell above]({posixpath.basename(place)})"
+    for kind in ("png", "gif"):
+        if picture := data.get(f"image/{kind}"):
+            place = f"{name}-{sum(key.startswith(name + '-') for key in made)}.{kind}"
+            made[place] = base64.b64decode(picture)
+            return f"![Output of the cell above]({posixpath.basename(place)})"
     if "text/html" in data:
         return "".join(data["text/html"])
     text = "".join(output.get("text", data.get("text/plain", ""))).rstrip()

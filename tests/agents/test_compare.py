@@ -36,6 +36,18 @@ def test_pairs_are_resumed_and_compared_with_the_first_agent(tmp_path, monkeypat
     assert "10.5 (10.0 to 11.0)" in compare.table_of(again)
 
 
+def test_one_building_has_no_interval_and_a_goal_that_nobody_reached_no_time():
+    def of(coverage_mean):
+        return (Outcome(10.0, False, 0.6, coverage_mean, 18.0, 0.005, 2, 0),)
+
+    first, mine = compare._standing("random", of(0.4), of(0.4)), compare._standing("voronoi", of(0.3), of(0.4))
+    titles, _, row = compare.rows_of([first, mine])
+    cells = dict(zip(titles, row, strict=True))
+    assert (cells["to 90 % s"], cells["IQM s"], cells["sooner s (95 %)"]) == ("-", "-", "-")
+    assert cells["more mean cov. (95 %)"] == "-0.100"
+    assert compare.rows_of([first, compare._standing("voronoi", (outcome(50.0),), of(0.4))])[2][-2] == "-40.0"
+
+
 def test_episodes_of_other_code_are_run_again_and_reported(tmp_path, monkeypatch):
     calls, told = [], []
     monkeypatch.setattr(compare, "explore", lambda config, agent, seed: calls.append(agent) or outcome(50.0))

@@ -33,6 +33,11 @@ def mine(tmp_path, monkeypatch):
     return "mine.py:Mine"
 
 
+def test_the_error_of_a_file_without_a_class_shows_how_it_is_named(mine):
+    with pytest.raises(ConfigError, match=r"^mine\.py names a file and no class in it; write mine\.py:CLASS"):
+        make_policy("mine.py")
+
+
 def test_a_custom_policy_with_act_only_can_be_compared_with_ours(mine, tmp_path, capsys):
     arguments = ["compare", "--agents", "random", mine, "--maps", "sfw-e1", "--robots", "1", "--steps", "30"]
     assert main([*arguments, "--jobs", "2", "--json", "figures.json"]) == 0

@@ -1,7 +1,9 @@
 """Help texts of all commands: the meaning of each option, its default, and examples that can be parsed."""
 
 import argparse
+import importlib
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -12,6 +14,8 @@ from twc_env.agents.policy import policy_names
 from twc_env.agents.roster import display_name
 
 import twc_env.__main__
+from twc_env.commands.completion import Completer
+from twc_env.commands.train import MODULES
 from twc_env.running.argument_parser import Paragraphs
 
 PROGRAMS = {"twc-env": twc_env.__main__}
@@ -54,6 +58,33 @@ def test_the_help_of_every_option_explains_it_and_states_its_default(parser):
         said = parser.formatter_class(parser.prog)._get_help_string(option)
         assert is_switch or ("default" in said) >= has_default, f"{name} does not say its default"
         assert said.count("(default:") <= 1, f"{name} says its default twice"
+
+
+@pytest.mark.parametrize("name", ["mappo", "es", "ppo"])
+def test_the_help_of_a_learner_states_the_defaults_of_its_settings(name):
+    for module in ("torch", "stable_baselines3"):
+        pytest.importorskip(module, reason="needs the extra 'train'")
+    settings = importlib.import_module(f"twc_env.training.{MODULES[name]}").Settings()
+    (parser,) = (parser for parser in ALL if parser.prog == f"twc-env train {name}")
+    (tuned,) = (group for group in parser._action_groups if group.title == "hyperparameters")
+    assert len(tuned._group_actions) >= 2
+    for option in tuned._group_actions:
+        said = re.search(r"\(default: (.+)\)$", option.help)
+        assert float(said[1].replace("_", "")) == getattr(settings, option.dest)
+
+
+COMPLETIONS = [("agent", "minp", "minpos"), ("map", "twin-0", "twin-01"), ("task", "ExploreQ", "ExploreQuick-v1"),
+               ("config", "twc/ExploreH", "twc/ExploreHard-v0"), ("set", "odometry.d", "odometry.drift=")]  # fmt: skip
+
+
+@pytest.mark.parametrize(("option", "typed", "meant"), COMPLETIONS)
+def test_the_shell_completes_names_beside_files(option, typed, meant, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path(f"{typed.rpartition('/')[2]}.py").touch()
+    complete = Completer()
+    found = complete(typed, argparse.Action([f"--{option}"], option))
+    assert meant in found and all(name.startswith(typed) for name in found)
+    assert complete("nothing-of-this-name", argparse.Action([f"--{option}"], option)) == []
 
 
 @pytest.mark.parametrize("parser", ALL, ids=lambda parser: parser.prog)
@@ -179,7 +210,7 @@ def test_help_starts_within_its_limit():
 def test_every_command_has_a_module_and_every_module_of_commands_a_command():
     modules = {path.stem for path in Path(twc_env.__file__).parent.glob("commands/*.py")}
     commands = {name.replace("-", "_") for name in twc_env.__main__.COMMANDS}
-    assert commands == modules - {"__init__", "team_options"}
+    assert commands == modules - {"__init__", "team_options", "completion"}
 
 
 @pytest.mark.parametrize(

@@ -129,6 +129,8 @@ NUMBERS = [
     ("first_hours/lecturer.md", "leaves the building ({} and", lambda: f"{read('demo')['odometry_ate_m']:.1f}"),
     ("first_hours/lecturer.md", "4.4 and {} m).", lambda: f"{read('drift')['odometry_ate_m']:.1f}"),
     ("first_hours/lecturer.md", "an error of {} m where", lambda: f"{read('gullible')['team_ate_m']:.0f}"),
+    ("first_hours/lecturer.md", "{} % of the floor pass", lambda: f"{100 * read('gullible')['coverage_correct']:.1f}"),
+    ("first_hours/lecturer.md", "the walls {} % agree", lambda: f"{100 * read('gullible')['wall_iou']:.0f}"),
     ("first_hours/lecturer.md", "would have had {} m", lambda: f"{read('gullible')['odometry_ate_m']:.0f}"),
     ("first_hours/researcher.md", "{} closures that wait", lambda: waiting("blind")),
     (

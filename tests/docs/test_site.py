@@ -154,6 +154,19 @@ def test_every_notebook_is_a_page_with_a_download(site):
         assert f'href="{path.name}"' in (site / "notebooks" / f"{path.stem}.html").read_text(encoding="utf-8")
 
 
+def test_the_film_of_a_notebook_is_shown_on_its_page(site):
+    page = (site / "notebooks" / "06-train-and-watch.html").read_text(encoding="utf-8")
+    (film,) = re.findall(r'src="([^"]+\.gif)"', page)
+    assert (site / "notebooks" / film).read_bytes().startswith(b"GIF8") and "IPython.core.display" not in page
+
+
+def test_pictures_open_in_full_size_and_options_are_not_broken_at_their_hyphens(site):
+    page = (site / "first_hours" / "lecturer.html").read_text(encoding="utf-8")
+    assert re.search(r'<a href="(\S+gullible\.png)"><img [^>]*src="\1"', page)
+    assert '<span class="whole">--out</span>' in page and '<span class="whole">runs/with-closures</span>' in page
+    assert all('class="whole">--' in code for code in re.findall(r"<code>.*?</code>", page) if " --" in code)
+
+
 def test_where_the_repository_is_known_notebooks_open_in_colab_and_install_from_it(tmp_path):
     site = built(tmp_path, "some-one/twc.env")
     for path in (ROOT / "notebooks").glob("*.ipynb"):

@@ -78,6 +78,7 @@ def test_the_single_agent_environment_equals_a_team_of_one(same):
         assert same(seen, observations["robot_0"])
         assert (reward, terminated, truncated) == tuple(of["robot_0"] for of in (rewards, terminations, truncations))
     assert truncated
+    assert single.unwrapped.result().figures == team.result().figures
 
 
 def test_the_single_agent_environment_accepts_numpy_seeds_and_rejects_invalid_ones(same):

@@ -34,3 +34,18 @@ def test_the_curve_is_drawn_with_its_references(run):
     path = draw_curve(run, {"random": 0.1, "informed": 0.9}, "ppo")
     assert path == run / "curve.png" and path.read_bytes().startswith(b"\x89PNG")
     path.unlink()
+
+
+def test_a_curve_of_one_point_is_seen_and_its_legend_counts_the_episodes(tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib", reason="needs the extra 'viz'")
+    from twc_env.training.curve_picture import draw_curve
+
+    from twc_env.pictures import style
+
+    figures = []
+    monkeypatch.setattr(style, "save_figure", lambda figure, path: figures.append(figure) or path)
+    (tmp_path / "metrics.csv").write_text("decisions,episodes,mean_coverage\n1488,0,nan\n2001,1,0.8684\n")
+    draw_curve(tmp_path, {}, "mappo")
+    (line,) = figures[0].axes[0].lines
+    assert line.get_marker() == "o" and list(line.get_ydata()) == pytest.approx([86.84])
+    assert line.get_label() == "in training, last 1 episodes"

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from twc_env.errors import DataError
@@ -14,6 +18,8 @@ from twc_env.records.json_values import check_folder
 from twc_env.running.argument_parser import add_verbosity
 from twc_env.running.options import add_folder, add_ray, add_set, assignments, count, natural, number
 
+MODULES = {"mappo": "mappo", "es": "evolution", "ppo": "ppo"}
+"""Algorithm -> its module in `twc_env.training`."""
 SEEDS = 2**31
 """Seeds are below this: torch and numpy accept no larger ones, and resuming adds the number of steps."""
 FIRST_HOUR = """\
@@ -91,12 +97,16 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
     )
     add_ray(parser, "; the result is the same, also if workers or machines are lost")
     parser.add_argument("--seed", type=natural, default=0, help="of network, buildings and episodes")
-    tuned = parser.add_argument_group("hyperparameters", "defaults and their reasons: Settings of training/*.py")
+    module = f"twc_env.training.{MODULES[name]}"
+    tuned = parser.add_argument_group("hyperparameters", f"reasons of the defaults: {module}.Settings")
     most = 10.0 if name == "es" else 1.0
     tuned.add_argument("--learning-rate", type=number(0.0, most), metavar="RATE", help="initial step size")
     tuned.add_argument("--environments", type=count, help="teams that play at once")
     if name != "es":
         _add_gradients(tuned, name)
+    defaults = _defaults(module)
+    for option in tuned._group_actions:
+        option.help = f"{option.help} (default: {defaults[option.dest]})"
     parser.add_argument(
         "--references",
         type=natural,
@@ -112,12 +122,21 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
     )
 
 
+def _defaults(module: str) -> dict[str, str]:
+    """The defaults of a learner's `Settings` as its file writes them: importing it would take torch to show a help."""
+    spec = find_spec(module)
+    assert spec is not None and spec.origin is not None
+    tree = ast.parse(Path(spec.origin).read_text(encoding="utf-8"))
+    (settings,) = (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Settings")
+    fields = [node for node in settings.body if isinstance(node, ast.AnnAssign) and node.value is not None]
+    return {ast.unparse(field.target): ast.unparse(field.value) for field in fields if field.value is not None}
+
+
 def _add_gradients(tuned: Any, name: str) -> None:
     """Hyperparameters of learners that follow gradients of a network."""
     tuned.add_argument("--clip", type=number(0.0, 10.0), help="clip range of the probability ratio")
-    tuned.add_argument(
-        "--discount", type=number(0.0, 1.0), metavar="GAMMA", help="mappo: per second; ppo: per decision"
-    )
+    unit = "second" if name == "mappo" else "decision"
+    tuned.add_argument("--discount", type=number(0.0, 1.0), metavar="GAMMA", help=f"of what comes later, per {unit}")
     tuned.add_argument("--gae-lambda", type=number(0.0, 1.0), metavar="LAMBDA", help="of the advantages, per decision")
     tuned.add_argument("--entropy-weight", type=number(-10.0, 10.0), metavar="WEIGHT", help="bonus for entropy")
     tuned.add_argument("--epochs", type=count, help="passes over each rollout")
@@ -133,12 +152,7 @@ def _train(options: argparse.Namespace) -> int:
     with learning_libraries():
         from twc_env.training.run_folder import Task, task_id
 
-        if options.algorithm == "mappo":
-            from twc_env.training import mappo as algorithm
-        elif options.algorithm == "es":
-            from twc_env.training import evolution as algorithm
-        else:
-            from twc_env.training import ppo as algorithm
+        algorithm = import_module(f"twc_env.training.{MODULES[options.algorithm]}")
 
     if options.seed >= SEEDS:
         raise DataError(f"--seed must be 0 to {SEEDS - 1}; got {options.seed}")

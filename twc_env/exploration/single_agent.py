@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig
 from twc_env.config.checks import refuse_arguments, whole_number
 from twc_env.errors import ConfigError
+from twc_env.exploration.assessment.evaluation import EpisodeResult
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.records.messages import Belief
 
@@ -92,6 +93,10 @@ class SingleRobotEnv(gymnasium.Env):
     def belief(self) -> Belief:
         """What the robot knows, see `ExplorationEnv.belief`."""
         return self._team.belief(self._agent)
+
+    def result(self) -> EpisodeResult:
+        """All figures of the episode so far, see `ExplorationEnv.result`; behind wrappers `env.unwrapped.result()`."""
+        return self._team.result()
 
     def render(self):
         """See `ExplorationEnv.render`."""

@@ -49,5 +49,6 @@ def draw_coverage(
     curves: Mapping[str, Any], time_max_s: float, path: Path, title: str, dpi: float | None = None
 ) -> Path:
     """Write the figure, whose title says what the bands are; returns its path."""
-    told = f"{title}: mean and its 95 % interval; in brackets the number of episodes"
+    has_bands = any(len(values) > 1 for values in curves.values())
+    told = f"{title}: mean and its 95 % interval; in brackets the number of episodes" if has_bands else title
     return save_figure(coverage_figure(curves, time_max_s, told), path, dpi)

@@ -47,6 +47,12 @@ def test_a_notebook_shows_the_table_and_the_picture(result):
     assert result.plot()._repr_png_().startswith(b"\x89PNG")
 
 
+def test_a_file_given_to_plot_is_an_error_that_says_how_it_is_written(result):
+    pytest.importorskip("matplotlib")
+    with pytest.raises(twc_env.ConfigError, match=r"dpi must be a number .* got 'map\.png': plot\(\)\.savefig\(FILE\)"):
+        result.plot("map.png")
+
+
 def test_tables_of_pandas_hold_the_figures_and_the_paths_in_the_building_frame(result):
     pandas = pytest.importorskip("pandas")
     figures = result.to_frame()

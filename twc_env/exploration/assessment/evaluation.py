@@ -74,7 +74,7 @@ class EpisodeResult:
 
     def __getitem__(self, key: str) -> Any:
         if key not in self.figures:
-            raise KeyError(f"no figure {key!r}{did_you_mean(key, self.figures)}; keys() has all")
+            raise KeyError(f"no figure {key!r}; keys() has all{did_you_mean(key, self.figures)}")
         return self.figures[key]
 
     def __contains__(self, key: object) -> bool:
@@ -93,7 +93,7 @@ class EpisodeResult:
     def plot(self, dpi: float | None = None) -> Any:
         """The map as a matplotlib figure, which a notebook shows: `result.plot().savefig("map.pdf")` writes it.
 
-        Raises ConfigError without matplotlib.
+        Raises ConfigError without matplotlib, and unless dpi is a number.
         """
         from twc_env.exploration.drawing.episode_map import map_figure
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.errors import ConfigError
 from twc_env.exploration.drawing import palette
 from twc_env.exploration.drawing.figures import fit_height, legend_below, new_figure, set_title, settle, style
 from twc_env.exploration.drawing.labels import place_names
@@ -33,7 +34,9 @@ TRUE_OPACITY = 0.35
 
 
 def map_figure(result: Any, dpi: float | None = None) -> Any:
-    """The figure of an `EpisodeResult`. Raises ConfigError without matplotlib."""
+    """The figure of an `EpisodeResult`. Raises ConfigError without matplotlib, and unless dpi is a number."""
+    if dpi is not None and not (isinstance(dpi, (int, float)) and dpi > 0):
+        raise ConfigError(f"dpi must be a number of dots per inch; got {dpi!r}: plot().savefig(FILE) writes a file")
     with style():
         (x_min, y_min), (x_max, y_max) = _shown_m(result)
         width_m, height_m = x_max - x_min, y_max - y_min
