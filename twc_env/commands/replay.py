@@ -146,11 +146,15 @@ def _replay(options: argparse.Namespace) -> None:
     is_export = is_export and (options.html is not None or options.rerun is not None)
     for log in options.logs:
         if not log.exists() and [str(each) for each in options.logs] != [SAMPLE]:
-            what = "run folder" if options.html is not None or options.rerun is not None else "run folder or log"
-            raise DataError(f"there is no {what} {log}: `twc-env explore --out RUN` writes one")
+            if options.html is not None or options.rerun is not None:
+                raise DataError(f"there is no run folder {log}: `twc-env explore --out RUN` writes one")
+            raise DataError(f"there is no run folder or log {log}: check the path; `sample` is a log of the package")
         is_own_run = log.is_dir() and not is_bag(log)
         if is_own_run and not is_export and not (log / "frames.npz").exists():
-            raise DataError(f"{log} is no run folder (no frames.npz): name a log, or a folder of `explore --out`")
+            raise DataError(
+                f"{log} is no run folder (no frames.npz): name a log, or a folder of `explore --out`; "
+                "a bag of ROS 2 is a folder with metadata.yaml"
+            )
         if len(options.logs) > 1 and (is_own_run or log.suffix == ".npz"):
             raise DataError(f"{log} is of a whole team: give it alone; several logs are laser logs, one of each robot")
     if options.list:

@@ -24,7 +24,7 @@ def make_engine(config: EnvConfig, robot_count: int, prior: LastingMap | None = 
         return DeadReckoning(config, robot_count)
     if config.slam.mode == "localisation":
         if prior is None:
-            raise ConfigError("slam.mode is 'localisation': name the map to find poses in by slam.prior")
+            raise ConfigError("slam.mode is 'localisation': name the map to find poses in by slam.prior (--prior FILE)")
         return MapLocalisation(config, robot_count, prior)
     if prior is not None and not len(prior.poses):
         raise ConfigError(
