@@ -34,7 +34,8 @@ def test_the_example_of_the_readme_has_ten_lines_at_most_and_runs(tmp_path):
 
 @pytest.mark.parametrize("name", PAGES)
 def test_lines_outside_tables_have_120_columns_at_most(name):
-    lines = (ROOT / name).read_text().splitlines()
+    text = re.sub(r"<!-- rows:.*?-->", "", (ROOT / name).read_text(), flags=re.DOTALL)  # forms of lines of tables
+    lines = text.splitlines()
     assert [line for line in lines if len(line) > 120 and not line.startswith("|")] == []
 
 
