@@ -30,16 +30,16 @@ def shipped(task: str) -> Path:
 
 def shipped_for(config: EnvConfig) -> Path:
     """The folder of the policy that suits settings best: trained on this task; else in buildings of this set; else with
-    this number of robots; else the first by name. Raises DataError if no policy comes with this version."""
+    most nearly this number of robots. Raises DataError if no policy comes with this version."""
     folders = [path.parent for path in sorted(FOLDER.glob(f"*/{FILE_NAME}"))]
     if not folders:
         raise DataError("no policy comes with this version: train one with twc-env train mappo")
 
-    def likeness(folder: Path) -> tuple[bool, bool, bool]:
+    def likeness(folder: Path) -> tuple[bool, bool, int]:
         of = task_config(f"twc/{folder.name}")
         family = of.map.rpartition(":")[0]
         is_of_set = config.map == of.map or (bool(family) and config.map.startswith(f"{family}:"))
-        return digest(of) == digest(config), is_of_set, of.robots == config.robots
+        return digest(of) == digest(config), is_of_set, -abs(of.robots - config.robots)
 
     return max(folders, key=likeness)
 

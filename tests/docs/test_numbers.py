@@ -152,7 +152,8 @@ NUMBERS = [
         "leads `information-gain` by {}.",
         lambda: f"{covered('informed') - covered('information-gain'):.3f}",
     ),
-    ("learning.md", "is ahead of it by {} to {}, though", lambda: f"{lead('2 robots')} {lead('floors')}"),
+    ("learning.md", "of it by {} to {} with two to five", lambda: f"{lead('2 robots')} {lead('3 robots')}"),
+    ("learning.md", "buildings here, it is {} behind", lambda: lead("floors").removeprefix("-")),
     (
         "results.md",
         "the path ends {}, {}, {} and {} m from the corrected one",

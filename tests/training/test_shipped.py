@@ -45,4 +45,5 @@ def test_the_shipped_policy_of_a_task_suits_its_settings_best():
 
     from twc_env.tasks import task_config
 
-    assert shipped_for(task_config("twc/ExploreQuick-v1")).name == "ExploreQuick-v1"
+    for task, name in (("Quick", "Quick"), ("Entrance", "Entrance"), ("Office", "Entrance"), ("Mall", "Entrance")):
+        assert shipped_for(task_config(f"twc/Explore{task}-v1")).name == f"Explore{name}-v1"
