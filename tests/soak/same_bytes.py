@@ -1,8 +1,9 @@
-"""The same bytes with other instruction sets: whole episodes of every task, in processes that may not use newer ones.
+"""The same bytes with other instruction sets and one thread: whole episodes of every task, in processes that may not
+use newer instructions or further threads.
 
-Compiled kernels, NumPy and OpenBLAS choose their instructions by the processor. Each attempt plays one task in a
-process in which one of `SWITCHES` takes that choice away, and compares the digest of all observations, rewards, paths
-and maps with that of a process without a switch.
+Compiled kernels, NumPy and OpenBLAS choose their instructions by the processor, and OpenBLAS its threads by the number
+of cores. Each attempt plays one task in a process in which one of `SWITCHES` takes that choice away, and compares the
+digest of all observations, rewards, paths and maps with that of a process without a switch.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ SWITCHES = {
     "OpenBLAS for Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
     "OpenBLAS for SSE3": {"OPENBLAS_CORETYPE": "Prescott"},
     "NumPy without AVX2 and AVX-512": {"NPY_DISABLE_CPU_FEATURES": _WIDE},
+    "one thread of OpenBLAS": {"OPENBLAS_NUM_THREADS": "1"},
 }
 SWITCHES["all for any x86-64"] = {
     **SWITCHES["kernels for any x86-64"],
