@@ -81,8 +81,11 @@ class TeamMapper:
         self.wanted: Collection[tuple[int, int]] = self._maps.wanted
         """(robot, keyframe index) of scans to request."""
         self._search = ClosureSearch(config, self._graph, self._maps, robot_count)
+        self.segments = Segments(robot_count)
+        """Parts of the robots' paths between which they were carried. Inside the mapper, each is a robot of its own:
+        `groups`, `keyframes`, `closures` and `nodes` number segments instead of robots."""
         places = config.slam.place_recognition
-        mutual_observations = MutualObservations(config, self._graph, self._maps)
+        mutual_observations = MutualObservations(config, self._graph, self._maps, self.segments)
         self._tests = MergeTests(config.slam.merging, self._graph, places.spares_missing_cues, mutual_observations)
         self._review = MergeReview(config.slam.merging, self._graph, self._maps, self._tests)
         radio = config.slam.radio_slam
@@ -101,9 +104,6 @@ class TeamMapper:
         """Two groups whose closures agree but do not determine the relative pose; retried every RETRY_STEPS."""
         self._seeks_closures = config.slam.oracle != "poses"
         self._given_starts: Array | None = None
-        self.segments = Segments(robot_count)
-        """Parts of the robots' paths between which they were carried. Inside the mapper, each is a robot of its own:
-        `groups`, `keyframes`, `closures` and `nodes` number segments instead of robots."""
         self._step = self._last_retried_step = 0
         self._due_step: float = 0
         self._idle_changes = -1

@@ -11,6 +11,7 @@ from twc_env.config import EnvConfig, override
 from twc_env.records.geometry import beam_directions, between, compose, inverse
 from twc_env.records.messages import LoopCandidate, LoopClosure
 from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.mapping.segments import NO_ROBOT, Segments
 from twc_env.slam.merging.merge_tests import HYPOTHESES_MAX, MergeTests
 from twc_env.slam.merging.mutual_observations import (
     CONFIRMATION_MIN,
@@ -43,7 +44,7 @@ def scan(disc_m: np.ndarray | None) -> np.ndarray:
 
 
 def observations_of(
-    other_steps=None, have_scans=True, is_seen=True, config=None, paths=(HERE, THERE)
+    other_steps=None, have_scans=True, is_seen=True, config=None, paths=(HERE, THERE), segments=None
 ) -> MutualObservations:
     """Mutual observations of robots 0 and 1, with a keyframe every 10 steps; other_steps: those of robot 1's
     keyframes."""
@@ -59,7 +60,7 @@ def observations_of(
         rows_of=lambda nodes: (poses[nodes], np.array([scans[node] for node in nodes]).reshape(-1, BEAMS)),
     )
     maps = SimpleNamespace(have_scans=lambda nodes: np.full(len(nodes), have_scans))
-    return MutualObservations(config or EnvConfig(robots=2), graph, maps)
+    return MutualObservations(config or EnvConfig(robots=2), graph, maps, segments or Segments(2))
 
 
 def test_robots_that_see_each_other_confirm_a_merge():
@@ -123,6 +124,15 @@ def test_only_scans_that_have_arrived_are_used():
 def test_the_check_can_be_disabled_and_needs_marked_scans(setting):
     off = observations_of(config=override(EnvConfig(robots=2), setting))
     assert off.count([0], [1], START_B) == ObservationCounts(0, 0)
+
+
+@pytest.mark.parametrize("owner", [0, NO_ROBOT])
+def test_in_a_mixed_team_a_carried_robot_keeps_its_size_and_a_prior_map_has_none(owner):
+    """Segments are more than robots."""
+    segments = Segments(1)
+    segments.owners.append(owner)
+    config = override(EnvConfig(robots=1), {"robot": [{"dynamics.robot_radius_m": RADIUS_M}]})
+    assert observations_of(config=config, segments=segments).count([0], [1], START_B).confirm
 
 
 def test_a_robot_is_not_interpolated_over_a_gap():

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from twc_env.slam.pose_graph import dense_cholesky
-from twc_env.slam.pose_graph.dense_cholesky import ROWS_MAX, inverse_of
+from twc_env.slam.pose_graph.dense_cholesky import ROWS_MAX, inverse_of, solution_of
 
 
 def positive_definite(rows: int) -> np.ndarray:
@@ -26,6 +25,22 @@ def test_small_matrices_are_left_to_no_library(monkeypatch):
     import scipy.linalg.lapack
 
     monkeypatch.setattr(scipy.linalg.lapack, "dpotrf", None)
-    inverse_of(positive_definite(dense_cholesky.ROWS_MAX))
-    with pytest.raises(TypeError):
-        inverse_of(positive_definite(ROWS_MAX + 1))
+    inverse_of(positive_definite(ROWS_MAX))
+    solution_of(positive_definite(ROWS_MAX), np.ones(ROWS_MAX))
+    for call in (inverse_of, lambda matrix: solution_of(matrix, np.ones(len(matrix)))):
+        with pytest.raises(TypeError):
+            call(positive_definite(ROWS_MAX + 1))
+
+
+@pytest.mark.parametrize("rows", [1, 3, 60, ROWS_MAX, ROWS_MAX + 1])
+def test_solves_up_to_rounding_with_the_lower_triangle_alone(rows):
+    matrix, right = positive_definite(rows), np.random.default_rng(1).normal(size=rows)
+    found = solution_of(np.tril(matrix), right.copy())
+    assert found is not None and np.abs(matrix @ found - right).max() < 1e-5
+
+
+@pytest.mark.parametrize("rows", [3, ROWS_MAX + 1])
+def test_a_matrix_that_is_not_positive_definite_has_no_solution(rows):
+    matrix = positive_definite(rows)
+    matrix[-1, -1] = -1.0
+    assert solution_of(matrix, np.ones(rows)) is None

@@ -21,6 +21,7 @@ from twc_env.config import EnvConfig, robot_configs
 from twc_env.kernels.compiled import kernel
 from twc_env.records.geometry import compose
 from twc_env.slam.mapping.group_maps import GroupMaps
+from twc_env.slam.mapping.segments import NO_ROBOT, Segments
 from twc_env.slam.mapping.team_graph import TeamGraph
 
 TOLERANCE_M = 0.4
@@ -142,8 +143,8 @@ def _count(scans, places, stood, radius):
 class MutualObservations:
     """Counts the mutual observations that a merge hypothesis predicts, with the scans that this mapper has."""
 
-    def __init__(self, config: EnvConfig, graph: TeamGraph, maps: GroupMaps):
-        self._graph, self._maps = graph, maps
+    def __init__(self, config: EnvConfig, graph: TeamGraph, maps: GroupMaps, segments: Segments):
+        self._graph, self._maps, self._segments = graph, maps, segments
         self._radius_m = config.dynamics.robot_radius_m
         """Of the largest robot ..."""
         self._radii_m = [own.dynamics.robot_radius_m for own in robot_configs(config)] if config.robot else []
@@ -174,5 +175,6 @@ class MutualObservations:
         steps, other_steps = (np.array([k.team_step for k in graph.keyframes[r]], np.int64) for r in (watcher, other))
         chosen, places, stood = _predict(poses, steps, other_poses, other_steps, self._reach_m)
         is_here = self._maps.have_scans(nodes[chosen])
-        radius_m = self._radii_m[graph.keyframes[other][0].robot] if self._radii_m else self._radius_m
+        owner = self._segments.owners[other]
+        radius_m = self._radii_m[owner] if self._radii_m and owner != NO_ROBOT else self._radius_m
         return _count(graph.rows_of(nodes[chosen][is_here])[1], places[is_here], stood[is_here], radius_m)

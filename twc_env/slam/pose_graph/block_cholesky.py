@@ -1,7 +1,7 @@
 """Sparse Cholesky factorisation of symmetric matrices of 3 x 3 blocks, one block row per pose.
 
 The symbolic part (minimum-degree elimination order and fill-in) is computed once per graph; each numeric factorisation
-then runs through flat arrays. When the remaining graph is nearly complete, it is factorised densely by LAPACK.
+then runs through flat arrays. When the remaining graph is nearly complete, it is factorised densely.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.kernels.compiled import borrowing_kernel, kernel
 from twc_env.records.growing_arrays import enlarged
+from twc_env.slam.pose_graph.dense_cholesky import solution_of
 
 DENSE_FROM = 24
 """Sparse elimination stops when every remaining node has at least this many neighbours ..."""
@@ -48,13 +49,10 @@ class BlockCholesky:
         if not factorise(*self.pattern, diagonal, filled, lower, solution):
             return None
         if self.has_dense_rest:
-            from scipy.linalg.lapack import dpotrf, dpotrs  # imported late: takes a tenth of the start-up time
-
-            dense, part = _dense_rest(self._rest, self._rest_pairs, diagonal, filled, solution)
-            factor, failed = dpotrf(dense, lower=1, overwrite_a=1)
-            if failed:
+            found = solution_of(*_dense_rest(self._rest, self._rest_pairs, diagonal, filled, solution))
+            if found is None:
                 return None
-            solution[self._rest] = dpotrs(factor, part, lower=1)[0].reshape(-1, 3)
+            solution[self._rest] = found.reshape(-1, 3)
         substitute_back(order, start, node_of, diagonal, lower, solution)
         return solution
 
@@ -285,13 +283,12 @@ def factorise(order, start, node_of, block_of, target_start, target, diagonal, b
 
 @kernel
 def _dense_rest(rest, pairs, diagonal, blocks, right):
-    """Lower triangle of the remaining matrix, column-major for LAPACK, and its right-hand side."""
+    """Lower triangle of the remaining matrix, and its right-hand side (n,)."""
     size = 3 * len(rest)
-    dense = np.zeros((size, size)).T
-    part = np.empty((size, 1))
+    dense, part = np.zeros((size, size)), np.empty(size)
     for k in range(len(rest)):
         for i in range(3):
-            part[3 * k + i, 0] = right[rest[k], i]
+            part[3 * k + i] = right[rest[k], i]
             for j in range(i + 1):
                 dense[3 * k + i, 3 * k + j] = diagonal[rest[k], i, j]
     for k in range(len(pairs)):
