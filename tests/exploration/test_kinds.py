@@ -12,7 +12,7 @@ from tests.soak.observation_check import ACTIONS, BLOCKS, random_actions
 from twc_env.exploration.episode import Episode
 from twc_env.exploration.macro_actions import CandidateSearch, MacroActions
 from twc_env.exploration.observation.observations import ObservationBuilder
-from twc_env.planning.candidates import SPENT_M, features_of, find_candidates, find_views
+from twc_env.planning.candidates import NOTHING, SPENT_M, features_of, find_candidates, find_views
 from twc_env.planning.drivers import map_id
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
@@ -283,3 +283,18 @@ def test_what_a_view_shows_is_what_the_scanner_of_this_robot_would(monkeypatch, 
     env = twc_env.parallel_env(map="gen:office:200:5", max_cycles=20, config=config)
     env.reset(seed=0)
     assert dict(ranges_m) == {0: 10.0, 1: 3.5}
+
+
+def test_a_robot_that_its_map_shuts_in_looks_through_narrower_gaps(monkeypatch):
+    """Noise draws walls too thick; paths are found for a smaller radius, too."""
+    floor = []
+
+    def find(belief, terrain, *others):
+        floor.append(int((terrain.cost > 0).sum()))
+        return NOTHING if len(floor) % 2 else find_views(belief, terrain, *others)
+
+    monkeypatch.setattr("twc_env.exploration.macro_actions.find_views", find)
+    env = twc_env.parallel_env(map="gen:office:200:5", robots=1, max_cycles=20, config=VIEWS)
+    _, infos = env.reset(seed=0)
+    assert len(floor) >= 2 and floor[1] > floor[0]
+    assert infos["robot_0"]["action_mask"][0] == 1

@@ -14,7 +14,7 @@ from twc_env.errors import ActionError
 from twc_env.exploration.actions import action_array, check_agents
 from twc_env.exploration.observation.observation_blocks import EXTRA_CHOICES
 from twc_env.planning.candidates import NOTHING, Candidates, can_tell_places, find_candidates, find_views
-from twc_env.planning.drivers import Drivers, map_id
+from twc_env.planning.drivers import NARROW_FACTOR, Drivers, map_id
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
 from twc_env.records.geometry import transform_points
@@ -81,9 +81,11 @@ class CandidateSearch:
                     found = find_candidates(belief, terrain, self._finder, slots, range_m)
                 else:
                     spent_m = self._spent_m[robot] if self._spent_map[robot] == map_id(belief) else []
-                    claimed_m = _goals_of_others(belief, beliefs, goals_m)
-                    where = belief, terrain, self._finder, slots, range_m
-                    found = find_views(*where, claimed_m, np.array(spent_m).reshape(-1, 2))
+                    of_team = _goals_of_others(belief, beliefs, goals_m), np.array(spent_m).reshape(-1, 2)
+                    found = find_views(belief, terrain, self._finder, slots, range_m, *of_team)
+                    if not len(found.frontiers_m):  # shut in, by a map in which noise may have narrowed a gap
+                        terrain = terrain_of(known, belief, NARROW_FACTOR * self._radii_m[robot])
+                        found = find_views(belief, terrain, self._finder, slots, range_m, *of_team)
                 self.candidates[robot] = found
 
 
