@@ -1,8 +1,7 @@
 """Inverses of dense positive definite matrices, and solutions of their equations.
 
-LAPACK shares even small ones among threads, which wait for each other: on a machine that other programs keep busy an
-inverse of 240 rows took a second instead of milliseconds. Sums here have one order, so results do not depend on the
-number of threads or on the processor.
+LAPACK shares even small ones among threads, which wait for each other: on a machine that other programs keep busy a
+step may stall. Sums here have one order, so results do not depend on the number of threads or on the processor.
 """
 
 from __future__ import annotations
