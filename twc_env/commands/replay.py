@@ -108,6 +108,13 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         "--truth", type=Path, metavar="FILE", help="truth.npz, to also print the team's trajectory error"
     )
     add_set(replay)
+    replay.add_argument(
+        "--noise",
+        choices=("from-log", "assumed"),
+        default="from-log",
+        help="errors of a laser log's odometry: found by matching its scans, the constant ones taken off and the rest "
+        "told to the engine (default: from-log; without a gyro, and not with --localise), or assumed",
+    )
     add_lasting(replay)
     replay.add_argument(
         "--localise",
@@ -215,6 +222,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     from twc_env.datasets.logs.frame_log import read_truth_log
     from twc_env.pictures.log_page import LogPage
     from twc_env.replaying.inputs import read_input
+    from twc_env.replaying.odometry_errors import with_errors_of_log
     from twc_env.replaying.outputs import write_bag
     from twc_env.replaying.run import groups_by_size, run
     from twc_env.slam.map_localisation import MapLocalisation
@@ -232,7 +240,10 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     chosen = {"slam.mode": "localisation"} if options.localise else {}
     if options.localise and options.save is not None:
         raise DataError("--save writes a map, and --localise changes none: leave one of them out")
-    config = override(config, {**asked, **chosen, **prior_setting(options)})
+    chosen = {**asked, **chosen, **prior_setting(options)}
+    if options.noise == "from-log" and override(config, chosen).slam.mode == "cooperative":
+        source = with_errors_of_log(source)
+    config = override(source.config, chosen)
     is_told = options.json != TERMINAL
     _say_what_is_ignored(config)
     for note in source.notes if is_told else ():

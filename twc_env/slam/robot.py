@@ -45,6 +45,11 @@ class FrontEnds:
         self.robots = [RobotFrontEnd(config, field) for field in self._tracker.fields.each]
         """Per-robot state."""
 
+    @property
+    def information(self) -> Array:
+        """(n, 3, 3) information of the latest matches; zeros if not matched."""
+        return self._tracker.information
+
     def update(self, frames: Sequence[SensorFrame], team_step: int = -1) -> list[Keyframe]:
         """Take in at most one frame per robot; gives a keyframe of each that came to a new place.
 

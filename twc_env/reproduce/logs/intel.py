@@ -37,6 +37,7 @@ from twc_env.errors import ConfigError
 from twc_env.pictures.style import new_figure
 from twc_env.records.geometry import between, compose
 from twc_env.records.messages import SensorFrame
+from twc_env.replaying.odometry_errors import taken_from_log
 from twc_env.reproduce.drawing import draw_grid, save_picture
 from twc_env.reproduce.logs.laser_logs import intel_log, intel_relations
 from twc_env.reproduce.runner import Runner, add_seeds
@@ -115,13 +116,21 @@ def read_corrected(count: int) -> Array:
     return intel_log(is_corrected=True).poses[:count]
 
 
-def run_engine(log: ScanLog, robots: int) -> dict:
-    """Poses (scans, 3) of the engine, each in the map of its group, and the group (scans,) of each."""
+def run_engine(log: ScanLog, robots: int, is_noise_told: bool = False) -> dict:
+    """Poses (scans, 3) of the engine, each in the map of its group, and the group (scans,) of each.
+
+    is_noise_told: the errors of the odometry are those that the log shows, as in `twc-env replay`; else assumed.
+    """
     pieces = np.array_split(np.arange(len(log.times_s)), robots)
     beams = beam_count_of([log])
-    paths = [sensor_frames(log, beams, RANGE_MAX_M, piece, robot) for robot, piece in enumerate(pieces)]
+    paths: Sequence[Sequence[SensorFrame]] = [
+        sensor_frames(log, beams, RANGE_MAX_M, piece, robot) for robot, piece in enumerate(pieces)
+    ]
     lidar = SETTINGS["lidar"] | {"beam_count": beams}
-    engine = CooperativeSlam(from_dict(SETTINGS | {"lidar": lidar, "robots": robots}), robots)
+    config = from_dict(SETTINGS | {"lidar": lidar, "robots": robots})
+    if is_noise_told:
+        config, paths, _ = taken_from_log(config, paths)
+    engine = CooperativeSlam(config, robots)
     placed = place_frames(engine, paths)
     group = [np.full(len(path), engine.team.group_index(robot)) for robot, path in enumerate(placed)]
     return {"poses": np.concatenate(placed), "group": np.concatenate(group)}

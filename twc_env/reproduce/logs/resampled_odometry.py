@@ -26,20 +26,24 @@ LENGTH_M, TURN_RAD = 0.5, 0.5
 INTEL = "intel"
 
 
-def drive_again(name: str, size: float, seed: int) -> dict:
+def drive_again(name: str, size: float, seed: int, is_noise_told: bool = True) -> dict:
     """The engine on a log with `size` times the errors of Intel's odometry: distance of its path to the corrected one,
-    and that of the odometry alone."""
+    and that of the odometry alone.
+
+    is_noise_told: the engine goes by the errors that the log shows, as in `twc-env replay`; else by what it assumes of
+    all logs.
+    """
     log = _corrected(name)
-    return _driven(log, resampled(log.poses, size, seed))
+    return _driven(log, resampled(log.poses, size, seed), is_noise_told)
 
 
 def drive_intel() -> dict:
     """As `drive_again`, of Intel with its own raw odometry."""
-    return _driven(_corrected(INTEL), intel_log().poses)
+    return _driven(_corrected(INTEL), intel_log().poses, True)
 
 
-def _driven(log: ScanLog, raw: Array) -> dict:
-    found = np.array(run_engine(dataclasses.replace(log, poses=raw), 1)["poses"])
+def _driven(log: ScanLog, raw: Array, is_noise_told: bool) -> dict:
+    found = np.array(run_engine(dataclasses.replace(log, poses=raw), 1, is_noise_told)["poses"])
     turned_deg = np.degrees(np.abs(_errors(raw, log.poses)[:, 2]))
     return {
         "ate_m": absolute_trajectory_error_m(found, log.poses),
