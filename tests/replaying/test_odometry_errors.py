@@ -1,6 +1,7 @@
 """The errors of a log's odometry are found by its own scans."""
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -96,7 +97,5 @@ def test_gyros_and_short_logs_keep_what_is_assumed():
 def test_turn_rates_are_those_of_the_corrected_odometry():
     (frames,) = [[frame for frames in read(first_log()).steps for frame in frames]]
     found = corrected(frames, OdometryErrors(0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0))
-    turns = [
-        frame.turn_rate_rad_s * (frame.time_s - before.time_s) for before, frame in zip(found, found[1:], strict=False)
-    ]
+    turns = [frame.turn_rate_rad_s * (frame.time_s - before.time_s) for before, frame in pairwise(found)]
     assert turns == pytest.approx([0.5 * frame.odometry[2] for frame in frames[1:]])
