@@ -9,9 +9,17 @@ import pytest
 from twc_env.datasets.logs.scan_log import ScanLog, read_any_log
 from twc_env.datasets.sample import sample_files
 from twc_env.metrics import absolute_trajectory_error_m
-from twc_env.records.geometry import between, compose, poses_along
+from twc_env.records.geometry import between, compose, poses_along, wrap_angle
+from twc_env.records.messages import SensorFrame
 from twc_env.replaying.inputs import Asked, ReplayInput, input_of
-from twc_env.replaying.odometry_errors import MOTIONS_MIN, OdometryErrors, corrected, fitted, with_errors_of_log
+from twc_env.replaying.odometry_errors import (
+    MOTIONS_MIN,
+    OdometryErrors,
+    corrected,
+    errors_of,
+    fitted,
+    with_errors_of_log,
+)
 from twc_env.replaying.run import run
 
 SCALE, SKEW_RAD, CURL_RAD_M, TURN = 0.05, -0.03, 0.06, 0.1
@@ -33,6 +41,10 @@ def worse(log: ScanLog, seed: int, size: float = 1.0) -> ScanLog:
 
 def read(log: ScanLog) -> ReplayInput:
     return input_of([log], [np.zeros(3)], Asked())
+
+
+def frames_of(log: ScanLog) -> list[SensorFrame]:
+    return [frame for frames in read(log).steps for frame in frames]
 
 
 def told(source: ReplayInput) -> tuple[float, float]:
@@ -91,7 +103,20 @@ def test_gyros_and_short_logs_keep_what_is_assumed():
     source = read(log.at(slice(MOTIONS_MIN // 2)))
     kept = with_errors_of_log(source)
     assert kept.config == source.config and kept.steps is source.steps
-    assert "too few matched scans" in kept.notes[-1]
+    assert "noise is assumed" in kept.notes[-1]
+
+
+def test_of_scans_that_are_close_together_nothing_is_told():
+    log = first_log()
+    between_scans = np.repeat(log.poses, 4, axis=0)
+    between_scans[:-4] += np.tile(np.arange(4) / 4, len(log.poses) - 1)[:, None] * np.repeat(
+        np.column_stack([np.diff(log.poses[:, :2], axis=0), wrap_angle(np.diff(log.poses[:, 2]))]), 4, axis=0
+    )
+    times_s = np.interp(np.arange(4 * len(log.times_s)) / 4, np.arange(len(log.times_s)), log.times_s)
+    times_s[-4:] += np.arange(4)
+    dense = dataclasses.replace(log, times_s=times_s, poses=between_scans, ranges_m=np.repeat(log.ranges_m, 4, axis=0))
+    assert errors_of(frames_of(log), read(log).config) is not None
+    assert errors_of(frames_of(dense), read(log).config) is None
 
 
 def test_turn_rates_are_those_of_the_corrected_odometry():

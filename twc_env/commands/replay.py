@@ -113,7 +113,7 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         choices=("from-log", "assumed"),
         default="from-log",
         help="errors of a laser log's odometry: found by matching its scans, the constant ones taken off and the rest "
-        "told to the engine (default: from-log; without a gyro, and not with --localise), or assumed",
+        "told to the engine, or assumed (default: from-log; but assumed with a gyro, of dense scans, with --localise)",
     )
     add_lasting(replay)
     replay.add_argument(

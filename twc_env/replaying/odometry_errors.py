@@ -25,9 +25,14 @@ STRETCH_M, STRETCH_RAD = 0.5, 0.5
 """Steps are summed to motions of this length or turn; in shorter ones the noise of matches prevails."""
 MOTIONS_MIN, MOTIONS_MAX = 30, 400
 """Of fewer motions nothing is told; no more of them are looked at: the first part of a log tells enough."""
+STEPS_MAX = 2
+"""Of a log whose first motions have more steps each, nothing is told: of freiburg-079, with scans 0.1 m apart, a path
+by what was found was worse."""
+NOISE_MAX = 1.0
+"""Greatest noise of a step that the settings take [m, rad]."""
 HELD_SHARE = 1e-3
 """A match holds a pose in all directions if its information's least eigenvalue is this share of the greatest."""
-TOO_FEW = f"odometry: too few matched scans to tell its errors ({MOTIONS_MIN} motions); noise is assumed"
+UNTOLD = f"odometry: noise is assumed; {MOTIONS_MIN} motions between matched scans half a metre apart would tell it"
 ROUNDS, HUBER, WINSOR = 10, 1.5, 5.0
 """Rounds of the robust fit; residuals that count less, and at most, in robust standard deviations."""
 SAME_TURN_RAD = 1e-6
@@ -72,7 +77,7 @@ def with_errors_of_log(source: ReplayInput) -> ReplayInput:
         return source
     config, paths, told = taken_from_log(source.config, paths)
     if not told:
-        return dataclasses.replace(source, notes=[*source.notes, TOO_FEW])
+        return dataclasses.replace(source, notes=[*source.notes, UNTOLD])
     own = {robot: iter(path) for robot, path in zip(robots, paths, strict=True)}
     steps = [tuple(next(own[frame.robot]) for frame in frames) for frames in source.steps]
     names = [f"robot {source.names[robot] or robot}, " if len(robots) > 1 else "" for robot in robots]
@@ -93,18 +98,18 @@ def taken_from_log(
         return config, paths, []
     noise = {
         "position_std_per_m": 0.0,
-        "position_std_m": max(errors.position_std_m for errors in told),
-        "turn_std_rad": max(errors.turn_std_rad for errors in told),
+        "position_std_m": min(max(errors.position_std_m for errors in told), NOISE_MAX),
+        "turn_std_rad": min(max(errors.turn_std_rad for errors in told), NOISE_MAX),
     }
     config = override(config, {f"slam.odometry_filter.{name}": value for name, value in noise.items()})
     return config, [corrected(path, errors) for path, errors in zip(paths, told, strict=True)], told
 
 
 def errors_of(frames: Sequence[SensorFrame], config: EnvConfig) -> OdometryErrors | None:
-    """Errors of the odometry of one robot's frames; None if too few scans are matched."""
+    """Errors of the odometry of one robot's frames; None if too few scans are matched, or many in a motion."""
     front = FrontEnds(override(config, {"robots": 1}), 1)
     read, matched, steps = [], [], []
-    stretch, before = _Stretch(), None
+    stretch, before, is_dense = _Stretch(), None, False
     for k, frame in enumerate(frames):
         front.update(front.intake.on_circle([dataclasses.replace(frame, robot=0)])[0])
         stretch.add(frame.odometry)
@@ -116,13 +121,21 @@ def errors_of(frames: Sequence[SensorFrame], config: EnvConfig) -> OdometryError
             matched.append(between(before, front.poses_odom[0]))
             steps.append(stretch.steps)
         stretch, before = _Stretch(), front.poses_odom[0] if is_known else None
-        if len(read) == MOTIONS_MAX:
+        is_dense = len(read) == MOTIONS_MIN and np.median(steps) > STEPS_MAX
+        if is_dense or len(read) == MOTIONS_MAX:
             break
-    return fitted(np.array(read), np.array(matched), np.array(steps)) if len(read) >= MOTIONS_MIN else None
+    if len(read) < MOTIONS_MIN or is_dense:
+        return None
+    found = fitted(np.array(read), np.array(matched), np.array(steps))
+    return found if np.isfinite(dataclasses.astuple(found)).all() else None
 
 
 def fitted(read: Array, matched: Array, steps: Array) -> OdometryErrors:
-    """Errors of motions (n, 3) that odometry read, of so many steps (n,) each, where the scans tell others (n, 3)."""
+    """Errors of motions (n, 3) that odometry read, of so many steps (n,) each, where the scans tell others (n, 3).
+
+    They are shares of what is read: a turn that is large is large in part by noise, and to take that off too gives the
+    likeliest motion.
+    """
     away = read - matched
     away[:, 2] = wrap_angle(away[:, 2])
     ahead, turns = read[:, :1], read[:, [0, 2]]
