@@ -1,7 +1,8 @@
-# One command per job; each installs what it needs into .venv and does so once.
+# One command per job; each installs what it needs into .venv and does so once. -qq: pip shows its errors, but not its
+# warnings, which are about the machine's own settings of pip.
 PYTHON ?= python3
 PY := .venv/bin/python
-INSTALL := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
+INSTALL := $(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt
 PINS := pyproject.toml constraints.txt
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test docs test-bounds coverage test-ray train-torchrl train-benchmarl soak check clean
@@ -75,7 +76,7 @@ soak: .venv/installed-test ## hours: 1,000,000 steps, malformed input of every k
 .venv-ray/installed: pyproject.toml
 	$(PYTHON) -m venv .venv-ray || { rm -rf .venv-ray; exit 1; }
 	@echo "installing ray into .venv-ray (several minutes)"
-	.venv-ray/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ray,viz,train]' torch==2.13.0 pytest hypothesis
+	.venv-ray/bin/python -m pip install -qq --disable-pip-version-check -e '.[ray,viz,train]' torch==2.13.0 pytest hypothesis
 	@touch $@
 
 test-ray: .venv-ray/installed ## RLlib trains a team, Ray plays a benchmark (in .venv-ray: ray asks for an older gymnasium)
@@ -87,7 +88,7 @@ test-ray: .venv-ray/installed ## RLlib trains a team, Ray plays a benchmark (in 
 .venv-benchmarl/installed: pyproject.toml
 	$(PYTHON) -m venv .venv-benchmarl || { rm -rf .venv-benchmarl; exit 1; }
 	@echo "installing BenchMARL into .venv-benchmarl (several minutes)"
-	.venv-benchmarl/bin/python -m pip install --quiet --disable-pip-version-check -e '.[viz]' 'benchmarl>=1.5' torch==2.13.0
+	.venv-benchmarl/bin/python -m pip install -qq --disable-pip-version-check -e '.[viz]' 'benchmarl>=1.5' torch==2.13.0
 	@touch $@
 
 train-benchmarl: .venv-benchmarl/installed ## BenchMARL trains MAPPO on a task v1 (in .venv-benchmarl: it asks for an older TorchRL)
