@@ -12,20 +12,16 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 
-def unpacked_wheel(folder: Path) -> Path:
-    """Where the wheel that is built in this folder was unpacked."""
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """A folder into which the built wheel was unpacked."""
+    folder = tmp_path_factory.mktemp("wheel")
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
     (wheel,) = folder.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(folder / "site")
     return folder / "site"
-
-
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """A folder into which the built wheel was unpacked."""
-    return unpacked_wheel(tmp_path_factory.mktemp("wheel"))
 
 
 def test_the_wheel_contains_only_twc_env_at_the_top(installed):

@@ -9,7 +9,6 @@ import pytest
 
 from tests.docs.test_commands import ROOT
 from tests.forks import Forks
-from tests.test_wheel import unpacked_wheel
 
 PAGES = ("student", "researcher", "lecturer")
 SMALLER = (
@@ -48,19 +47,10 @@ def programs(page: str) -> list[str]:
     return found
 
 
-@pytest.fixture(scope="module", params=["clone", pytest.param("wheel", marks=pytest.mark.slow)])
-def forks(request, tmp_path_factory):
-    """Processes that have the package from a clone, or from a wheel alone."""
-    env = {**os.environ, "MPLBACKEND": "Agg"}
-    if request.param == "clone":
-        home = ROOT
-        env["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    else:
-        pytest.importorskip("hatchling", reason="needs the extra 'dev'")
-        home = unpacked_wheel(tmp_path_factory.mktemp("wheel"))
-        env |= {"PYTHONPATH": os.pathsep.join([str(home), str(home)]), "PYTHONSAFEPATH": "1"}  # the first is replaced
-    forks = Forks(LOADED, tmp_path_factory.mktemp("forks"), env)
-    assert forks.run("import twc_env\nprint(twc_env.__file__)", home) == (0, f"{home / 'twc_env' / '__init__.py'}\n")
+@pytest.fixture(scope="module")
+def forks(tmp_path_factory):
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    forks = Forks(LOADED, tmp_path_factory.mktemp("forks"), {**os.environ, "PYTHONPATH": path, "MPLBACKEND": "Agg"})
     yield forks
     forks.close()
 
