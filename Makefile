@@ -1,7 +1,8 @@
-# One command per job; each installs what it needs into .venv and does so once.
+# One command per job; each installs what it needs into .venv and does so once. -qq: pip shows its errors, but not its
+# warnings, which are about the machine's own settings of pip.
 PYTHON ?= python3
 PY := .venv/bin/python
-INSTALL := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt
+INSTALL := $(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt
 PINS := pyproject.toml constraints.txt
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test docs test-bounds coverage test-ray train-torchrl train-benchmarl soak check clean
@@ -11,21 +12,21 @@ help: ## list the commands
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "twc_env needs Python 3.11 or newer; name one: make PYTHON=python3.11 ..."; exit 1; }
-	$(PYTHON) -m venv .venv || { rm -rf .venv; exit 1; }
+	@$(PYTHON) -m venv .venv || { rm -rf .venv; exit 1; }
 
 .venv/installed-demo: $(PINS) | .venv/bin/python
 	@echo "installing into .venv (a minute or more)"
-	$(INSTALL) -e '.[viz]'
+	@$(INSTALL) -e '.[viz]'
 	@touch $@
 
 .venv/installed-dev: $(PINS) | .venv/bin/python
 	@echo "installing into .venv (a minute or more)"
-	$(INSTALL) -e '.[viz,dev]'
+	@$(INSTALL) -e '.[viz,dev]'
 	@touch $@
 
 .venv/installed-test: $(PINS) | .venv/bin/python
 	@echo "installing torch and more into .venv (several minutes)"
-	$(INSTALL) torch -e '.[viz,dev,train,ocr]'
+	@$(INSTALL) torch -e '.[viz,dev,train,ocr]'
 	@$(INSTALL) -e '.[viz,ros,docs]' || echo "rosbags or mkdocs-material is not to be had here: their tests are skipped"
 	@$(INSTALL) -e '.[torchrl,rerun]' sb3-contrib || echo "TorchRL, Rerun or sb3-contrib is not to be had here: their tests are skipped"
 	@touch $@
@@ -47,7 +48,7 @@ test: .venv/installed-test ## all tests, training and OCR included (installs tor
 
 .venv/installed-docs: $(PINS) | .venv/bin/python
 	@echo "installing into .venv (a minute or more)"
-	$(INSTALL) -e '.[viz,docs]'
+	@$(INSTALL) -e '.[viz,docs]'
 	@touch $@
 
 docs: .venv/installed-docs ## the documentation site in build/site, built strictly (open index.html)
@@ -73,9 +74,9 @@ soak: .venv/installed-test ## hours: 1,000,000 steps, malformed input of every k
 	$(PY) -m tests.soak --steps 1000000 --resume runs/soak/episodes.jsonl --json runs/soak/steps.json
 
 .venv-ray/installed: pyproject.toml
-	$(PYTHON) -m venv .venv-ray || { rm -rf .venv-ray; exit 1; }
+	@$(PYTHON) -m venv .venv-ray || { rm -rf .venv-ray; exit 1; }
 	@echo "installing ray into .venv-ray (several minutes)"
-	.venv-ray/bin/python -m pip install --quiet --disable-pip-version-check -e '.[ray,viz,train]' torch==2.13.0 pytest hypothesis
+	@.venv-ray/bin/python -m pip install -qq --disable-pip-version-check -e '.[ray,viz,train]' torch==2.13.0 pytest hypothesis
 	@touch $@
 
 test-ray: .venv-ray/installed ## RLlib trains a team, Ray plays a benchmark (in .venv-ray: ray asks for an older gymnasium)
@@ -85,9 +86,9 @@ test-ray: .venv-ray/installed ## RLlib trains a team, Ray plays a benchmark (in 
 	.venv-ray/bin/python docs/tutorials/rllib_ppo.py 1200 runs/rllib twc/ExploreQuick-v1
 
 .venv-benchmarl/installed: pyproject.toml
-	$(PYTHON) -m venv .venv-benchmarl || { rm -rf .venv-benchmarl; exit 1; }
+	@$(PYTHON) -m venv .venv-benchmarl || { rm -rf .venv-benchmarl; exit 1; }
 	@echo "installing BenchMARL into .venv-benchmarl (several minutes)"
-	.venv-benchmarl/bin/python -m pip install --quiet --disable-pip-version-check -e '.[viz]' 'benchmarl>=1.5' torch==2.13.0
+	@.venv-benchmarl/bin/python -m pip install -qq --disable-pip-version-check -e '.[viz]' 'benchmarl>=1.5' torch==2.13.0
 	@touch $@
 
 train-benchmarl: .venv-benchmarl/installed ## BenchMARL trains MAPPO on a task v1 (in .venv-benchmarl: it asks for an older TorchRL)

@@ -87,7 +87,7 @@ def main(arguments: list[str]) -> int:
     pins = [ROOT / "pyproject.toml", ROOT / "constraints.txt"]
     if not done.exists() or done.stat().st_mtime < max(pin.stat().st_mtime for pin in pins):
         print(f"installing into {done.parent.name} (a minute or more)", flush=True)
-        if status := run(python, ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", *packages]):
+        if status := run(python, ["-m", "pip", "install", "-qq", "--disable-pip-version-check", *packages]):
             return status
         done.touch()
     for command in commands:

@@ -100,3 +100,13 @@ def test_without_make_the_repository_of_the_docs_is_an_option():
 def test_without_make_an_unknown_target_prints_the_manual():
     done = subprocess.run([sys.executable, "make.py", "cake"], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 2 and "make.py demo" in done.stdout
+
+
+def test_installing_shows_the_errors_of_pip_and_no_warnings_about_the_machine():
+    text = (ROOT / "Makefile").read_text() + re.sub(r'", "', " ", (ROOT / "make.py").read_text())
+    calls = re.findall(r"-m pip install (\S+)", text)
+    assert len(calls) == 4 and set(calls) == {"-qq"}
+    given = ["--dry-run", "--no-index", "--find-links", "/no/such/folder", "no-such-package-of-anybody"]
+    done = subprocess.run([sys.executable, "-m", "pip", "install", *calls[:1], *given], capture_output=True, text=True)
+    told = (done.stdout + done.stderr).splitlines()
+    assert done.returncode and told and all(line.startswith("ERROR: ") for line in told), told

@@ -205,3 +205,28 @@ def test_names_of_teams_are_escaped_in_pages_and_in_latex(tmp_path):
     standings = standings_of(odd, values)
     assert r"<b>my\_team\&co.py:Mine" in tables.latex_of(standings)
     assert "<b>" not in page_of(standings, "t", "l", [])
+
+
+PAGE_PX = 680
+"""Width of a picture on a page of the documentation."""
+
+
+@pytest.mark.parametrize("tasks", [TASKS, TASKS[:1]], ids=["tasks", "task"])
+def test_the_print_of_pictures_can_be_read_on_a_page(tmp_path, monkeypatch, tasks):
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'viz'")
+    from matplotlib.text import Text
+
+    from twc_env.pictures.style import style
+    from twc_env.suite import pictures
+
+    _, _, standings = played(tasks=tasks)
+    figures = []
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, *_: figures.append(figure))
+    with style():
+        pictures.draw_curves(standings, tmp_path / "curves.png")
+        pictures.draw_profiles(standings, tmp_path / "profiles.png")
+        for figure in figures:
+            figure.draw_without_rendering()
+            scale = PAGE_PX / (72 * figure.get_size_inches()[0])
+            sizes = {text.get_text(): scale * text.get_fontsize() for text in figure.findobj(Text) if text.get_text()}
+            assert len(sizes) > 10 and min(sizes.values()) >= 9, sizes

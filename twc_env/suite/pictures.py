@@ -14,9 +14,10 @@ from twc_env.suite.tables import team_name, title_of
 
 REFERENCE_STYLE = {"random": (TRUE_WALL, ":"), "informed": (INK, "--")}
 """Colour and line of the teams with the scores 0 and 1."""
-COLUMNS = 3
-PANEL_IN = (4.2, 3.1)
-DPI = 110
+COLUMNS = 2
+PANEL_IN = (3.4, 2.4)
+"""Small, so that their print can be read where a page is as wide as the picture."""
+DPI = 200
 
 
 def draw_curves(standings: Standings, path: Path) -> None:
@@ -41,7 +42,7 @@ def draw_curves(standings: Standings, path: Path) -> None:
 def draw_profiles(standings: Standings, path: Path) -> None:
     """Performance profiles: the share of episodes that score above a threshold, averaged over tasks, with its 95 %
     interval."""
-    figure, panels = _panels(1, (7.0, 4.2))
+    figure, panels = _panels(1, (6.8, 4.2))
     (panel,) = panels
     for team in standings.teams:
         colour, line = _style(team, standings.teams)
