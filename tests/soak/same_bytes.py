@@ -3,8 +3,8 @@ use newer instructions or further threads.
 
 Compiled kernels, NumPy and OpenBLAS choose their instructions by the processor, and OpenBLAS its threads by the number
 of cores. Each attempt plays one task in a process in which one of `SWITCHES` takes that choice away, and compares the
-digest of all observations, rewards, paths and maps with that of a process without a switch. All this takes hours: a file
-keeps the digests of one version of the code, and a run goes on with those that it lacks.
+digest of all observations, rewards, paths and maps with that of a process without a switch. All this takes hours: a
+file keeps the digests of one version of the code, and a run goes on with those that it lacks.
 """
 
 from __future__ import annotations
