@@ -3,8 +3,9 @@
 import json
 import pickle
 
+import numpy as np
 import pytest
-from twc_env.agents.policy import make_policy
+from twc_env.agents.policy import is_finished, make_policy
 
 from twc_env import ConfigError, EnvConfig
 from twc_env.__main__ import main
@@ -22,6 +23,14 @@ class Mine(Policy):
 class Half:
     def act(self, beliefs):
         return {}
+
+class Bare(Mine):
+    def __init__(self):
+        pass
+
+class Alone(Mine):
+    def act(self):
+        return {}
 """
 
 
@@ -30,6 +39,7 @@ def mine(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(MINE)
     (tmp_path / "beside.py").write_text("SPEED = 0.25\n")
+    (tmp_path / "null.py").write_bytes(b"class Mine:\0 pass")
     return "mine.py:Mine"
 
 
@@ -77,8 +87,35 @@ def test_a_report_names_its_policy_file_and_a_changed_file_is_run_again(mine, tm
         ("other.py:Mine", "there is no file other.py"),
         ("mine.py:Half", r"has no reset and no finished: derive it from twc_env.agents\.Policy"),
         ("mine", "your own is FILE.py:CLASS"),
+        ("mine.py:Bare", "mine.py:Bare, when it is made, cannot be called as twc_env.agents.Policy says: too many"),
+        ("mine.py:Alone", "mine.py:Alone.act cannot be called as twc_env.agents.Policy says: too many positional"),
+        ("null.py:Mine", "null.py is no Python file, since it holds null characters; name another"),
     ],
 )
 def test_the_error_of_an_invalid_policy_names_the_remedy(mine, name, remedy):
     with pytest.raises(ConfigError, match=remedy):
         make_policy(name, EnvConfig())
+
+
+ANSWERS = {
+    "act": ["None", "{}", "5", "{agent: None for agent in beliefs}", "{agent: 'x' for agent in beliefs}"],
+    "finished": ["np.ones(2)", "(beliefs for _ in ())", "'no'"],
+}
+
+
+@pytest.mark.parametrize(("method", "answer"), [(method, each) for method in ANSWERS for each in ANSWERS[method]])
+def test_an_answer_that_no_team_gives_is_refused_in_one_line(method, answer, mine, tmp_path, refusal):
+    (tmp_path / "odd.py").write_text(
+        f"{MINE}\nclass Odd(Mine):\n    def {method}(self, beliefs):\n        return {answer}\n"
+    )
+    told = refusal(main, ["explore", "--map", "sfw-e1", "--robots", "1", "--no-pictures", "--agent", "odd.py:Odd"])
+    assert ("Odd.finished must return True or False; got" if method == "finished" else "action") in told
+
+
+@pytest.mark.parametrize(("told", "expected"), [(True, True), (np.False_, False), (None, False), (1, True)])
+def test_a_team_is_finished_if_it_says_so(told, expected):
+    class Team:
+        def finished(self, beliefs):
+            return told
+
+    assert is_finished(Team(), {}) is expected

@@ -51,6 +51,11 @@ KINDS = {
     "bombs": Kind(
         "malformed.bombs.bombs", TwcError, "files that are huge once unpacked, nest deeply or name files elsewhere"
     ),
+    "doors": Kind(
+        "malformed.door_fuzz.odd_doors",
+        TwcError,
+        "odd teams, priors, policies, --set, tables and results to go on from",
+    ),
     "instructions": Kind(
         "same_bytes.episodes", TwcError, "pairs of a task and a set of instructions, whose bytes must be equal", False
     ),

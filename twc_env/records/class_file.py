@@ -70,6 +70,8 @@ def _module(path: Path) -> Any:
     _FOLDERS.add(path.parent)
     sys.path.insert(0, str(path.parent))
     place = hashlib.sha256(str(path).encode()).hexdigest()[:8]
+    if b"\0" in path.read_bytes():
+        raise ConfigError(f"{path} is no Python file, since it holds null characters; name another")
     spec = importlib.util.spec_from_file_location(f"class_file_{path.stem}_{place}", path)
     assert spec is not None and spec.loader is not None
     module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
