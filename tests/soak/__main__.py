@@ -54,7 +54,7 @@ KINDS = {
     "doors": Kind(
         "malformed.door_fuzz.odd_doors",
         TwcError,
-        "odd teams, priors, policies, --set, tables and results to go on from",
+        "odd teams in files, tables in other forms, and finished parts to go on from",
     ),
     "instructions": Kind(
         "same_bytes.episodes", TwcError, "pairs of a task and a set of instructions, whose bytes must be equal", False
