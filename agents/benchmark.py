@@ -15,9 +15,11 @@ import numpy as np
 import twc_env
 from twc_env import EnvConfig
 from twc_env.config import digest
+from twc_env.errors import UNFIT
 from twc_env.pictures.curves import draw_coverage, sampled
 from twc_env.pictures.replay_page import read_trace
 from twc_env.records.json_values import write_json
+from twc_env.records.seal import is_unbroken
 from twc_env.records.text_tables import aligned_text, csv_text, flat, latex_table
 from twc_env.records.whole_file import write_text
 from twc_env.running.worker_processes import in_processes
@@ -35,6 +37,8 @@ COLUMNS = (
     ("stuck_share", "stuck", ".3f"),
     ("env_steps_per_s", "steps/s", ".0f"),
 )
+_NEEDED = ("robots", "merged_robots", "wrong_merges", "team_ate_m", "coverage_correct")
+"""Figures that every run has."""
 ATE_PASS_M = 0.30
 COVERAGE_PASS = 0.90
 
@@ -64,16 +68,22 @@ def passes(report: dict[str, Any]) -> bool:
 
 
 def run_jobs(jobs: Iterable[Job], processes: int = 1) -> Iterator[tuple[Job, dict[str, Any], bool]]:
-    """Yield (job, report, whether it was reused) as each is done; jobs whose pictures are missing are run again."""
+    """Yield (job, report, whether it was reused) as each is done; jobs whose pictures, or what they are drawn from, are
+    missing or damaged are run again."""
     waiting = []
     for job in jobs:
         report = report_of(job)
-        if report is None or (job.pictures and not (job.folder / f"map.{job.format}").is_file()):
+        if report is None or (job.pictures and not _is_drawn(job)):
             waiting.append(job)
         else:
             yield job, report, True
     for k, report in in_processes(run_job, waiting, min(processes, len(waiting))):
         yield waiting[k], report, False
+
+
+def _is_drawn(job: Job) -> bool:
+    trace = job.folder / "trace.npz"
+    return (job.folder / f"map.{job.format}").is_file() and trace.is_file() and is_unbroken(trace)
 
 
 def run_job(job: Job) -> dict[str, Any]:
@@ -101,11 +111,21 @@ def _report_with(job: Job) -> dict[str, Any] | None:
     """The report of an earlier run with the same settings and any code, or None."""
     try:
         report = json.loads((job.folder / "report.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+    except (OSError, *UNFIT):
+        return None
+    if not _has_figures(report):
         return None
     wanted = {"config_digest": digest(job.config), "agent": job.agent, "seed": job.seed}
-    is_same = isinstance(report, dict) and all(report.get(key) == value for key, value in wanted.items())
-    return report if is_same else None
+    return report if all(report.get(key) == value for key, value in wanted.items()) else None
+
+
+def _has_figures(report: Any) -> bool:
+    """Whether what a file holds has all figures of the tables as numbers."""
+    kinds = {key: int if form == "d" else (int, float) for key, _, form in COLUMNS} | {"robots": int}
+    return isinstance(report, dict) and all(
+        isinstance(report.get(key), kind) or (report.get(key) is None and key not in _NEEDED)
+        for key, kind in kinds.items()
+    )
 
 
 def summary_of(reports: list[dict[str, Any]]) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from twc_env.running.finished_parts import FinishedParts
 from twc_env.running.worker_processes import in_processes
 
 from .explore import commanded, commanded_stuck_share, origin_of
-from .policy import LEARNED, begin, make_policy
+from .policy import LEARNED, begin, is_finished, make_policy
 from .roster import display_name
 
 GOAL = 0.9
@@ -98,11 +98,11 @@ def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
     covered, commands = [0.0], []
     while env.agents:
         beliefs = {name: env.belief(name) for name in env.agents}
-        if policy.finished(beliefs):
+        if is_finished(policy, beliefs):
             break
         actions = policy.act(beliefs)
-        commands.append(commanded(actions, env.possible_agents))
         infos = env.step(actions)[-1]
+        commands.append(commanded(actions, env.possible_agents))
         covered.append(covered[-1] + infos["robot_0"]["reward_terms"]["coverage"])
     result = env.result()
     figures = result.figures

@@ -29,7 +29,7 @@ from twc_env.running.finished_parts import code_digest
 from twc_env.running.output_folder import alone_in
 
 from . import picture
-from .policy import LEARNED, begin, make_policy
+from .policy import LEARNED, begin, is_finished, make_policy
 
 WARM_UP_STEPS = 10
 """Steps at the start that are excluded from the speed."""
@@ -91,13 +91,13 @@ def explore(
             beliefs = {name: env.belief(name) for name in env.agents}
             believed = _clock_s(compiling)
             actions = policy.act(beliefs)
-            is_finished = policy.finished(beliefs)
+            is_over = is_finished(policy, beliefs)
             thought = _clock_s(compiling)
-            if is_finished:
+            if is_over:
                 break
-            commands.append(commanded(actions, env.possible_agents))
             rewards = env.step(actions)[1]
             stepped = _clock_s(compiling)
+            commands.append(commanded(actions, env.possible_agents))
             frames.append(env.frames)
             contacts.append(env.contacts)
             trace.note(rewards)
@@ -121,7 +121,8 @@ def explore(
 
 
 def commanded(actions: Mapping[str, Any], agents: Sequence[str]) -> list[bool]:
-    """Whether each agent is told to drive or turn by more than `IDLE_SHARE` of the maximum."""
+    """Whether each agent is told to drive or turn by more than `IDLE_SHARE` of the maximum, by actions that `step` has
+    accepted."""
     return [agent in actions and bool(np.abs(actions[agent]).max() > IDLE_SHARE) for agent in agents]
 
 

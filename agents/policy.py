@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 from abc import abstractmethod
 from collections.abc import Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
@@ -79,9 +81,36 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
             careful: Policy = import_module(f"{__package__}.careful").CarefulTeam(scripted, config)
             return careful
         return scripted
+    return _of_user(name, config)
+
+
+def _of_user(name: str, config: EnvConfig) -> Policy:
+    """A policy of a class that FILE.py:CLASS names. Raises ConfigError if it cannot be called as a `Policy`."""
     remedy = "derive it from twc_env.agents.Policy, or add what lacks"
-    policy: Policy = class_in(name, ("reset", "act", "finished"), remedy)(config)
+    own = class_in(name, ("reset", "act", "finished"), remedy)
+    _check_call(f"{name}, when it is made,", own, config)
+    policy: Policy = own(config)
+    _check_call(f"{name}.reset", policy.reset, 0, ())
+    _check_call(f"{name}.act", policy.act, {})
+    _check_call(f"{name}.finished", policy.finished, {})
     return policy
+
+
+def _check_call(told: str, function: Any, *arguments: Any) -> None:
+    try:
+        inspect.signature(function).bind(*arguments)
+    except TypeError as error:
+        raise ConfigError(f"{told} cannot be called as twc_env.agents.Policy says: {error}") from error
+    except ValueError:  # it tells no signature
+        pass
+
+
+def is_finished(policy: Policy, beliefs: dict[str, Belief]) -> bool:
+    """Whether a team ends the episode. Raises ConfigError if it says neither yes nor no."""
+    told = policy.finished(beliefs)
+    if told is not None and not isinstance(told, (bool, np.bool_, int)):
+        raise ConfigError(f"{type(policy).__name__}.finished must return True or False; got {told!r:.60}")
+    return bool(told)
 
 
 def begin(policy: Policy, agent: str, env: ExplorationEnv, seed: int) -> None:

@@ -3,11 +3,14 @@
 import json
 import shutil
 
+import numpy as np
 import pytest
 from twc_env.agents import benchmark
 
 from twc_env import ConfigError, EnvConfig
 from twc_env.__main__ import main
+from twc_env.config import digest
+from twc_env.datasets.logs.arrays_file import write_arrays
 from twc_env.maps import bundled_folder
 from twc_env.running.options import parse_seeds
 
@@ -153,6 +156,33 @@ def test_a_corrupt_report_is_not_reused(tmp_path):
     assert benchmark.report_of(job) is None
     (tmp_path / "report.json").write_text("[]")
     assert benchmark.report_of(job) is None
+
+
+@pytest.mark.parametrize("change", [{"team_ate_m": None}, {"merged_robots": "3"}, {"robots": 3.0}, {"wall_iou": []}])
+def test_a_report_without_a_figure_of_the_tables_is_not_reused(change, tmp_path):
+    job = benchmark.Job(EnvConfig(), "random", 0, tmp_path)
+    report = some_report(config_digest=digest(job.config), agent="random")
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    assert benchmark.is_outdated(job)  # of no code
+    (tmp_path / "report.json").write_text(json.dumps(report | change))
+    assert not benchmark.is_outdated(job)
+
+
+def test_a_run_whose_record_is_damaged_is_run_again_if_it_is_drawn(tmp_path, monkeypatch):
+    monkeypatch.setattr(benchmark, "report_of", lambda job: {"seed": 0})
+    monkeypatch.setattr(benchmark, "in_processes", lambda work, jobs, count: [(k, {}) for k in range(len(jobs))])
+    write_arrays(tmp_path / "trace.npz", steps=np.arange(3))
+    (tmp_path / "map.png").touch()
+
+    def is_reused(pictures: bool) -> bool:
+        job = benchmark.Job(EnvConfig(), "random", 0, tmp_path, pictures)
+        ((_, _, was_there),) = benchmark.run_jobs([job])
+        return was_there
+
+    assert is_reused(True)
+    whole = (tmp_path / "trace.npz").read_bytes()
+    (tmp_path / "trace.npz").write_bytes(whole[:40] + bytes([whole[40] ^ 1]) + whole[41:])
+    assert is_reused(False) and not is_reused(True)
 
 
 def test_two_processes_give_the_same_reports_as_one(tmp_path):

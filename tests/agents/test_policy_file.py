@@ -3,11 +3,14 @@
 import json
 import pickle
 
+import numpy as np
 import pytest
-from twc_env.agents.policy import make_policy
+from twc_env.agents import compare
+from twc_env.agents.policy import is_finished, make_policy
 
 from twc_env import ConfigError, EnvConfig
 from twc_env.__main__ import main
+from twc_env.errors import ActionError
 from twc_env.records.class_file import digest_of
 
 MINE = """
@@ -24,12 +27,33 @@ class Half:
         return {}
 """
 
+ODD = f"""{MINE}
+class Bare(Mine):
+    def __init__(self):
+        pass
+
+class Actless(Policy):
+    pass
+
+class Alone(Mine):
+    def act(self):
+        return {{}}
+
+class Odd(Mine):
+    def act(self, beliefs):
+        return None
+"""
+
 
 @pytest.fixture
 def mine(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(MINE)
     (tmp_path / "beside.py").write_text("SPEED = 0.25\n")
+    (tmp_path / "null.py").write_bytes(b"class Mine:\0 pass")
+    (tmp_path / "latin.py").write_bytes("# caf\u00e9".encode("latin-1"))
+    (tmp_path / "empty.py").touch()
+    (tmp_path / "odd.py").write_text(ODD)
     return "mine.py:Mine"
 
 
@@ -77,8 +101,51 @@ def test_a_report_names_its_policy_file_and_a_changed_file_is_run_again(mine, tm
         ("other.py:Mine", "there is no file other.py"),
         ("mine.py:Half", r"has no reset and no finished: derive it from twc_env.agents\.Policy"),
         ("mine", "your own is FILE.py:CLASS"),
+        ("odd.py:Bare", "odd.py:Bare, when it is made, cannot be called as twc_env.agents.Policy says: too many"),
+        ("odd.py:Alone", "odd.py:Alone.act cannot be called as twc_env.agents.Policy says: too many positional"),
+        ("odd.py:Actless", r"odd.py:Actless has no act: derive it from twc_env.agents\.Policy, or add what lacks"),
+        ("latin.py:Mine", r"latin.py is no text: .*; save it as UTF-8"),
+        ("empty.py:Mine", r"there is no class 'Mine' in .*empty.py: derive it from twc_env.agents\.Policy"),
+        ("null.py:Mine", "null.py is no Python file, since it holds null characters; name another"),
     ],
 )
 def test_the_error_of_an_invalid_policy_names_the_remedy(mine, name, remedy):
     with pytest.raises(ConfigError, match=remedy):
         make_policy(name, EnvConfig())
+
+
+class Env:
+    """Refuses every action."""
+
+    agents = possible_agents = ("robot_0",)
+
+    def __init__(self, **_):
+        self.reset = self.belief = lambda *_, **__: None
+
+    def step(self, actions):
+        raise ActionError(f"got {actions!r}; give an action per robot")
+
+
+def test_answers_that_are_no_actions_are_refused_by_the_environment(mine, monkeypatch):
+    monkeypatch.setattr("twc_env.parallel_env", Env)
+    with pytest.raises(ActionError, match="got None"):
+        compare.explore(EnvConfig(), "odd.py:Odd", 0)
+
+
+@pytest.mark.parametrize("told", [np.ones(2), iter(()), "no"])
+def test_a_team_that_says_neither_yes_nor_no_is_refused(told):
+    class Team:
+        def finished(self, beliefs):
+            return told
+
+    with pytest.raises(ConfigError, match=r"Team.finished must return True or False; got"):
+        is_finished(Team(), {})
+
+
+@pytest.mark.parametrize(("told", "expected"), [(True, True), (np.False_, False), (None, False), (1, True)])
+def test_a_team_is_finished_if_it_says_so(told, expected):
+    class Team:
+        def finished(self, beliefs):
+            return told
+
+    assert is_finished(Team(), {}) is expected

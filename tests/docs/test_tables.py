@@ -20,6 +20,7 @@ Every page is looked at. A table with figures that is compared with nothing says
 import csv
 import json
 import re
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,7 +30,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 UNCHECKED = "*Not checked against a stored file"
 UNCHECKED_PAGE = "*No table of this page is checked against a stored file"
-FIGURE = re.compile(r"[*`(<]*[+-]?\.?\d")  # the beginning of a cell
+FIGURE = re.compile(r"[*`(<>≈~≤≥]*\s*[+−-]?\.?\d")  # the beginning of a cell
 
 
 class Number(float):
@@ -64,19 +65,18 @@ def cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip().strip("|").split("|")]
 
 
-def tables() -> list[Table]:
+def tables(page: str, text: str) -> list[Table]:
+    text += "\n\n"
+    of_all = UNCHECKED if UNCHECKED_PAGE in text else ""
     found = []
-    for page in PAGES:
-        text = page.read_text() + "\n\n"
-        of_all = UNCHECKED if UNCHECKED_PAGE in text else ""
-        pattern = r"(?:<!-- rows: ([^>]*?)-->\n+)?((?:^\|.*\n)+)([^\n]*\n[^\n]*)"
-        for marker, block, after in re.findall(pattern, text, re.MULTILINE):
-            lines = [cells(line) for line in block.splitlines()[2:]]
-            found.append(Table(str(page.relative_to(DOCS)), marker, lines, after + of_all))
+    pattern = r"(?:<!-- rows: ([^>]*?)-->\n+)?((?:^\|.*\n)+)(?=([^\n]*\n[^\n]*))"  # another table may come at once
+    for marker, block, after in re.findall(pattern, text, re.MULTILINE):
+        lines = [cells(line) for line in block.splitlines()[2:]]
+        found.append(Table(page, marker, lines, after + of_all))
     return found
 
 
-ALL = tables()
+ALL = [table for page in PAGES for table in tables(str(page.relative_to(DOCS)), page.read_text())]
 MARKED = [table for table in ALL if table.marker]
 
 
@@ -86,13 +86,18 @@ def stored(file: str):
     if file.endswith(".json"):
         return json.loads(text, parse_float=Number)
     columns: dict = {}
+    rows: Counter = Counter()
     for row in csv.DictReader(text.splitlines()):
         for owner in filter(None, (row.get("agent"), row["map"])):
             own = columns.setdefault(owner, {})
+            rows[owner] += 1
             for name, value in row.items():
-                if re.fullmatch(r"-?\d+(\.\d+)?(e-?\d+)?", value or ""):
+                if re.fullmatch(r"-?\d+(\.\d+)?(e[+-]?\d+)?", value or ""):
                     own.setdefault(name, Column()).append(float(value))
-    return columns
+    return {  # what some episodes lack has no mean
+        owner: {name: column for name, column in own.items() if len(column) == rows[owner]}
+        for owner, own in columns.items()
+    }
 
 
 def spaces(marker: str) -> tuple[list[str], list[dict]]:
@@ -151,6 +156,25 @@ def test_a_table_that_is_checked_does_not_say_that_it_is_not():
 
 def test_every_marker_stands_before_a_table():
     assert sum(page.read_text().count("<!-- rows:") for page in PAGES) == len(MARKED)
+
+
+def test_tables_that_follow_each_other_are_both_looked_at():
+    first, second = tables("a.md", "| a | b |\n|---|---|\n| x | 1 |\n\n| c | d |\n|---|---|\n| y | 2 |\n| z | 3 |\n")
+    assert (first.lines, second.lines) == ([["x", "1"]], [["y", "2"], ["z", "3"]])
+
+
+def test_a_column_with_a_gap_has_no_mean(tmp_path, monkeypatch):
+    monkeypatch.setattr("tests.docs.test_tables.DOCS", tmp_path)
+    (tmp_path / "data/results").mkdir(parents=True)
+    rows = "agent,map,ate_m,bytes,goal_s\nours,a,0.5,1e+16,3\nours,b,1.5,3e+16,\nours,c,2.5,5e+16,nan\n"
+    (tmp_path / "data/results/episodes.csv").write_text(rows)
+    found = stored("episodes.csv")["ours"]
+    assert (found["ate_m"].mean, found["bytes"].mean) == (1.5, 3e16) and "goal_s" not in found
+
+
+@pytest.mark.parametrize("cell", ["0.5", "**.5 m**", "< 3 %", "≈ 2", "~4", "≥ .9", "−0.1", "(+1)"])
+def test_cells_of_figures_are_seen(cell):
+    assert FIGURE.match(cell)
 
 
 def unchecked(table: Table) -> list[str]:

@@ -1,4 +1,5 @@
 import os
+import signal
 import subprocess
 import sys
 
@@ -113,6 +114,57 @@ def test_an_interrupt_that_python_drops_comes_again(where, name, status):
     call = [sys.executable, "-c", program.replace("{0}", name)]
     done = subprocess.run(call, capture_output=True, text=True, timeout=50)  # not only when the sleep is over
     assert (done.returncode, done.stdout, done.stderr) == (status, "", "interrupted\n")
+
+
+def after_a_lost_signal(name: str, then: str, again_s: float = 0.02, before: str = "") -> subprocess.CompletedProcess:
+    """Run a command that loses a signal, which comes once more after so long, and then does something else."""
+    program = (
+        f"import ctypes, os, signal, sys, threading, time\n{before}\nfrom twc_env.running import command_start\n"
+        "from twc_env.running.command_line import exit_status\n"
+        f"signal.signal(signal.SIGINT, signal.default_int_handler)\ncommand_start._AGAIN_S = {again_s}\n"
+        f"def command():\n    {LOST['a callback from C'].replace('{0}', name)}\n    {then}\n"
+        "print(exit_status(command), flush=True)\ntime.sleep(1.0)\nprint('more work')"
+    )
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_an_interrupt_that_was_dropped_does_not_come_after_the_command(name):
+    done = after_a_lost_signal(name, "return 0")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "0\nmore work\n", "")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_an_interrupt_that_comes_once_more_late_does_not_end_what_another_one_lets_save():
+    """The thread that raises it may have to wait for compiled code."""
+    later = (
+        "try:\n        os.kill(os.getpid(), signal.SIGINT)\n        time.sleep(5)\n    except KeyboardInterrupt:\n"
+        "        command_start._received[0] = (2, 0.0)\n        time.sleep(1.0)\n        print('saved')\n    return 130"
+    )
+    done = after_a_lost_signal("SIGINT", later, again_s=0.5)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "saved\n130\nmore work\n", "")
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals of POSIX")
+def test_an_interrupt_comes_until_it_is_received():
+    """A signal that comes just before a wait begins does not end it."""
+    then = (
+        "send, sent = signal.pthread_kill, []\n    def late(*call):\n        sent.append(call)\n"
+        "        len(sent) > 1 and send(*call)\n    signal.pthread_kill = late\n    time.sleep(10)"
+    )
+    done = after_a_lost_signal("SIGINT", then, again_s=0.5)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "130\nmore work\n", "interrupted\n")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_an_interrupt_is_not_lost_while_python_tells_of_the_one_it_dropped():
+    slow = (  # as on a machine that other programs keep busy
+        "start = threading.Thread.start\ndef slow(thread):\n    start(thread)\n    time.sleep(0.5)\n"
+        "threading.Thread.start = slow"
+    )
+    done = after_a_lost_signal("SIGTERM", "time.sleep(10)", before=slow)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "143\nmore work\n", "interrupted\n")
 
 
 def test_other_exceptions_that_python_drops_are_told_as_ever(monkeypatch):

@@ -46,6 +46,18 @@ def test_an_incomplete_part_is_computed_again(tmp_path):
     assert parts.once("x", refuse) == 2
 
 
+@pytest.mark.parametrize("change", [("0.25", "0.75"), ("ate_m", "ate_n"), ("{", "["), ("result", "results")])
+def test_a_part_that_is_not_as_it_was_written_is_computed_again(tmp_path, change):
+    parts = FinishedParts(tmp_path, "table", {})
+    parts.once("x", lambda: {"ate_m": 0.25})
+    (changed,) = parts.folder.iterdir()
+    changed.write_text(changed.read_text().replace(*change))
+    assert parts.once("x", lambda: {"ate_m": 0.5}) == {"ate_m": 0.5}
+    for other in ("null", "{}", "[1]", "3"):
+        changed.write_text(other)
+        assert parts.find("x") is None
+
+
 @pytest.mark.parametrize("changed", ["__init__.py", "sub/table.json", "sub/new.py"])
 def test_parts_of_other_code_are_not_reused_and_reported(tmp_path, package, changed):
     old = FinishedParts(tmp_path / "out", "table", {}, ("toy_package",))

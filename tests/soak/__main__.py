@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
@@ -50,6 +51,11 @@ KINDS = {
     "bombs": Kind(
         "malformed.bombs.bombs", TwcError, "files that are huge once unpacked, nest deeply or name files elsewhere"
     ),
+    "doors": Kind(
+        "malformed.door_fuzz.odd_doors",
+        TwcError,
+        "odd teams in files, tables in other forms, and finished parts to go on from",
+    ),
     "instructions": Kind(
         "same_bytes.episodes", TwcError, "pairs of a task and a set of instructions, whose bytes must be equal", False
     ),
@@ -77,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
         "--resume",
         type=Path,
         metavar="FILE",
-        help="a line per episode; a run goes on after the last line that is there",
+        help="a line per episode, of steps or instructions; a run goes on after the last line that is there",
     )
     long.add_argument("--observations", type=count, metavar="STEPS", help="random steps whose observations are checked")
     for name, kind in KINDS.items():
@@ -93,7 +99,7 @@ def _soak(options: argparse.Namespace) -> None:
     asked = {name: getattr(options, name) for name in KINDS if getattr(options, name) is not None}
     figures: dict[str, dict] = {}
     for name, tries in asked.items():
-        figures[name] = _tried(name, tries, options.seed)
+        figures[name] = _tried(name, tries, options)
         write_json(options.json, figures)
     if options.observations is not None:
         figures["observations"] = _observed(options.observations, options.seed)
@@ -104,13 +110,15 @@ def _soak(options: argparse.Namespace) -> None:
         raise TwcError("; ".join(faults))
 
 
-def _tried(name: str, tries: int, seed: int) -> dict:
+def _tried(name: str, tries: int, options: argparse.Namespace) -> dict:
     from tests.soak.attempts import attempt_all
 
     module, _, function = KINDS[name].generator.rpartition(".")
     generator: Callable[[int, int], Iterator] = getattr(import_module(f"tests.soak.{module}"), function)
+    if name == "instructions":
+        generator = partial(generator, kept=options.resume)
     done = attempt_all(
-        generator(tries, seed),
+        generator(tries, options.seed),
         KINDS[name].error,
         lambda tried: show_count(tried, tries, f" {name}", every=20),
         is_watched=KINDS[name].is_watched,

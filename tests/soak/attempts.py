@@ -4,6 +4,7 @@ memory, and touch no file elsewhere and start no process."""
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import sys
 import tempfile
@@ -167,3 +168,20 @@ def workplace() -> Iterator[Path]:
     """An empty folder, deleted at the end."""
     with tempfile.TemporaryDirectory() as name:
         yield Path(name)
+
+
+def kept_rows(file: Path) -> list[dict[str, Any]]:
+    """The rows of a file that a long run goes on with, a line of JSON each; none if there is no file."""
+    rows = []
+    for line in file.read_text().splitlines() if file.exists() else ():
+        with contextlib.suppress(ValueError):  # a line that a kill cut off
+            rows.append(json.loads(line))
+    return rows
+
+
+def append_row(file: Path, row: dict[str, Any]) -> None:
+    """Add a row for `kept_rows`."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    before = file.read_text() if file.exists() else ""
+    with file.open("a") as out:
+        out.write("\n" * (before[-1:] not in ("", "\n")) + json.dumps(row) + "\n")  # a kill may have cut off a line

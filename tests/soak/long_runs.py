@@ -5,19 +5,18 @@ Every combination of task, effect and kind of action is played once before one i
 
 from __future__ import annotations
 
-import contextlib
 import gc
-import json
 import multiprocessing
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tests.soak.attempts import append_row, kept_rows
 from tests.soak.observation_check import ACTIONS, random_actions
 from twc_env.bench.rates import wander
 from twc_env.config import EnvConfig, override
@@ -70,7 +69,7 @@ def soak(
     Each episode is a line in `file`, after whose last line a run goes on. An episode that raises is counted as wrong,
     with its number: `soak(1, number)` plays it again.
     """
-    rows = list(_kept(file))
+    rows = [] if file is None else kept_rows(file)
     process = 1 + max((row["process"] for row in rows), default=0)
     number = max((row["number"] + 1 for row in rows), default=seed)
     done = sum(row["steps"] for row in rows)
@@ -79,19 +78,9 @@ def soak(
         done += rows[-1]["steps"]
         number += 1
         if file is not None:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            with file.open("a") as out:
-                out.write(json.dumps(rows[-1]) + "\n")
+            append_row(file, rows[-1])
         report(f"{done}/{steps} steps, {len(rows)} episodes, {rows[-1]['memory_mb']:.0f} MB", done >= steps)
     return _figures(rows)
-
-
-def _kept(file: Path | None) -> Iterator[Row]:
-    if file is None or not file.exists():
-        return
-    for line in file.read_text().splitlines():
-        with contextlib.suppress(ValueError):  # a line that a kill cut off
-            yield json.loads(line)
 
 
 def _played(number: int, settings: dict[str, Any]) -> Row:

@@ -3,7 +3,8 @@ use newer instructions or further threads.
 
 Compiled kernels, NumPy and OpenBLAS choose their instructions by the processor, and OpenBLAS its threads by the number
 of cores. Each attempt plays one task in a process in which one of `SWITCHES` takes that choice away, and compares the
-digest of all observations, rewards, paths and maps with that of a process without a switch.
+digest of all observations, rewards, paths and maps with that of a process without a switch. All this takes hours: a
+file keeps the digests of one version of the code, and a run goes on with those that it lacks.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from twc_env.agents import make_policy
 
 import twc_env
-from tests.soak.attempts import Attempt
+from tests.soak.attempts import Attempt, append_row, kept_rows
 from tests.soak.observation_check import random_actions
 from twc_env.tasks import TASKS, task_config
 
@@ -41,13 +43,15 @@ SWITCHES["all for any x86-64"] = {
 TEAM = "nearest-frontier"
 
 
-def episodes(count: int, seed: int = 0) -> Iterator[Attempt]:
-    """`count` pairs of a task and a switch, every task once before one comes again; equal seeds play equal episodes."""
+def episodes(count: int, seed: int = 0, kept: Path | None = None) -> Iterator[Attempt]:
+    """`count` pairs of a task and a switch, every task once before one comes again; equal seeds play equal episodes.
+
+    kept: a file of digests, a line each, which are not played again."""
     pairs = [pair(number) for number in range(min(count, len(TASKS) * len(SWITCHES)))]
-    plain = _digests({}, list(dict.fromkeys(task for _, task in pairs)), seed)
+    plain = found_digests("none", list(dict.fromkeys(task for _, task in pairs)), seed, kept)
     for switch in SWITCHES:
         own = [task for name, task in pairs if name == switch]
-        found = _digests(SWITCHES[switch], own, seed) if own else {}
+        found = found_digests(switch, own, seed, kept)
         for task in own:
             yield f"{switch}, {task}", partial(_compare, plain[task], found[task])
 
@@ -60,6 +64,20 @@ def pair(number: int) -> tuple[str, str]:
 
 def _compare(plain: str, found: str) -> None:
     assert plain == found, f"other bytes: {found} where a process without a switch has {plain}"
+
+
+def found_digests(switch: str, tasks: list[str], seed: int, kept: Path | None = None) -> dict[str, str]:
+    """Digest of one episode of each task with a switch of `SWITCHES`, or "none"; those that the file lacks are played,
+    each in a process of its own, and appended to it."""
+    if kept is None:
+        return _digests(SWITCHES.get(switch, {}), tasks, seed) if tasks else {}
+    rows = [row for row in kept_rows(kept) if (row["switch"], row["seed"]) == (switch, seed)]
+    found = {row["task"]: row["digest"] for row in rows}
+    for task in tasks:
+        if task not in found:
+            found |= _digests(SWITCHES.get(switch, {}), [task], seed)
+            append_row(kept, {"switch": switch, "task": task, "seed": seed, "digest": found[task]})
+    return found
 
 
 def _digests(switch: dict[str, str], tasks: list[str], seed: int) -> dict[str, str]:

@@ -11,6 +11,7 @@ import pytest
 
 from tests.soak import long_runs
 from tests.soak.__main__ import main
+from tests.soak.attempts import kept_rows
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.running import terminal
 from twc_env.tasks import TASKS
@@ -33,6 +34,7 @@ def test_a_run_that_was_interrupted_goes_on_and_reports_what_the_process_holds(t
     assert figures["combinations"] == 4 and figures["processes"] == 2
     assert 50 < figures["memory_at_end_mb"] < 5000 and figures["children_left"] == 0
     assert "memory_growth_mb" in capsys.readouterr().out
+    assert [row["number"] for row in kept_rows(rows)] == [0, 1, 2, 3]  # none was written into the line that was cut off
 
 
 def test_every_task_is_played_with_every_effect_and_kind_of_action():

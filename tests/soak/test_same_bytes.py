@@ -23,6 +23,27 @@ def test_a_task_that_has_other_bytes_is_named(monkeypatch):
     assert fault.startswith("NumPy without AVX2 and AVX-512, twc/ExploreTwin01-v0: AssertionError: other bytes")
 
 
+def test_a_run_that_was_interrupted_plays_what_the_file_lacks(monkeypatch, tmp_path):
+    played = []
+
+    def digests(switch, tasks, seed):
+        played.extend(tasks)
+        if len(played) == 25:
+            raise KeyboardInterrupt
+        return dict.fromkeys(tasks, "equal")
+
+    monkeypatch.setattr(same_bytes, "_digests", digests)
+    file = tmp_path / "digests.jsonl"
+    with pytest.raises(KeyboardInterrupt):
+        attempt_all(same_bytes.episodes(len(TASKS), 0, file))
+    done = attempt_all(same_bytes.episodes(len(TASKS), 0, file))
+    assert (done.tried, done.accepted, len(played)) == (len(TASKS), len(TASKS), 2 * len(TASKS) + 1)
+    file.write_text(file.read_text().replace("equal", "other", 1))
+    assert len(attempt_all(same_bytes.episodes(len(TASKS), 0, file)).wrong) == 1
+    attempt_all(same_bytes.episodes(1, 1, file))
+    assert len(played) == 2 * len(TASKS) + 3  # of another seed
+
+
 def test_few_pairs_are_spread_over_tasks_and_switches():
     few = [same_bytes.pair(number) for number in range(len(TASKS))]
     assert [task for _, task in few] == list(TASKS) and {switch for switch, _ in few} == set(same_bytes.SWITCHES)

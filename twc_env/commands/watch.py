@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 
 from twc_env.commands.team_options import add_team, agent_names, team_config
 from twc_env.errors import ConfigError
@@ -58,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _watch(options: argparse.Namespace) -> int:
     import numpy as np
 
-    from twc_env.agents.policy import begin, make_policy
+    from twc_env.agents.policy import begin, is_finished, make_policy
     from twc_env.exploration.environment import ExplorationEnv
 
     config = team_config(options, options.map, options.steps)
@@ -79,11 +80,11 @@ def _watch(options: argparse.Namespace) -> int:
             driven = choices[(first + window.tabs) % len(choices)]
             window.help_text = _told(driven) + keys
             beliefs = {name: env.belief(name) for name in env.agents}
-            if driven is None and policy.finished(beliefs):
+            if driven is None and is_finished(policy, beliefs):
                 break
-            actions = dict(policy.act(beliefs))
-            if driven is not None:
-                actions[f"robot_{driven}"] = np.array(steering(window.held), np.float32)
+            actions = policy.act(beliefs)
+            if driven is not None and isinstance(actions, Mapping):
+                actions = {**actions, f"robot_{driven}": np.array(steering(window.held), np.float32)}
             env.step(actions)
         while not options.close and window.answer():
             env.render()

@@ -32,7 +32,7 @@ def class_in(name: str, needed: Sequence[str], remedy: str) -> Any:
     if not isinstance(found, type):
         values = [value for value in vars(_module(path)).values() if isinstance(value, type)]
         fit = [v.__name__ for v in values if v.__module__ == _module(path).__name__ and not _missing(v, needed)]
-        known = f"; it has {', '.join(fit)}" if fit else ""
+        known = f"; it has {', '.join(fit)}" if fit else f": {remedy}"
         raise ConfigError(f"there is no class {own!r} in {path}{known}")
     if missing := _missing(found, needed):
         raise ConfigError(f"{name} has no {' and no '.join(missing)}: {remedy}")
@@ -70,6 +70,13 @@ def _module(path: Path) -> Any:
     _FOLDERS.add(path.parent)
     sys.path.insert(0, str(path.parent))
     place = hashlib.sha256(str(path).encode()).hexdigest()[:8]
+    raw = path.read_bytes()
+    if b"\0" in raw:
+        raise ConfigError(f"{path} is no Python file, since it holds null characters; name another")
+    try:
+        importlib.util.decode_source(raw)
+    except (SyntaxError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is no text: {error}; save it as UTF-8") from error
     spec = importlib.util.spec_from_file_location(f"class_file_{path.stem}_{place}", path)
     assert spec is not None and spec.loader is not None
     module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
@@ -78,4 +85,5 @@ def _module(path: Path) -> Any:
 
 
 def _missing(value: type, needed: Sequence[str]) -> list[str]:
-    return [part for part in needed if getattr(value, part, None) is None]
+    abstract = getattr(value, "__abstractmethods__", ())
+    return [part for part in needed if getattr(value, part, None) is None or part in abstract]

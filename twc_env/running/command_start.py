@@ -17,9 +17,11 @@ _SCRIPTS = ("twc-env", "twc-env.exe", "twc-env-script.py")
 _TWICE_S = 0.2
 """A second Ctrl-C that comes sooner is the first one, sent twice (GNU timeout signals a process and its group)."""
 _AGAIN_S = 0.02
-"""After so long a signal is raised again whose exception was lost."""
+"""After so long a signal is raised again whose exception was lost, until it is received."""
 _received: list[tuple[int, float]] = []
 """The signal that has interrupted the present command, and when."""
+_ended = threading.Event()
+"""Set when the present command has ended."""
 _usual_hooks: list[Callable[[Any], object]] = []
 """What told of dropped exceptions before `begin_work`."""
 
@@ -37,7 +39,9 @@ def begin_work() -> None:
     second Ctrl-C ends the process at once. Until `end_work`, and unless the caller handles these signals.
 
     Where Python drops exceptions (finalisers, callbacks from C, such as LLVM's), the signal comes once more."""
+    global _ended
     _received.clear()
+    _ended = threading.Event()  # threads of an earlier command keep theirs
     if threading.current_thread() is not threading.main_thread():
         return
     if sys.unraisablehook is not _raise_again:
@@ -50,7 +54,8 @@ def begin_work() -> None:
 
 
 def end_work() -> None:
-    """Handle signals as before `begin_work`."""
+    """Handle signals as before `begin_work`; one that was to come once more does not."""
+    _ended.set()
     if sys.unraisablehook is _raise_again:
         sys.unraisablehook = _usual_hooks.pop()
     for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
@@ -92,8 +97,10 @@ def is_loading() -> bool:
     return not is_worker and os.path.basename(sys.argv[0] if sys.argv else "") in _SCRIPTS
 
 
-def _interrupt(number: int, _frame: FrameType | None) -> None:
+def _interrupt(number: int, frame: FrameType | None) -> None:
     if not _received:
+        if _is_told_of_loss(frame):
+            return
         _received.append((number, time.monotonic()))
         raise KeyboardInterrupt
     if number == signal.SIGINT and time.monotonic() - _received[0][1] >= _TWICE_S:
@@ -101,22 +108,29 @@ def _interrupt(number: int, _frame: FrameType | None) -> None:
         os._exit(128 + number)
 
 
+def _is_told_of_loss(frame: FrameType | None) -> bool:
+    """Whether `_raise_again` is running, where an exception would be lost too; it makes the signal come again."""
+    while frame is not None and frame.f_code is not _raise_again.__code__:
+        frame = frame.f_back
+    return frame is not None
+
+
 def _raise_again(lost: Any) -> None:
     if not _received or not isinstance(lost.exc_value, KeyboardInterrupt):
         _usual_hooks[-1](lost)
         return
     number, _ = _received.pop()
-    again = threading.Timer(_AGAIN_S, _signal_main_thread, (number,))
-    again.daemon = True
-    again.start()
+    threading.Thread(target=_signal_again, args=(number, _ended), daemon=True).start()
 
 
-def _signal_main_thread(number: int) -> None:
-    """So that what it waits for is interrupted too."""
-    if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident or 0, number)
-    else:
-        signal.raise_signal(number)
+def _signal_again(number: int, ended: threading.Event) -> None:
+    """Signal the main thread, so that what it waits for is interrupted too, until it has received a signal: a wait that
+    begins at that moment is not interrupted."""
+    while not ended.wait(_AGAIN_S) and not _received:
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(threading.main_thread().ident or 0, number)
+        else:
+            signal.raise_signal(number)
 
 
 def _end(number: int, frame: FrameType | None) -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Iterable
 from functools import cache
 from importlib.util import find_spec
@@ -17,6 +16,7 @@ from typing import Any
 from twc_env._version import __version__
 from twc_env.errors import UNFIT, DataError
 from twc_env.records.json_values import check_folder, plain
+from twc_env.records.whole_file import write_text
 
 SUFFIXES = (".py", ".json")
 """Files that determine results: code, measured tables and bundled maps."""
@@ -45,8 +45,13 @@ def _places(package: str) -> Iterable[str]:
     return spec.submodule_search_locations
 
 
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
 class FinishedParts:
-    """A folder of finished parts of one computation, with one set of settings and one version of the code.
+    """A folder of finished parts of one computation, with one set of settings and one version of the code: a JSON
+    file each, with its checksum.
 
     Raises DataError, before anything is computed, if the folder cannot be written to.
     """
@@ -74,22 +79,17 @@ class FinishedParts:
         return self.keep(key, work()) if found is _MISSING else found
 
     def find(self, key: str, default: Any = None) -> Any:
-        """The result of a part that is finished; the default if it is missing or incomplete."""
+        """The result of a part that is finished; the default if it is missing, incomplete or not as it was written."""
         try:
-            return json.loads(self._path(key).read_text(encoding="utf-8"))
-        except (OSError, *UNFIT):
+            kept = json.loads(self._path(key).read_text(encoding="utf-8"))
+            return kept["result"] if kept["sha256"] == _sha256(json.dumps(kept["result"])) else default
+        except (OSError, LookupError, *UNFIT):
             return default
 
     def keep(self, key: str, result: Any) -> Any:
         """Write the result of a part; returns it as JSON does. Raises DataError if it cannot be written."""
-        path, text = self._path(key), json.dumps(plain(result))
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            partial = path.with_suffix(f".{os.getpid()}")
-            partial.write_text(text, encoding="utf-8")
-            partial.replace(path)
-        except OSError as error:
-            raise DataError(f"cannot keep finished parts in {self.folder}: {error.strerror}") from error
+        text = json.dumps(plain(result))
+        write_text(self._path(key), f'{{"sha256": "{_sha256(text)}", "result": {text}}}')
         return json.loads(text)
 
     def _path(self, key: str) -> Path:

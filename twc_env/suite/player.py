@@ -75,8 +75,8 @@ def play(entry: Entry) -> dict[str, Any]:
     env.watch(note)
     commands = []
     while env.agents and (actions := acts(observations)) is not None:
-        commands.append(actions)
         observations = env.step(actions)[0]
+        commands.append(actions)
     result, is_covered = env.result(), env.episode.is_covered
     figures = result.figures
     env.close()
@@ -114,15 +114,17 @@ def drive(env: ExplorationEnv, team: str, seed: int) -> list[list[bool]]:
     begin(policy, team, env, seed)
     commands = []
     while env.agents and (actions := decided(env, policy)) is not None:
-        commands.append(commanded(actions, env.possible_agents))
         env.step(actions)
+        commands.append(commanded(actions, env.possible_agents))
     return commands
 
 
 def decided(env: ExplorationEnv, policy: Policy) -> dict[str, Any] | None:
     """The next actions of a scripted team; None when it is finished."""
+    from twc_env.agents.policy import is_finished
+
     beliefs = {name: env.belief(name) for name in env.agents}
-    return None if policy.finished(beliefs) else policy.act(beliefs)
+    return None if is_finished(policy, beliefs) else policy.act(beliefs)
 
 
 def _ready(entry: Entry) -> tuple[ExplorationEnv, Acts]:

@@ -146,3 +146,80 @@ def test_units_of_the_command_line_are_checked():
 def test_simulated_time_is_seconds_if_no_other_unit_meets_the_log(tmp_path):
     (found,), _ = read_wifi(table(tmp_path, f"time,bssid,rssi\n12.5,{MAC}1,-60\n"), Span(5.0, 60.0))
     assert np.array_equal(found.times_s, [12.5])
+
+
+def test_units_in_the_cells_count(tmp_path):
+    rows = "".join(f"{BEGUN + k},A 101,{0.1 * k:.1f} deg,2.5 m\n" for k in range(25))  # as numbers alone: radians
+    (found,), notes = read_signs(table(tmp_path, "time,text,bearing,range\n" + rows), SPAN)
+    assert found.values[10].bearing_rad == pytest.approx(math.radians(1.0))
+    assert "bearings in deg, ranges in m" in notes[0]
+    for header, cell in (("bearing", "0.5 rad"), ("bearing [rad]", "0.5 deg")):
+        odd = table(tmp_path, f"time,text,{header},range\n{BEGUN},A,0.5 deg,2.5\n{BEGUN},A,{cell},2.5\n")
+        with pytest.raises(DataError, match="bearing is given in deg and rad; give all in one unit"):
+            read_signs(odd, SPAN)
+
+
+def test_a_separator_within_a_text_moves_no_columns(tmp_path):
+    head, row = "time,text,bearing_deg,range_m\n", f"{BEGUN},A 101,-45,2.5\n"
+    moved = f"{BEGUN},Room 5,12,45,2.0\n"  # a text with a comma: its bearing is not 12
+    with pytest.raises(DataError, match="row 3: 5 columns, the first row has 4; put texts that hold a separator in"):
+        read_signs(table(tmp_path, head + row + moved), SPAN)
+    (found,), _ = read_signs(table(tmp_path, head + row + moved.replace("Room 5,12", '"Room 5,12"')), SPAN)
+    assert [reading.text for reading in found.values] == ["A 101", "Room 5,12"]
+    assert len(read_signs(table(tmp_path, head + row.replace("2.5", "2.5,,")), SPAN)[0][0].values) == 1
+
+
+def test_a_quote_that_is_not_closed_swallows_no_rows(tmp_path):
+    rows = [f"{BEGUN + k},{text},-45,2.5\n" for k, text in enumerate(["A", '"Exit', "B", "C", '"Exit', "D"])]
+    with pytest.raises(DataError, match=r"row 6: unexpected end of data; .* and close every quote"):
+        read_signs(table(tmp_path, "time,text,bearing_deg,range_m\n" + "".join(rows[:-2] + rows[-1:])), SPAN)
+    with pytest.raises(DataError, match="close every quote"):
+        read_signs(table(tmp_path, "time,text,bearing_deg,range_m\n" + "".join(rows)), SPAN)
+    two_lines = f'time,text,bearing_deg,range_m\n{BEGUN},"Room\n101",-45,2.5\n'
+    assert read_signs(table(tmp_path, two_lines), SPAN)[0][0].values[0].text == "Room\n101"
+
+
+def test_names_of_robots_that_are_numbers_are_names(tmp_path):
+    rows = f"time,robot,bssid,rssi\n{BEGUN},1,{MAC}1,-50\n{BEGUN},2,{MAC}2,-60\n"
+    found, _ = read_wifi(table(tmp_path, rows), Span(BEGUN, BEGUN + 10, ("1", "2")))
+    assert [own.values[0].macs[0] & 0xF for own in found] == [1, 2]
+    with pytest.raises(DataError, match="there is no robot '0'; the log has 1, 2"):
+        read_wifi(table(tmp_path, rows.replace(",2,", ",0,")), Span(BEGUN, BEGUN + 10, ("1", "2")))
+
+
+def test_the_receivers_own_address_and_the_storey_are_no_readings(tmp_path):
+    rows = f"time,mac,level,{MAC}1,{MAC}2,note\n{BEGUN},{MAC}9,3,-50,-60\n{BEGUN + 1},{MAC}9,3,-51\n"
+    (found,), _ = read_wifi(table(tmp_path, rows), SPAN)
+    assert [[mac & 0xF for mac in scan.macs] for scan in found.values] == [[1, 2], [1]]
+    (found,), _ = read_wifi(table(tmp_path, f"time,{MAC}1\n{BEGUN},-50\n"), SPAN)  # one transmitter
+    assert found.values[0].rssi_dbm.tolist() == [-50.0]
+
+
+def test_readings_without_an_address_are_left_out_and_said(tmp_path):
+    (found,), notes = read_wifi(table(tmp_path, f"time,bssid,rssi\n{BEGUN},,-50\n{BEGUN},{MAC}1,-60\n"), SPAN)
+    assert found.values[0].rssi_dbm.tolist() == [-60.0]
+    assert any("1 readings without an address left out" in note for note in notes)
+
+
+def test_errors_name_the_line_of_the_file(tmp_path):
+    text = f"# wlan0\n\ntime,bssid,rssi\n\n{BEGUN},{MAC}1,-50\n{BEGUN},{MAC}1,loud\n"
+    with pytest.raises(DataError, match="row 6: strength must be a number; got 'loud'"):
+        read_wifi(table(tmp_path, text), SPAN)
+
+
+def test_a_comment_with_a_date_is_no_header(tmp_path):
+    text = f"# survey, date 2023-11-14\ntime,bssid,rssi\n{BEGUN},{MAC}1,-50\n"
+    assert read_wifi(table(tmp_path, text), SPAN)[0][0].values[0].rssi_dbm.tolist() == [-50.0]
+
+
+def test_decimal_commas_need_no_header(tmp_path):
+    text = f"{BEGUN:.0f},5;{MAC}1;-50,5\n{BEGUN:.0f},5;{MAC}2;-60,0\n"
+    (found,), _ = read_wifi(table(tmp_path, text), SPAN)
+    assert found.times_s.tolist() == [BEGUN + 0.5] and found.values[0].rssi_dbm.tolist() == [-50.5, -60.0]
+
+
+def test_times_without_a_zone_are_told_if_others_have_one(tmp_path):
+    rows = f"time,bssid,rssi\n2023-11-14T22:13:21Z,{MAC}1,-50\n2023-11-14T22:13:22{{}},{MAC}2,-60\n"
+    for zone, is_told in (("", True), ("+00", False)):
+        _, notes = read_wifi(table(tmp_path, rows.format(zone)), SPAN)
+        assert any("times without a time zone are taken for UTC" in note for note in notes) == is_told

@@ -44,3 +44,11 @@ def test_a_matrix_that_is_not_positive_definite_has_no_solution(rows):
     matrix = positive_definite(rows)
     matrix[-1, -1] = -1.0
     assert solution_of(matrix, np.ones(rows)) is None
+
+
+@pytest.mark.parametrize("rows", [3, ROWS_MAX + 1])
+@pytest.mark.parametrize("place", [0, 1, -1])
+def test_a_matrix_that_holds_a_nan_has_no_solution(rows, place):
+    matrix = positive_definite(rows)
+    matrix[place, place] = np.nan
+    assert solution_of(matrix, np.ones(rows)) is None

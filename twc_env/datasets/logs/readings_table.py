@@ -48,8 +48,9 @@ _NAMES = {
     "range": ("range", "distance", "dist", "r", "depth"),
 }
 """Names of columns in other tables, without units, spaces and underscores."""
-_SEPARATORS = ",;\t|"
-_NUMBER = re.compile(r"([+-]?[\d.,]+(?:e[+-]?\d+)?)\s*(?:dbm|m|rad|deg|°)", re.IGNORECASE)
+_SEPARATORS = ";\t|,"
+"""Of those that are equally frequent the first counts: beside it, commas are decimal ones."""
+_NUMBER = re.compile(r"([+-]?[\d.,]+(?:e[+-]?\d+)?)\s*(dbm|m|rad|deg|°)", re.IGNORECASE)
 """A number with its unit in the cell."""
 _MAC = re.compile(r"[0-9a-fA-F]{2}([:-])(?:[0-9a-fA-F]{2}\1){4}[0-9a-fA-F]{2}")
 _DATE = re.compile(
@@ -68,8 +69,6 @@ _READINGS_MIN = 20
 """So many bearings that all are within a turn of 2 pi are radians."""
 _ROWS_MAX = 20_000_000
 _MONTHS = 12
-_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
-"""A time zone at the end of a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +100,8 @@ def read_wifi(path: str | Path, span: Span) -> tuple[list[Readings], list[str]]:
     times_s, robots = table.times_s(span), table.robots(span)
     strengths = table.numbers("strength", missing=math.nan)
     table.name_left_out(times_s, span)
+    cells = table.column("address")
+    is_named = np.array([bool(cell.strip()) for cell in cells], bool)
     is_heard = (strengths > _RSSI_MIN_DBM) & (strengths <= _RSSI_MAX_DBM) & (strengths != 0.0)
     if len(strengths) and not (strengths[is_heard] < 0.0).any():
         raise DataError(f"{path}: no strength is below 0: give dBm, such as -67, not percent or bars")
@@ -108,10 +109,13 @@ def read_wifi(path: str | Path, span: Span) -> tuple[list[Readings], list[str]]:
     if not is_heard.all():
         odd = int((~is_heard).sum())
         notes.append(f"{path}: {odd} readings without a strength, or of 0 or 100 dBm and the like, mean not heard")
-    macs, named = _addresses(table.column("address"))
+    if not is_named.all():
+        notes.append(f"{path}: {int((~is_named).sum())} readings without an address left out")
+    macs, named = _addresses(cells)
     if named:
         notes.append(f"{path}: {named} addresses are no MAC addresses, and are taken as names")
-    return _per_robot(times_s, robots, is_heard, span, lambda rows: _scans(times_s, macs, strengths, rows)), notes
+    is_used = is_heard & is_named
+    return _per_robot(times_s, robots, is_used, span, lambda rows: _scans(times_s, macs, strengths, rows)), notes
 
 
 def read_signs(path: str | Path, span: Span) -> tuple[list[Readings], list[str]]:
@@ -151,25 +155,24 @@ class _Table:
         separator = max(_SEPARATORS, key=first.count)
         if separator not in first and len(first.split()) >= len(needed):
             separator, lines = " ", [" ".join(line.split()) for line in lines]
-        try:
-            rows = [
-                row
-                for row in csv.reader(io.StringIO("\n".join(lines)), delimiter=separator)
-                if any(map(str.strip, row))
-            ]
-        except csv.Error as error:
-            raise DataError(f"{path} is no table of text: {error}; separate columns by commas") from error
+        found = self._cells("\n".join(lines), separator)
+        if any("\n" in cell for _, row in found for cell in row):  # of quotes that are not closed, too
+            found = self._cells("\n".join(lines), separator, is_strict=True)
+        rows = [row for _, row in found]
         if not rows:
             raise DataError(f"{path} is empty; a table has the columns {', '.join(needed)}")
         if len(rows) > _ROWS_MAX:
             raise DataError(f"{path} has {len(rows)} rows, {_ROWS_MAX} are possible; cut it into parts")
         self._decimal_comma = separator == ";"
         self._units: dict[str, str] = {}
+        self._numbers = [number for number, _ in found]
+        """Line of each row in the file."""
+        self._check_widths(rows)
         rows = self._one_per_reading(rows, needed)
         self._columns = self._header(rows[0], needed)
         if self._columns is not None:
-            rows = rows[1:]
-        elif _is_number(rows[0][0]) and len(rows[0]) >= len(needed):
+            rows, self._numbers = rows[1:], self._numbers[1:]
+        elif _is_number(rows[0][0].replace(",", ".")) and len(rows[0]) >= len(needed):
             self._columns = {name: k for k, name in enumerate(needed)}
             self.notes.append(f"{path}: without a header, the columns are taken for {', '.join(needed)}")
         else:
@@ -179,22 +182,44 @@ class _Table:
                 f"{', '.join(needed)}"
             )
         width = max(self._columns[name] for name in needed)
-        for k, row in enumerate(rows, 2):
+        for number, row in zip(self._numbers, rows, strict=True):
             if len(row) <= width:
-                raise DataError(f"{path}, row {k}: {len(row)} columns, expected {width + 1}; fix or delete it")
+                raise DataError(f"{path}, row {number}: {len(row)} columns, expected {width + 1}; fix or delete it")
         self._rows = rows
+
+    def _cells(self, text: str, separator: str, is_strict: bool = False) -> list[tuple[int, list[str]]]:
+        """Line number and cells of each row that is not empty."""
+        reader = csv.reader(io.StringIO(text), delimiter=separator, strict=is_strict)
+        try:
+            return [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
+        except csv.Error as error:
+            told = f"{self._path} is no table of text: row {reader.line_num}: {error}"
+            raise DataError(f"{told}; separate columns by commas, and close every quote") from error
+
+    def _check_widths(self, rows: Sequence[Sequence[str]]) -> None:
+        """Refuse rows with more cells than the first: a separator in a text would move all that follows."""
+        for number, row in zip(self._numbers, rows, strict=True):
+            if any(cell.strip() for cell in row[len(rows[0]) :]):
+                raise DataError(
+                    f"{self._path}, row {number}: {len(row)} columns, the first row has {len(rows[0])}; put texts that "
+                    "hold a separator in quotes"
+                )
 
     def _one_per_reading(self, rows: list[list[str]], needed: Sequence[str]) -> list[list[str]]:
         """Rows of one reading each, of a table with a column per transmitter; other tables as they are."""
         at = [k for k, cell in enumerate(rows[0]) if _MAC.fullmatch(cell.strip())]
-        if "address" not in needed or len(at) < 2 or not self._found(rows[0], "time"):
+        if "address" not in needed or not at or not self._found(rows[0], "time"):
             return rows
         self.notes.append(f"{self._path}: {len(at)} columns, one per transmitter")
-        others = [k for k in range(len(rows[0])) if k not in at]
-        long = [[rows[0][k] for k in others] + ["address", "strength"]]
-        for row in rows[1:]:
-            own = [row[k] for k in others if k < len(row)]
-            long += [[*own, rows[0][k], row[k]] for k in at if k < len(row) and row[k].strip()]
+        taken = _NAMES["address"] + _NAMES["strength"]  # there, the receiver's own address, or a storey
+        others = [k for k, cell in enumerate(rows[0]) if k not in at and _plain(cell)[0] not in taken]
+        long, numbers = [[*(rows[0][k] for k in others), "address", "strength"]], self._numbers[:1]
+        for number, row in zip(self._numbers[1:], rows[1:], strict=True):
+            own = [row[k] if k < len(row) else "" for k in others]
+            read = [[*own, rows[0][k], row[k]] for k in at if k < len(row) and row[k].strip()]
+            long += read
+            numbers += [number] * len(read)
+        self._numbers = numbers
         return long
 
     def _found(self, header: Sequence[str], name: str) -> bool:
@@ -221,9 +246,9 @@ class _Table:
         return [row[at] for row in self._rows]
 
     def numbers(self, name: str, missing: float | None = None) -> Array:
-        """A column as numbers; an empty cell is `missing`, or an error."""
-        values = []
-        for k, cell in enumerate(self.column(name), 2):
+        """A column as numbers; an empty cell is `missing`, or an error. Notes the unit that its cells tell."""
+        values, units = [], set()
+        for k, cell in zip(self._numbers, self.column(name), strict=True):
             word = cell.strip().replace(",", ".") if self._decimal_comma else cell.strip()
             if missing is not None and word.lower() in ("", "nan", "null", "none", "na"):
                 values.append(missing)
@@ -236,7 +261,16 @@ class _Table:
             if not math.isfinite(number) or len(word) > 40:
                 raise DataError(f"{self._path}, row {k}: {name} must be a number; got {cell[:30]!r}; fix or delete it")
             values.append(number)
+            units.add(with_unit[2].lower() if with_unit else "")
+        self._take_unit(name, units)
         return np.array(values)
+
+    def _take_unit(self, name: str, of_cells: set[str]) -> None:
+        """The unit of a column that its header or its cells tell. Raises DataError for several."""
+        told = {_UNIT_NAMES.get(unit, unit) for unit in (*of_cells, self._units.get(name, "")) if unit}
+        if len(told) > 1:
+            raise DataError(f"{self._path}: {name} is given in {' and '.join(sorted(told))}; give all in one unit")
+        self._units.update((name, unit) for unit in told)
 
     def in_unit(self, name: str, quantity: str, span: Span, guess: Callable[[Array], str | None]) -> tuple[Array, str]:
         """A column in SI units, and its unit: as the user or the header says, else as guessed."""
@@ -253,10 +287,12 @@ class _Table:
         """Times of the rows [s], on the clock of the log."""
         cells = self.column("time")
         if cells and not _is_number(cells[0].replace(",", ".")):
-            if not any(_ZONE.search(cell.strip()) for cell in cells):
-                self.notes.append(f"{self._path}: times without a time zone are taken for UTC")
             is_day_first = self._is_day_first(cells, span)
-            times_s = np.array([self._clock(cell, k, is_day_first) for k, cell in enumerate(cells, 2)])
+            rows = zip(cells, self._numbers, strict=True)
+            moments = [self._clock(cell, number, is_day_first) for cell, number in rows]
+            if any(moment.tzinfo is None for moment in moments):
+                self.notes.append(f"{self._path}: times without a time zone are taken for UTC")
+            times_s = np.array([(m if m.tzinfo else m.replace(tzinfo=UTC)).timestamp() for m in moments])
             remedy = "put both on one clock, or name the time zone, as in 2026-05-01T12:00:00+02:00"
         else:
             times_s, unit = self.in_unit("time", "time", span, lambda values: _time_unit(values, span))
@@ -296,15 +332,13 @@ class _Table:
         if odd := int((~_is_within(times_s, span)).sum()):
             self.notes.append(f"{self._path}: {odd} readings before or after the log left out")
 
-    def _clock(self, cell: str, row: int, is_day_first: bool | None) -> float:
-        """Unix time of ISO 8601 text, or of a date with the year last; without a time zone it is UTC."""
+    def _clock(self, cell: str, row: int, is_day_first: bool | None) -> datetime:
+        """Time of ISO 8601 text, or of a date with the year last."""
         date = _DATE.fullmatch(cell.strip())
         try:
             if date and is_day_first is not None:
-                moment = _moment(date, is_day_first)
-            else:
-                moment = datetime.fromisoformat(cell.strip().replace("/", "-"))
-            return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+                return _moment(date, is_day_first)
+            return datetime.fromisoformat(cell.strip().replace("/", "-"))
         except (ValueError, OverflowError) as error:
             raise DataError(
                 f"{self._path}, row {row}: {cell[:40]!r} is no time; give seconds, or 2026-05-01T12:00:00.5Z"
@@ -322,9 +356,10 @@ class _Table:
         if span.robots == ("",) and len({cell.strip() for cell in self.column("robot")}) == 1:
             return np.zeros(len(self._rows), int)
         known = {name: k for k, name in enumerate(span.robots) if name}
-        known |= {str(k): k for k in range(len(span.robots))}
+        if not any(name.isdecimal() for name in known):  # else a number is a name
+            known |= {str(k): k for k in range(len(span.robots))}
         numbers = []
-        for k, cell in enumerate(self.column("robot"), 2):
+        for k, cell in zip(self._numbers, self.column("robot"), strict=True):
             if cell.strip().strip("/") not in known:
                 raise DataError(
                     f"{self._path}, row {k}: there is no robot {cell[:30]!r}; the log has {', '.join(known)}"
@@ -334,11 +369,21 @@ class _Table:
 
 
 def _without_comments(lines: Sequence[str]) -> list[str]:
-    """Lines without comments before the table; a header may be one (`# time, bssid, rssi`, `%time,...`)."""
+    """Lines with empty ones for comments before the table; a header may be one (`# time, bssid, rssi`, `%time,...`), if
+    none follows."""
     begin = next((k for k, line in enumerate(lines) if line.strip() and line.lstrip()[0] not in "#%"), len(lines))
-    head = lines[begin - 1].lstrip("#% \t") if begin else ""
-    is_header = any(_plain(cell)[0] in _NAMES["time"] for cell in re.split(rf"[{_SEPARATORS}\s]+", head))
-    return [*([head] if is_header else []), *lines[begin:]]
+    head, *rest = (line.lstrip("#% \t") for line in (*lines[max(begin - 1, 0) : begin + 1], ""))
+    if begin and _names_time(head) and not (_names_time(rest[0]) and not any(map(_is_number, _words(rest[0])))):
+        return [*[""] * (begin - 1), head, *lines[begin:]]
+    return [*[""] * begin, *lines[begin:]]
+
+
+def _words(line: str) -> list[str]:
+    return re.split(rf"[{_SEPARATORS}\s]+", line)
+
+
+def _names_time(line: str) -> bool:
+    return any(_plain(word)[0] in _NAMES["time"] for word in _words(line))
 
 
 def _moment(date: re.Match[str], is_day_first: bool) -> datetime:
@@ -346,7 +391,7 @@ def _moment(date: re.Match[str], is_day_first: bool) -> datetime:
     first, _, second, year, hour, minute, seconds, half = date.groups()
     day, month = (first, second) if is_day_first else (second, first)
     hours = int(hour) % 12 + 12 * (half in "Pp") if half else int(hour)
-    whole = datetime(int(year), int(month), int(day), hours, int(minute), tzinfo=UTC)
+    whole = datetime(int(year), int(month), int(day), hours, int(minute))
     return whole + timedelta(seconds=float((seconds or "0").replace(",", ".")))
 
 
@@ -414,6 +459,9 @@ def _addresses(cells: Sequence[str]) -> tuple[Array, int]:
     numbers, named = {}, 0
     for cell in cells:
         if cell in numbers:
+            continue
+        if not cell.strip():
+            numbers[cell] = 0
             continue
         digits = re.sub(r"[:\-.\s]", "", cell)
         if re.fullmatch(r"[0-9a-fA-F]{12}", digits):

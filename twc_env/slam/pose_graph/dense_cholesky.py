@@ -30,26 +30,30 @@ def inverse_of(matrix: Array) -> Array:
 
 
 def solution_of(matrix: Array, right: Array) -> Array | None:
-    """x (n,) with matrix @ x = right (n,); None if the matrix is not positive definite.
+    """x (n,) with matrix @ x = right (n,); None if the matrix is not positive definite, or holds a NaN.
 
-    Of the symmetric matrix (n, n), which may be overwritten, the lower triangle counts.
+    Of the symmetric matrix (n, n) the lower triangle counts. Both may be overwritten.
     """
     if len(matrix) <= ROWS_MAX:
         return right if _solve(matrix, right) else None
     from scipy.linalg.lapack import dpotrf, dpotrs  # imported late: takes a tenth of the start-up time
 
     factor, failed = dpotrf(np.asfortranarray(matrix), lower=1, overwrite_a=1)
-    found: Array | None = None if failed else dpotrs(factor, right[:, None], lower=1)[0][:, 0]
+    if failed or np.isnan(factor.diagonal()).any():  # LAPACK's libraries differ in whether they look for NaN
+        return None
+    found: Array = dpotrs(factor, right[:, None], lower=1)[0][:, 0]
     return found
 
 
 @kernel
 def _factorise(matrix):
-    """Replace the lower triangle by the Cholesky factor; returns the least pivot, whose negative ones are raised."""
+    """Replace the lower triangle by the Cholesky factor, whose negative pivots are raised; returns the least pivot
+    before that, or NaN if there is one."""
     n, least = matrix.shape[0], np.inf
     column = np.empty(n)
     for k in range(n):
-        least = min(least, matrix[k, k])
+        if not matrix[k, k] >= least:
+            least = matrix[k, k]
         pivot = math.sqrt(max(matrix[k, k], PIVOT_MIN))
         matrix[k, k] = pivot
         for i in range(k + 1, n):
