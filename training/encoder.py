@@ -32,21 +32,16 @@ RULE = {
     "way early": (0.0, 0.3),
     "near own goal": (0.0, 0.1),
     "near goal of teammate": (0.0, 0.2),
-    "behind": (0.0, 0.15),
+    "aside": (0.0, 0.15),
     "frontier": (0.0, 0.2),
-    "nearer to teammate": (0.0, 0.1),
-    "apart": (0.0, 0.2),
     "sign": (-20.0, 0.0),
     "teammate": (-20.0, 0.0),
     "stay": (-20.0, 0.0),
 }
 """What makes the utility of a choice: weight at the start of training, and how far evolution strategies vary it. Of a
 goal the logarithm of its gain, its way in 10 m, the same where more than half of the time is left, closeness to the
-robot's last goal and to those of teammates, how far it lies behind, its size as a frontier, whether a teammate is
-nearer, and how far the nearest other goal is from it: who leaves one that lies apart has to come back; utilities of
-the other choices, below those of most goals."""
-APART_M = 10.0
-"""Goals further apart than this are as good as alone."""
+robot's last goal and to those of teammates, how far it lies aside, to where a robot that drives either way has to
+turn, and its size as a frontier; utilities of the other choices, below those of most goals."""
 USED = ("frontiers", "gains", "goals", "action_mask", "pose", "clock", "team", "signs")
 """The blocks that a policy sees, as far as the observation has them. Images are left out: the rows of the candidates
 summarise the part of the map that matters, and train in minutes."""
@@ -137,22 +132,14 @@ def logits_of_rule(seen: dict[str, Tensor], weights: Tensor) -> Tensor:
     row, near, left = seen["frontiers"], seen["goals"], seen["clock"]
     way = _unshared(row[..., 3])
     gain = torch.log(HALF_GAIN_M2 * _unshared(seen["gains"]) + GAIN_MIN_M2) if "gains" in seen else 0.0 * way
-    told = [near[..., 0], near[..., 1], row[..., 1].abs(), row[..., 4], row[..., 5], _apart(row)]
+    aside = 1.0 - (2.0 * row[..., 1].abs() - 1.0).abs()
+    told = [near[..., 0], near[..., 1], aside, row[..., 4]]
     known = [gain, way, (left - 0.5) * way, *told]
     utilities = torch.zeros_like(gain)
     for number, column in enumerate(known):  # one after the other: matrix products round as the size of the batch says
         utilities = utilities + column * weights[:, number, None]
     logits = SHARPNESS * torch.cat([utilities, weights[:, len(known) :]], 1)
     return logits.masked_fill(seen["action_mask"] <= 0, -1e9)
-
-
-def _apart(row: Tensor) -> Tensor:
-    """(batch, goals) distance of each goal to the nearest other one, as a share of `APART_M` and at most 1."""
-    bearing, away = torch.pi * row[..., 1], HALF_WAY_M * _unshared(row[..., 2])
-    places = away[..., None] * torch.stack([bearing.cos(), bearing.sin()], -1)
-    apart = torch.cdist(places, places, compute_mode="donot_use_mm_for_euclid_dist")
-    is_other = (row[:, None, :, 0] > 0) & ~torch.eye(row.shape[1], dtype=torch.bool)
-    return torch.where(is_other, apart / APART_M, 1.0).amin(2).clamp(max=1.0)
 
 
 def _unshared(share: Tensor) -> Tensor:

@@ -25,9 +25,10 @@ CHOICES: dict[str, object] = {
     "action.goals": "views",
     "action.timing": "in-turn",
     "action.decision_max_s": 0.5,
+    "action.reverses": True,
 }
-"""Default actions in training, unless the task has choices of its own: each robot chooses a view anew twice a second
-(docs/learning.md has what that is worth)."""
+"""Default actions in training, unless the task has choices of its own: each robot chooses a view anew twice a second,
+and need not turn around to go there (docs/learning.md has what that is worth)."""
 SMALL_VIEW: dict[str, object] = {
     "observation.lidar": False,
     "observation.map": False,

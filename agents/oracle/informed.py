@@ -68,7 +68,7 @@ class Informed(InformationGain):
         link, places_m = self.config.link, self._views.graph.places_m
         links = links_between(floor, places_m, link) if link.topology == "peer" else None
         speeds, rates = np.array([[each.speed_max_m_s, each.turn_rate_max_rad_s] for each in own]).T
-        self._route = LatencyTours(self._views, PACE * speeds, rates, COMMON_MIN, links)
+        self._route = LatencyTours(self._views, PACE * speeds, rates, np.array(self.reverses), COMMON_MIN, links)
         self._planned_step, self._merged = -1, self._state.is_merged
         self.explorer = replace(self.explorer, replan_s=PLAN_S)
 

@@ -21,6 +21,7 @@ from twc_env.planning import (
     Plan,
     Terrain,
     as_action,
+    can_reverse,
     drive_to,
     is_frontier,
     path_is_blocked,
@@ -38,10 +39,15 @@ LOOK_AROUND = 0.6
 class Explorer(ABC):
     """Navigation of a team; `best_plan` of a subclass decides where each robot goes."""
 
+    drives_backwards = False
+    """Whether robots that can drive backwards where their path leads back, instead of turning around."""
+
     def __init__(self, config: EnvConfig, explorer: ExplorerConfig | None = None):
         self.dynamics: DynamicsConfig = config.dynamics
         """Of the team; that of each robot is with its follower."""
         self._own = [own.dynamics for own in robot_configs(config)]
+        self.reverses = [self.drives_backwards and can_reverse(own) for own in robot_configs(config)]
+        """Whether each robot does."""
         self.explorer = explorer or ExplorerConfig()
         self._has_doors = config.clutter.door_share > 0.0
         self._finished_s = self.explorer.finished_doors_s if self._has_doors else self.explorer.finished_s
@@ -51,7 +57,8 @@ class Explorer(ABC):
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Discard all state; the seed is used only by robots that are stuck or on a tour."""
         self.random = np.random.default_rng(seed)
-        self.robots = {agent: ExplorerRobot(Follower(own)) for agent, own in zip(agents, self._own, strict=False)}
+        followers = [Follower(own, reverses=each) for own, each in zip(self._own, self.reverses, strict=True)]
+        self.robots = {agent: ExplorerRobot(follower) for agent, follower in zip(agents, followers, strict=False)}
         self._terrains: dict[tuple[float, GridMap], tuple[int, Terrain]] = {}
         self._idle_since: int | None = None
 
@@ -301,10 +308,12 @@ class Explorer(ABC):
 
     def _has_to_wait(self, robot: ExplorerRobot, belief: Belief) -> bool:
         """Whether a teammate with right of way (a lower number) is close ahead."""
+        gear = robot.follower.gear
         for teammate, pose in belief.teammates.items():
             if teammate >= belief.robot:
                 continue
             dx, dy = pose[0] - robot.pose[0], pose[1] - robot.pose[1]
+            dx, dy = gear * dx, gear * dy
             if dx * dx + dy * dy < 1.0 and abs(math.remainder(math.atan2(dy, dx) - robot.pose[2], 2 * math.pi)) < 0.8:
                 return True
         return False

@@ -34,6 +34,7 @@ class InformationGain(FrontierTeam):
     """A robot drives to the best view and decides anew while it drives."""
 
     told_kinds = ("place",)
+    drives_backwards = True
 
     def __init__(self, config: EnvConfig):
         super().__init__(config)

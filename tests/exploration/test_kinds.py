@@ -216,6 +216,20 @@ def test_the_first_choice_of_views_explores_a_building_and_is_made_anew_every_se
     assert total > 0.95 and kinds == {True, False}
 
 
+@pytest.mark.parametrize("reverses", [False, True])
+def test_robots_drive_backwards_to_goals_if_the_actions_say_so(reverses):
+    env = twc_env.parallel_env(
+        map="gen:office:200:5", robots=2, max_cycles=200, config={**VIEWS, "action.reverses": reverses}
+    )
+    _, infos = env.reset(seed=0)
+    while env.agents:
+        _, _, _, _, infos = env.step({a: int(np.argmax(infos[a]["action_mask"])) for a in env.agents})
+    poses = np.asarray(env.result().true_poses)
+    moved, heading = np.diff(poses[..., :2], axis=0), poses[:-1, :, 2]
+    ahead_m = moved[..., 0] * np.cos(heading) + moved[..., 1] * np.sin(heading)
+    assert ((ahead_m < -0.05).mean() > 0.1) == reverses
+
+
 def test_views_to_which_a_robot_drove_are_not_offered_again():
     config = {**VIEWS, "action.timing": "asynchronous", "action.decision_max_s": 10.0}
     env = twc_env.parallel_env(map="gen:office:200:5", max_cycles=400, config=config)

@@ -92,12 +92,3 @@ def test_a_robot_drives_around_a_box_that_it_only_feels():
                 break
         arrived[feels] = driver.status(0)
     assert arrived == {False: "failed", True: "arrived"}
-
-
-def test_a_robot_looks_from_near_a_view_and_does_not_slow_down_for_its_last_step():
-    driver = Drivers([DynamicsConfig()] * 2, PathFinder())
-    beliefs = [belief_of(robot, walled_room(), np.array([1.0, 1.0, 0.0])) for robot in range(2)]
-    for robot, kind in enumerate(["view", "place"]):
-        driver.start(robot, np.array([1.4, 1.0]), beliefs[robot], kind)
-    driver.commands(beliefs, terrain_of)
-    assert [driver.status(robot) for robot in range(2)] == ["arrived", "driving"]

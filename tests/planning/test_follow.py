@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from twc_env.config import DynamicsConfig
-from twc_env.planning.follow import Follower, as_action, drive_to
+from twc_env.config import DynamicsConfig, EnvConfig, override, robot_configs
+from twc_env.planning.follow import Follower, as_action, can_reverse, drive_to
 
 DYNAMICS = DynamicsConfig()
 
@@ -94,6 +94,29 @@ def test_a_teammate_on_the_path_is_driven_around():
 def test_a_patient_robot_waits_behind_an_obstacle():
     speed, _ = drive_to(1.0, 0.0, scan_of_disc(np.zeros(3), (0.48, 0.0), 0.2), DYNAMICS, patience=True)
     assert speed == 0.0
+
+
+def test_a_robot_that_reverses_is_sooner_back_and_keeps_off_what_is_behind_it():
+    ticks = {}
+    for reverses in (False, True):
+        follower, pose = Follower(DYNAMICS, reverses=reverses), np.array([0.0, 0.0, 0.1])
+        follower.start(np.array([[0.0, 0.0], [-4.0, 0.0]]))
+        teammate, nearest, speeds = np.array([-2.0, 0.05]), 10.0, []
+        while math.hypot(*(pose[:2] - (-4.0, 0.0))) > 0.3:
+            speed, turn_rate = follower.command(pose, scan_of_disc(pose, teammate, 0.2))
+            pose = drive(pose, speed, turn_rate)
+            speeds.append(speed)
+            nearest = min(nearest, math.hypot(*(pose[:2] - teammate)))
+        ticks[reverses] = len(speeds)
+        assert nearest > 0.4
+        assert (min(speeds) < -0.5) == reverses
+    assert ticks[True] + 10 < ticks[False], "half a turn is 2 s"
+
+
+def test_who_drives_backwards_sees_all_around_and_is_carried_by_nobody():
+    assert can_reverse(EnvConfig())
+    assert not can_reverse(override(EnvConfig(), {"lidar.field_of_view_rad": 4.7}))
+    assert [can_reverse(own) for own in robot_configs(override(EnvConfig(), {"team": "twc-slam"}))] == [False, True, True]
 
 
 def test_a_robot_slows_down_in_a_narrow_passage():

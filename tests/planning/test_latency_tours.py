@@ -29,7 +29,9 @@ def _team(views: FloorViews, *starts_m: tuple[float, float], common_min: int = 3
     state = TeamState.begin(len(starts_m), views)
     for robot, start_m in enumerate(starts_m):
         state.stand(robot, np.array([*start_m, 0.0]), views)
-    return state, LatencyTours(views, np.ones(len(starts_m)), np.ones(len(starts_m)), common_min, links)
+    return state, LatencyTours(
+        views, np.ones(len(starts_m)), np.ones(len(starts_m)), np.zeros(len(starts_m), bool), common_min, links
+    )
 
 
 def test_ways_pass_doors_and_are_nearly_the_shortest(views):

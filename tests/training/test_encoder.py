@@ -102,17 +102,6 @@ def test_the_return_so_far_affects_the_value_of_ppo_but_not_its_policy(torch):
     assert not torch.equal(networks(poor)[1], networks(rich)[1])
 
 
-def test_a_goal_far_from_all_others_lies_apart(torch):
-    """Who leaves it has to come back."""
-    from twc_env.training.encoder import _apart
-
-    rows = torch.zeros(1, 4, 6)
-    for slot, (bearing, away_m) in enumerate([(0.0, 4.0), (0.0, 6.0), (0.5, 3.0)]):
-        rows[0, slot, :3] = torch.tensor([1.0, bearing, away_m / (away_m + 10.0)])
-    assert _apart(rows)[0, :3].tolist() == pytest.approx([0.2, 0.2, 0.5], abs=1e-4)
-    assert _apart(rows[:, 2:])[0, 0] == 1.0, "the only one"
-
-
 @pytest.mark.parametrize("slots", [5, 8, 64])
 def test_the_logits_of_the_rule_do_not_depend_on_what_else_is_computed_with_them(torch, slots):
     """So the result of an evolution strategy does not depend on which worker answers first."""

@@ -72,6 +72,9 @@ class ActionConfig(Checked):
     goals: str = choice("frontiers", "views", is_later=True)
     """What `frontier` actions choose from: the nearest `frontiers`, or the `views`, places on open floor and frontiers,
     that would show most unknown floor for the way there (docs/learning.md)."""
+    reverses: bool = later(False)
+    """Whether robots drive backwards to what lies behind them where `waypoint` and `frontier` actions drive them: those
+    whose scanner sees all around, and that nobody carries in his hands."""
     waypoint_reach_m: float = number(5.0, 0.5, 100.0)
     """Distance of the goal for an action of length 1."""
     decision_max_s: float = number(10.0, 0.1, 600.0)

@@ -15,6 +15,7 @@ from twc_env.exploration.actions import action_array, check_agents
 from twc_env.exploration.observation.observation_blocks import EXTRA_CHOICES
 from twc_env.planning.candidates import NOTHING, Candidates, can_tell_places, find_candidates, find_views
 from twc_env.planning.drivers import NARROW_FACTOR, Drivers, map_id
+from twc_env.planning.follow import can_reverse
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
 from twc_env.records.geometry import transform_points
@@ -112,8 +113,9 @@ class MacroActions:
         own = robot_configs(config)
         self._radii_m = [each.dynamics.robot_radius_m for each in own]
         self._drivers = Drivers(
-            [each.dynamics for each in own], self._finder, config.people.count > 0, config.clutter.furniture > 0
-        )
+            [each.dynamics for each in own], self._finder, config.people.count > 0, config.clutter.furniture > 0,
+            [config.action.reverses and can_reverse(each) for each in own],
+        )  # fmt: skip
         self._search = CandidateSearch(config, self._finder)
         self._are_candidates_used = config.action.kind == "frontier" or config.observation.frontiers
         self.is_deciding = np.ones(count, bool) if is_alive is None else is_alive.copy()

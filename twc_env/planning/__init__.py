@@ -5,7 +5,7 @@ from twc_env.planning.covering_walk import WalkGraph, covering_walk, walk_graph
 from twc_env.planning.drivers import Drivers
 from twc_env.planning.felt_obstacles import FeltObstacles, shown
 from twc_env.planning.floor_views import FloorViews, place_graph
-from twc_env.planning.follow import Follower, as_action, drive_to, room_around_m
+from twc_env.planning.follow import Follower, as_action, can_reverse, drive_to, room_around_m
 from twc_env.planning.latency_tours import LatencyTours, TeamState
 from twc_env.planning.moving_obstacles import MovingObstacles
 from twc_env.planning.path_finder import Disc, PathFinder, Plan
@@ -34,6 +34,7 @@ __all__ = [
     "WalkGraph",
     "Whereabouts",
     "as_action",
+    "can_reverse",
     "can_tell_places",
     "covering_walk",
     "drive_to",

@@ -29,8 +29,6 @@ CHECK_S = 0.5
 REPLAN_S = 4.0
 """Period of replanning."""
 ARRIVAL_M = 0.35
-VIEW_ARRIVAL_M = 0.45
-"""A robot slows down over its last 0.4 m, but need not stand where it looks."""
 TEAMMATE_ARRIVAL_M = 1.2
 GOAL_SQUARE_SHARE = 0.65
 """Half side of the square in which paths end, as a share of the arrival distance; its corners lie inside the latter."""
@@ -53,8 +51,8 @@ FREE_BELOW, WALL_ABOVE = Terrain.FREE_BELOW, Terrain.WALL_ABOVE
 
 _STATUS, _GOAL_X, _GOAL_Y, _IS_FRONTIER, _ARRIVAL_M, _TICKS, _BACK_OUT_TICKS = range(7)
 _ANCHOR_X, _ANCHOR_Y, _ANCHOR_TICK, _VERSION, _TEAMMATES, _X, _Y, _HEADING, _CORNERS, _SEGMENT = range(7, 17)
-_SPEED_MAX, _TURN_MAX, _TIME_STEP, _RADIUS, _CHECK_TICKS, _REPLAN_TICKS, _STUCK_S, _BACK_OUT = range(17, 25)
-_COLUMNS = 25
+_SPEED_MAX, _TURN_MAX, _TIME_STEP, _RADIUS, _CHECK_TICKS, _REPLAN_TICKS, _STUCK_S, _BACK_OUT, _REVERSES = range(17, 26)
+_COLUMNS = 26
 """Columns of `Drivers._state`: goal, place where the robot was last seen to move, map and pose of the last step,
 corners of its path and the segment it is on; then constants of the robot."""
 _NOTHING, _MAP, _PATH, _WAY_OUT = range(4)
@@ -70,7 +68,7 @@ def _follow(own, path, ranges, points, command):
     dx, dy = x - own[_X], y - own[_Y]
     command[0], command[1] = steer_along(
         ranges, points, c * dx + s * dy, -s * dx + c * dy, own[_SPEED_MAX], own[_TURN_MAX], own[_TIME_STEP],
-        own[_RADIUS], False,
+        own[_RADIUS], False, own[_REVERSES] > 0.0,
     )  # fmt: skip
 
 
@@ -172,22 +170,24 @@ class Drivers:
 
     def __init__(
         self, dynamics: Sequence[DynamicsConfig], finder: PathFinder, waits_for_people: bool = False,
-        feels: bool = False,
+        feels: bool = False, reverses: Sequence[bool] = (),
     ):  # fmt: skip
-        """waits_for_people: slow down while something moves close to a robot; feels: avoid what one bumped into."""
+        """waits_for_people: slow down while something moves close to a robot; feels: avoid what one bumped into;
+        reverses (robots,): whether each drives backwards where its path leads back, by default none."""
         self._dynamics, self._finder = dynamics, finder
         self._obstacles = [MovingObstacles(own) for own in dynamics] if waits_for_people else None
         self._felt = [FeltObstacles(own) for own in dynamics] if feels else []
         self._felt_m = [np.zeros((0, 2)) for _ in dynamics]
         """(k, 2) of each robot, in its frame: what it has felt."""
         self._state = np.zeros((len(dynamics), _COLUMNS))
-        for row, own in zip(self._state, dynamics, strict=True):
+        backwards = reverses or [False] * len(dynamics)
+        for row, own, is_reversing in zip(self._state, dynamics, backwards, strict=True):
             tick_s = own.time_step_s
             periods = [max(1, round(period_s / tick_s)) for period_s in (CHECK_S, REPLAN_S)]
             stuck_s = STUCK_S * max(1.0, 1.0 / own.speed_max_m_s)
             row[_SPEED_MAX:] = (
                 own.speed_max_m_s, own.turn_rate_max_rad_s, tick_s, own.robot_radius_m, *periods, stuck_s,
-                max(1, round(BACK_OUT_S / tick_s)),
+                max(1, round(BACK_OUT_S / tick_s)), is_reversing,
             )  # fmt: skip
         self._paths = np.zeros((len(dynamics), 8, 2))
         self._points, self._needs = np.empty((0, 2)), np.zeros(len(dynamics), np.int64)
@@ -216,12 +216,12 @@ class Drivers:
     ) -> None:
         """Send a robot to goal_m (2,) in the map frame.
 
-        kind: "place", "frontier" (has arrived once the frontier is mapped), "view" (arrives at `VIEW_ARRIVAL_M`) or
-        "teammate" (at `TEAMMATE_ARRIVAL_M`).
+        kind: "place", "view", "frontier" (has arrived once the frontier is mapped) or "teammate" (arrives at
+        `TEAMMATE_ARRIVAL_M`).
         """
         own, (x, y) = self._state[robot], belief.pose_map_robot[:2]
         own[_STATUS], own[_GOAL_X : _GOAL_Y + 1], own[_IS_FRONTIER] = DRIVING, goal_m, kind == "frontier"
-        own[_ARRIVAL_M] = {"view": VIEW_ARRIVAL_M, "teammate": TEAMMATE_ARRIVAL_M}.get(kind, arrival_m)
+        own[_ARRIVAL_M] = TEAMMATE_ARRIVAL_M if kind == "teammate" else arrival_m
         own[_TICKS] = own[_BACK_OUT_TICKS] = own[_CORNERS] = 0
         own[_ANCHOR_X], own[_ANCHOR_Y], own[_ANCHOR_TICK] = x, y, 0
         own[_VERSION], own[_TEAMMATES] = map_id(belief)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import DynamicsConfig
+from twc_env.config import DynamicsConfig, EnvConfig
 from twc_env.kernels.compiled import kernel
 from twc_env.records.geometry import points_along, travelled_m
 from twc_env.records.messages import UNSEEN_M
@@ -131,14 +131,18 @@ def _steer(
 
 
 @kernel
-def steer_along(ranges, points, target_x, target_y, speed_max, turn_max, time_step, radius, patience):
+def steer_along(ranges, points, target_x, target_y, speed_max, turn_max, time_step, radius, patience, reverses):
     """Speed and turn rate toward a target in the robot frame, avoiding the obstacles in ranges (beams,); points (beams,
-    2) is scratch."""
+    2) is scratch. reverses: drive backwards to a target behind, which saves the time of turning around."""
     count = _points_in_range(ranges, OBSTACLE_RANGE_M, points)
-    return _steer(
-        points, count, target_x, target_y, speed_max, turn_max, time_step, radius, MARGIN_M, SLOWDOWN_M, HORIZON_STEPS,
-        patience,
+    gear = -1.0 if reverses and target_x < 0.0 else 1.0
+    if gear < 0.0:
+        points[:count] = -points[:count]
+    speed, turn_rate = _steer(
+        points, count, gear * target_x, gear * target_y, speed_max, turn_max, time_step, radius, MARGIN_M, SLOWDOWN_M,
+        HORIZON_STEPS, patience,
     )  # fmt: skip
+    return gear * speed, turn_rate
 
 
 @kernel
@@ -178,6 +182,10 @@ class Follower:
 
     dynamics: DynamicsConfig
     look_ahead_m: float = LOOK_AHEAD_M
+    reverses: bool = False
+    """Whether it drives backwards where the path leads back."""
+    gear: float = 1.0
+    """1 if it drove forward last, -1 if it drove backwards."""
     path_m: Array = field(default_factory=lambda: np.empty((0, 2)))
     _index: int = 0
 
@@ -207,23 +215,36 @@ class Follower:
         self._index, x, y, _ = look_ahead_point(self.path_m, self._index, pose[0], pose[1], self.look_ahead_m)
         c, s = math.cos(pose[2]), math.sin(pose[2])
         dx, dy = x - pose[0], y - pose[1]
-        return drive_to(c * dx + s * dy, -s * dx + c * dy, ranges_m, self.dynamics, patience)
+        ahead, left = c * dx + s * dy, -s * dx + c * dy
+        speed, turn_rate = drive_to(ahead, left, ranges_m, self.dynamics, patience, self.reverses)
+        self.gear = -1.0 if self.reverses and ahead < 0.0 else 1.0
+        return speed, turn_rate
 
 
 _NO_RANGES = np.empty(0)
 
 
+def can_reverse(own: EnvConfig) -> bool:
+    """Whether a robot with these settings sees as well behind as ahead, and is not carried by somebody who walks."""
+    return own.lidar.field_of_view_rad >= 2.0 * math.pi - 1e-6 and own.odometry.platform != "handheld"
+
+
 def drive_to(
-    x_m: float, y_m: float, ranges_m: Array | None, dynamics: DynamicsConfig, patience: bool = False
+    x_m: float,
+    y_m: float,
+    ranges_m: Array | None,
+    dynamics: DynamicsConfig,
+    patience: bool = False,
+    reverses: bool = False,
 ) -> tuple[float, float]:
     """Speed [m/s] and turn rate [rad/s] toward a point in the robot frame, avoiding the obstacles in ranges_m (beams,).
 
-    patience: slow down before obstacles, but make no detour around them.
+    patience: slow down before obstacles, but make no detour around them; reverses: as in `steer_along`.
     """
     ranges = _NO_RANGES if ranges_m is None else np.asarray(ranges_m, dtype=np.float64)
     return steer_along(
         ranges, np.empty((len(ranges), 2)), x_m, y_m, dynamics.speed_max_m_s, dynamics.turn_rate_max_rad_s,
-        dynamics.time_step_s, dynamics.robot_radius_m, patience,
+        dynamics.time_step_s, dynamics.robot_radius_m, patience, reverses,
     )  # fmt: skip
 
 

@@ -74,7 +74,9 @@ class LatencyTours:
     speeds_m_s: Array
     """(robots,) speed of each ..."""
     turn_rates_rad_s: Array
-    """... and turn rate."""
+    """... and turn rate ..."""
+    reverses: Array
+    """... and whether it drives backwards rather than turning around, bool."""
     common_min: int
     """Robots merge their maps after reading so many signs in common."""
     links: Array | None = None
@@ -129,7 +131,7 @@ class LatencyTours:
         links = np.ones((1, 1), bool) if self.links is None else self.links
         return (
             graph.lengths_m, graph.via, views.seen_words, views.seen_bits, views.marks, self.speeds_m_s,
-            self.turn_rates_rad_s, graph.places_m,
+            self.turn_rates_rad_s, self.reverses, graph.places_m,
             links, self.links is not None, self.common_min, horizon_s,
         )  # fmt: skip
 
@@ -174,7 +176,7 @@ def _count_new(mask, place, seen_words, seen_bits):
 def _fill(tours, decay, state, fixed):
     """Extend the tours greedily until nothing is left to see or the time is over."""
     places, seen = state[0], state[1]
-    lengths, via, seen_words, seen_bits, _, speeds, _, _, _, _, _, horizon = fixed
+    lengths, via, seen_words, seen_bits, _, speeds, _, _, _, _, _, _, horizon = fixed
     robots = tours.shape[0]
     mask = np.zeros(seen.shape[1], np.uint64)
     at, ends, counts = places.copy(), np.zeros(robots), np.zeros(robots, np.int64)
@@ -219,7 +221,7 @@ def _fill(tours, decay, state, fixed):
 
 
 @kernel
-def _leg_s(x, y, goal, heading, length, speed, rate):
+def _leg_s(x, y, goal, heading, length, speed, rate, reverses):
     """Time [s] that a robot with a heading (2,) needs to a goal (2,) at most `length` away, and its heading there."""
     dx, dy = goal[0] - x, goal[1] - y
     away = math.hypot(dx, dy)
@@ -227,13 +229,16 @@ def _leg_s(x, y, goal, heading, length, speed, rate):
         return 0.0, heading[0], heading[1]
     dx, dy = dx / away, dy / away
     turn = math.acos(max(-1.0, min(1.0, dx * heading[0] + dy * heading[1])))
+    if reverses:
+        turn = min(turn, math.pi - turn)
     return min(away, length) / speed + max(turn - EASY_TURN_RAD, 0.0) / rate, dx, dy
 
 
 @kernel
 def _value(tours, state, fixed):
     """Integral over time [s] of the cells in the largest common map, and a little of those in others only."""
-    lengths, via, seen_words, seen_bits, marks, speeds, rates, places_m, links, is_peer, common_min, horizon = fixed
+    lengths, via, seen_words, seen_bits, marks, speeds, rates, reverses, places_m = fixed[:9]
+    links, is_peer, common_min, horizon = fixed[9:]
     at, seen, is_merged = state[0].copy(), state[1].copy(), state[2].copy()
     read, need = state[3].copy(), np.zeros((state[0].shape[0], state[0].shape[0]), np.int64)
     robots, words = seen.shape
@@ -266,7 +271,14 @@ def _value(tours, state, fixed):
         if stop[a] < tours.shape[1] and tours[a, stop[a]] >= 0:
             ahead[a] = via[tours[a, stop[a]], at[a]]
             due[a], heading[a, 0], heading[a, 1] = _leg_s(
-                poses[a, 0], poses[a, 1], places_m[ahead[a]], heading[a], lengths[at[a], ahead[a]], speeds[a], rates[a]
+                poses[a, 0],
+                poses[a, 1],
+                places_m[ahead[a]],
+                heading[a],
+                lengths[at[a], ahead[a]],
+                speeds[a],
+                rates[a],
+                reverses[a],
             )
     now, value = 0.0, 0.0
     while True:
@@ -322,6 +334,7 @@ def _value(tours, state, fixed):
                 lengths[here, ahead[r]],
                 speeds[r],
                 rates[r],
+                reverses[r],
             )
             due[r] = now + leg_s
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from twc_env.agents.teams.information_gain import CHOOSE_S, InformationGain
+from twc_env.agents.teams.minpos import MinPos
 
 from tests.planning.test_candidates import belief_of, corridor
 from twc_env.config import EnvConfig, override
@@ -40,3 +41,13 @@ def test_robots_with_a_common_map_go_to_different_views(team):
         team.act(at(step, *poses, mates=True))
     first, second = (team.robots[agent].goal_m for agent in ("robot_0", "robot_1"))
     assert np.hypot(*(first - second)) > 2.0
+
+
+def test_robots_that_can_drive_backwards_to_a_view():
+    mixed = override(EnvConfig(), {"robots": 2, "robot": ["wheeled", {"lidar.field_of_view_rad": 4.0}]})
+    team = InformationGain(mixed)
+    team.reset(0, ("robot_0", "robot_1"))
+    assert [robot.follower.reverses for robot in team.robots.values()] == [True, False]
+    frontiers = MinPos(mixed)
+    frontiers.reset(0, ("robot_0", "robot_1"))
+    assert not any(robot.follower.reverses for robot in frontiers.robots.values()), "as published"
