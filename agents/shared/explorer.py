@@ -24,7 +24,6 @@ from twc_env.planning import (
     can_reverse,
     drive_to,
     is_frontier,
-    path_is_blocked,
 )
 from twc_env.records.geometry import compose, inverse
 from twc_env.records.messages import Belief, GridMap
@@ -179,7 +178,7 @@ class Explorer(ABC):
             return robot.replan
         if robot.goal_kind == "frontier" and not is_frontier(belief.grid, robot.goal_m, explorer.arrival_m):
             return True
-        return path_is_blocked(belief.grid, robot.follower.ahead(robot.pose, 3.0), robot.radius_m)
+        return robot.follower.is_blocked(robot.pose, belief.grid, robot.radius_m)
 
     def _terrain(
         self, agent: str, beliefs: dict[str, Belief], squeeze: float = 1.0, trusts_scan: bool = False

@@ -3,8 +3,8 @@
 import numpy as np
 
 from twc_env.config import DynamicsConfig
-from twc_env.planning import Drivers, PathFinder, Terrain, path_is_blocked
-from twc_env.planning.drivers import _COLUMNS, _CORNERS, _RADIUS, _SEGMENT, _is_blocked
+from twc_env.planning import Drivers, PathFinder, Terrain
+from twc_env.planning.follow import is_path_blocked
 from twc_env.records.geometry import points_along, travelled_m
 from twc_env.records.messages import Belief, GridMap
 
@@ -53,16 +53,15 @@ def test_a_team_drives_as_each_of_its_robots_alone():
 
 def test_a_path_is_blocked_where_a_wall_is_near_a_point_of_its_next_three_metres():
     grid, random = walled_room(), np.random.default_rng(1)
+    walls_m = (np.argwhere(grid.log_odds > Terrain.WALL_ABOVE)[:, ::-1] + 0.5) * CELL_M + grid.origin_m
     found = []
     for _ in range(300):
-        path = np.zeros((9, 2))
-        path[:6] = np.cumsum(random.uniform(-1.0, 1.0, (6, 2)), axis=0) + (3.0, 2.0)
-        pose, own = np.array([*random.uniform(1.0, 3.0, 2), 0.0]), np.zeros(_COLUMNS)
-        own[_CORNERS], own[_SEGMENT], own[_RADIUS] = 6, random.integers(6), 0.18
-        corners = np.vstack([pose[:2], path[int(own[_SEGMENT]) + 1 : 6]])
+        path = np.cumsum(random.uniform(-1.0, 1.0, (6, 2)), axis=0) + (3.0, 2.0)
+        pose, segment = np.array([*random.uniform(1.0, 3.0, 2), 0.0]), int(random.integers(6))
+        corners = np.vstack([pose[:2], path[segment + 1 :]])
         points = points_along(corners, np.arange(0.0, min(3.0, travelled_m(corners)[-1]) + 1e-9, 0.1))
-        is_blocked = _is_blocked(own, path, pose, grid.log_odds, grid.origin_m, CELL_M)
-        assert is_blocked == path_is_blocked(grid, points, 0.18)
+        is_blocked = is_path_blocked(path, segment, pose, 0.18, grid.log_odds, grid.origin_m, CELL_M)
+        assert is_blocked == (np.linalg.norm(points[:, None] - walls_m, axis=2) < 0.18).any()
         found.append(is_blocked)
     assert 30 < sum(found) < 270
 

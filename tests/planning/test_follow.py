@@ -7,6 +7,7 @@ import pytest
 
 from twc_env.config import DynamicsConfig, EnvConfig, override, robot_configs
 from twc_env.planning.follow import Follower, as_action, can_reverse, drive_to
+from twc_env.records.messages import GridMap
 
 DYNAMICS = DynamicsConfig()
 
@@ -130,9 +131,26 @@ def test_actions_are_shares_of_the_maxima_and_clipped():
     assert np.allclose(as_action(9.0, -9.0, DYNAMICS), [1.0, -1.0])
 
 
-def test_the_path_ahead_starts_at_the_robot_and_has_the_given_length():
+def follower_in_room(wall_at_m=None):
+    """A follower of a path of 8 m from x = 1, in a room of 10 x 6 m, and its grid."""
+    levels = np.full((60, 100), -8, np.int16)
+    levels[[0, -1]] = levels[:, [0, -1]] = 10
+    if wall_at_m is not None:
+        levels[round(wall_at_m[1] / 0.1), round(wall_at_m[0] / 0.1)] = 10
     follower = Follower(DYNAMICS)
-    follower.start(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 5.0]]))
-    points = follower.ahead(np.array([0.2, 0.1, 0.0]), 2.0)
-    assert np.allclose(points[0], [0.2, 0.1])
-    assert np.hypot(*np.diff(points, axis=0).T).sum() == pytest.approx(2.0, abs=0.05)
+    follower.start(np.array([[1.0, 3.0], [9.0, 3.0]]))
+    return follower, GridMap(levels, np.zeros(2), 0.1)
+
+
+def test_a_new_wall_on_the_path_blocks_it_once_it_is_within_three_metres_ahead():
+    pose = np.array([1.0, 3.0, 0.0])
+    for wall_at_m, is_blocked in ((None, False), ((2.0, 3.1), True), ((2.0, 3.4), False), ((5.0, 3.1), False)):
+        follower, grid = follower_in_room(wall_at_m)
+        assert follower.is_blocked(pose, grid, 0.2) == is_blocked
+    assert follower.is_blocked(np.array([3.0, 3.0, 0.0]), grid, 0.2)
+
+
+def test_a_path_far_outside_the_map_is_not_blocked():
+    follower, grid = follower_in_room()
+    follower.start(np.array([[1e4, -1e4], [1e4, -9e3]]))
+    assert not follower.is_blocked(np.array([1e4, -1e4, 0.0]), grid, 0.2)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from twc_env.planning import Disc, PathFinder, Terrain, is_frontier, path_is_blocked
+from twc_env.planning import Disc, PathFinder, Terrain, is_frontier
 from twc_env.planning.terrain import OPEN_COST
 from twc_env.records.messages import UNSEEN_M, GridMap
 
@@ -289,7 +289,6 @@ def test_points_far_outside_the_map_are_accepted():
     assert terrain.label_near(far, 0.5) == 0
     assert PathFinder().cheapest(terrain, far, terrain.labels, np.zeros(1)) is None
     assert not is_frontier(grid_of(room()), far, 0.3)
-    assert not path_is_blocked(grid_of(room()), far[None], 0.2)
 
 
 def test_a_frontier_ends_when_the_unknown_beside_it_becomes_known():
@@ -298,14 +297,6 @@ def test_a_frontier_ends_when_the_unknown_beside_it_becomes_known():
     assert is_frontier(grid_of(kind), point(30, 49), 0.3)
     assert not is_frontier(grid_of(kind), point(30, 30), 0.3)
     assert not is_frontier(grid_of(room()), point(30, 49), 0.3)
-
-
-def test_a_new_wall_on_the_path_blocks_it():
-    kind = room()
-    path = np.linspace(point(30, 20), point(30, 60), 40)
-    assert not path_is_blocked(grid_of(kind), path, 0.2)
-    kind[31, 40] = 2
-    assert path_is_blocked(grid_of(kind), path, 0.2)
 
 
 def test_planning_on_a_large_map_stays_within_a_few_milliseconds():

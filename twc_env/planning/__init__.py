@@ -10,7 +10,7 @@ from twc_env.planning.latency_tours import LatencyTours, TeamState
 from twc_env.planning.moving_obstacles import MovingObstacles
 from twc_env.planning.path_finder import Disc, PathFinder, Plan
 from twc_env.planning.radio_whereabouts import Whereabouts, whereabouts
-from twc_env.planning.terrain import FREE, UNKNOWN, WALL, Terrain, is_frontier, path_is_blocked
+from twc_env.planning.terrain import FREE, UNKNOWN, WALL, Terrain, is_frontier
 from twc_env.planning.views import RandomTree, ViewGain
 
 __all__ = [
@@ -41,7 +41,6 @@ __all__ = [
     "find_candidates",
     "find_views",
     "is_frontier",
-    "path_is_blocked",
     "place_graph",
     "room_around_m",
     "shown",

@@ -16,10 +16,17 @@ from numpy.typing import NDArray as Array
 from twc_env.config import DynamicsConfig
 from twc_env.kernels.compiled import kernel
 from twc_env.planning.felt_obstacles import FeltObstacles, shown
-from twc_env.planning.follow import LOOK_AHEAD_M, drive_to, look_ahead_point, room_around_m, steer_along
+from twc_env.planning.follow import (
+    LOOK_AHEAD_M,
+    drive_to,
+    is_path_blocked,
+    look_ahead_point,
+    room_around_m,
+    steer_along,
+)
 from twc_env.planning.moving_obstacles import MovingObstacles
 from twc_env.planning.path_finder import Disc, PathFinder
-from twc_env.planning.terrain import Terrain, has_frontier_near, is_wall_near
+from twc_env.planning.terrain import Terrain, has_frontier_near
 from twc_env.records.geometry import compose, inverse, transform_points
 from twc_env.records.messages import Belief
 from twc_env.records.team_messages import TeamBeliefs
@@ -40,14 +47,12 @@ TEAMMATE_RADIUS_M, TEAMMATE_COST, TEAMMATE_RANGE_M = 0.6, 12, 6.0
 """Teammates up to `TEAMMATE_RANGE_M` away raise the traversal cost within `TEAMMATE_RADIUS_M`."""
 FELT_RADIUS_M, FELT_COST = 0.35, 30
 """What a robot bumped into without seeing it raises the traversal cost within `FELT_RADIUS_M`."""
-CHECK_LENGTH_M, CHECK_STEP_M = 3.0, 0.1
-"""Length of the path that is checked for walls, and the spacing of the points on it."""
 NARROW_FACTOR = 0.6
 """Factor on the robot's radius if there is no path for the full radius."""
 
 IDLE, DRIVING, ARRIVED, FAILED = range(4)
 STATUS = "idle", "driving", "arrived", "failed"
-FREE_BELOW, WALL_ABOVE = Terrain.FREE_BELOW, Terrain.WALL_ABOVE
+FREE_BELOW = Terrain.FREE_BELOW
 
 _STATUS, _GOAL_X, _GOAL_Y, _IS_FRONTIER, _ARRIVAL_M, _TICKS, _BACK_OUT_TICKS = range(7)
 _ANCHOR_X, _ANCHOR_Y, _ANCHOR_TICK, _VERSION, _TEAMMATES, _X, _Y, _HEADING, _CORNERS, _SEGMENT = range(7, 17)
@@ -124,34 +129,6 @@ def _drive(state, paths, poses, ranges, beams, versions, teammates, points, comm
 
 
 @kernel
-def _is_blocked(own, path, pose, log_odds, origin, resolution):
-    """Whether a wall is nearer than the robot's radius to a point of the next `CHECK_LENGTH_M` of its path."""
-    first, last = int(own[_SEGMENT]), int(own[_CORNERS]) - 1
-    reach = own[_RADIUS] / resolution
-    total, x, y = 0.0, pose[0], pose[1]
-    for k in range(first + 1, last + 1):
-        total += math.sqrt((path[k, 0] - x) * (path[k, 0] - x) + (path[k, 1] - y) * (path[k, 1] - y))
-        x, y = path[k, 0], path[k, 1]
-    x, y, corner = pose[0], pose[1], first  # the corner that was passed last, at path length `passed`
-    passed = ahead = 0.0
-    if corner < last:
-        ahead = math.sqrt((path[corner + 1, 0] - x) ** 2 + (path[corner + 1, 1] - y) ** 2)
-    for k in range(math.ceil((min(CHECK_LENGTH_M, total) + 1e-9) / CHECK_STEP_M)):
-        at = k * CHECK_STEP_M
-        while corner < last and ahead <= at:
-            corner, passed, x, y = corner + 1, ahead, path[corner + 1, 0], path[corner + 1, 1]
-            if corner < last:
-                ahead += math.sqrt((path[corner + 1, 0] - x) ** 2 + (path[corner + 1, 1] - y) ** 2)
-        px, py = x, y
-        if corner < last:
-            px = (path[corner + 1, 0] - x) / (ahead - passed) * (at - passed) + x
-            py = (path[corner + 1, 1] - y) / (ahead - passed) * (at - passed) + y
-        if is_wall_near(log_odds, (py - origin[1]) / resolution, (px - origin[0]) / resolution, WALL_ABOVE, reach):
-            return True
-    return False
-
-
-@kernel
 def _drive_with_map(own, path, pose, ranges, points, log_odds, origin, resolution, reach, command):
     """`_tick` of one robot that may look at its map. reach: `ARRIVAL_M` in cells."""
     is_mapped = is_blocked = False
@@ -161,7 +138,8 @@ def _drive_with_map(own, path, pose, ranges, points, log_odds, origin, resolutio
             column = math.floor((own[_GOAL_X] - origin[0]) / resolution)
             is_mapped = not has_frontier_near(log_odds, row, column, reach, FREE_BELOW)
         if own[_CORNERS] > 0 and not is_mapped and (own[_TICKS] + 1) % own[_REPLAN_TICKS] != 0:
-            is_blocked = _is_blocked(own, path, pose, log_odds, origin, resolution)
+            corners = path[: int(own[_CORNERS])]
+            is_blocked = is_path_blocked(corners, int(own[_SEGMENT]), pose, own[_RADIUS], log_odds, origin, resolution)
     return _tick(own, path, pose, ranges, points, is_mapped, is_blocked, command)
 
 

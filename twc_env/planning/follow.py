@@ -10,8 +10,8 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig, EnvConfig
 from twc_env.kernels.compiled import kernel
-from twc_env.records.geometry import points_along, travelled_m
-from twc_env.records.messages import UNSEEN_M
+from twc_env.planning.terrain import Terrain, is_wall_near
+from twc_env.records.messages import UNSEEN_M, GridMap
 
 OBSTACLE_RANGE_M = 1.6
 """Scan points further away than this are ignored."""
@@ -31,6 +31,9 @@ LOOK_AHEAD_M = 0.5
 DETOUR_LENGTH_M = 0.5
 DETOUR_STEP_RAD = 0.2
 """If the straight line is blocked, bearings this far apart are tried on both sides."""
+CHECK_LENGTH_M, CHECK_STEP_M = 3.0, 0.1
+"""Length of the path that is checked for walls, and the spacing of the points on it."""
+_WALL_ABOVE = Terrain.WALL_ABOVE
 
 
 @kernel
@@ -176,6 +179,35 @@ def look_ahead_point(path, index, x, y, look_ahead):
     return best_k, path[count - 1, 0], path[count - 1, 1], math.sqrt(best)
 
 
+@kernel
+def is_path_blocked(path, segment, pose, radius, log_odds, origin, resolution):
+    """Whether a wall is nearer than the robot's radius [m] to a point of the next `CHECK_LENGTH_M` of path (k, 2), of
+    which the robot is on this segment."""
+    first, last = segment, path.shape[0] - 1
+    reach = radius / resolution
+    total, x, y = 0.0, pose[0], pose[1]
+    for k in range(first + 1, last + 1):
+        total += math.sqrt((path[k, 0] - x) * (path[k, 0] - x) + (path[k, 1] - y) * (path[k, 1] - y))
+        x, y = path[k, 0], path[k, 1]
+    x, y, corner = pose[0], pose[1], first  # the corner that was passed last, at path length `passed`
+    passed = ahead = 0.0
+    if corner < last:
+        ahead = math.sqrt((path[corner + 1, 0] - x) ** 2 + (path[corner + 1, 1] - y) ** 2)
+    for k in range(math.ceil((min(CHECK_LENGTH_M, total) + 1e-9) / CHECK_STEP_M)):
+        at = k * CHECK_STEP_M
+        while corner < last and ahead <= at:
+            corner, passed, x, y = corner + 1, ahead, path[corner + 1, 0], path[corner + 1, 1]
+            if corner < last:
+                ahead += math.sqrt((path[corner + 1, 0] - x) ** 2 + (path[corner + 1, 1] - y) ** 2)
+        px, py = x, y
+        if corner < last:
+            px = (path[corner + 1, 0] - x) / (ahead - passed) * (at - passed) + x
+            py = (path[corner + 1, 1] - y) / (ahead - passed) * (at - passed) + y
+        if is_wall_near(log_odds, (py - origin[1]) / resolution, (px - origin[0]) / resolution, _WALL_ABOVE, reach):
+            return True
+    return False
+
+
 @dataclass(slots=True, eq=False)
 class Follower:
     """Follows one path by steering toward the point `look_ahead_m` further along it."""
@@ -203,10 +235,10 @@ class Follower:
         """Whether a path is set."""
         return len(self.path_m) > 0
 
-    def ahead(self, pose: Array, length_m: float) -> Array:
-        """(k, 2) points every 0.1 m from the robot along the next `length_m` of the path."""
-        corners = np.vstack([pose[:2], self.path_m[self._index + 1 :]])
-        return points_along(corners, np.arange(0.0, min(length_m, travelled_m(corners)[-1]) + 1e-9, 0.1))
+    def is_blocked(self, pose: Array, grid: GridMap, radius_m: float) -> bool:
+        """Whether a wall of the grid is nearer than this to the next `CHECK_LENGTH_M` of the path from the robot on."""
+        origin = np.asarray(grid.origin_m, float)
+        return is_path_blocked(self.path_m, self._index, pose, radius_m, grid.log_odds, origin, grid.resolution_m)
 
     def command(self, pose: Array, ranges_m: Array | None, patience: bool = False) -> tuple[float, float]:
         """Speed [m/s] and turn rate [rad/s] for the next step; (0, 0) without a path."""

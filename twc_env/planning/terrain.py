@@ -229,15 +229,6 @@ def is_wall_near(log_odds, row, column, wall_above, reach):
 
 
 @kernel
-def _has_wall_near(log_odds, rows, columns, wall_above, reach):
-    """Whether `is_wall_near` holds for any of the points (rows, columns) [cells]."""
-    found, k = False, 0
-    while k < rows.shape[0] and not found:
-        found, k = is_wall_near(log_odds, rows[k], columns[k], wall_above, reach), k + 1
-    return found
-
-
-@kernel
 def has_frontier_near(log_odds, row, column, reach, free_below):
     """Whether a free cell within `reach` cells of (row, column) has an unknown neighbour."""
     height, width = log_odds.shape
@@ -368,13 +359,6 @@ class Terrain:
         inside = np.all((cells >= 0) & (cells < self.cost.shape), axis=1)
         r, c = np.where(inside[:, None], cells, 0).T
         return inside & (self.cost[r, c] > 0)
-
-
-def path_is_blocked(grid: GridMap, points_m: Array, robot_radius_m: float) -> bool:
-    """Whether any of points_m (k, 2) is nearer to a wall of the grid than the robot's radius."""
-    columns, rows = ((np.asarray(points_m) - grid.origin_m) / grid.resolution_m).T
-    reach = robot_radius_m / grid.resolution_m
-    return bool(_has_wall_near(grid.log_odds, rows.copy(), columns.copy(), Terrain.WALL_ABOVE, reach))
 
 
 def is_frontier(grid: GridMap, point_m: Array, reach_m: float) -> bool:
