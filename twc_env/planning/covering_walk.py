@@ -42,6 +42,22 @@ class WalkGraph:
     near: Array
     """(places, k) int32: nearest places of each by path length."""
 
+    @classmethod
+    def reached(cls, places_m: Array, pairs: Array, lengths_m: Array, start: int) -> tuple[WalkGraph, Array]:
+        """The graph of the places (k, 2) that can be reached from number `start`, and the numbers of these.
+
+        pairs (n, 2), lengths_m (n,): the edges between all of them.
+        """
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import dijkstra
+
+        ends = tuple(pairs.T.astype(np.int32))  # the index type that all versions of csgraph accept
+        edges = coo_array((lengths_m, ends), shape=(len(places_m), len(places_m))).tocsr()
+        kept = np.flatnonzero(np.isfinite(dijkstra(edges, directed=False, indices=start)))
+        ways_m, via = dijkstra(edges[kept][:, kept], directed=False, return_predecessors=True)
+        near = np.argsort(ways_m, axis=1, kind="stable")[:, 1 : NEIGHBOUR_COUNT + 1]
+        return cls(places_m[kept], ways_m, via.astype(np.int32), near.astype(np.int32)), kept
+
     def way(self, turns: Array) -> Array:
         """(k,) all places on the shortest paths between consecutive turns, the first included."""
         found = [int(turns[0])]
@@ -56,8 +72,6 @@ class WalkGraph:
 
 def walk_graph(terrain: Terrain, start_m: Array, spacing_m: float) -> WalkGraph:
     """The graph of places reachable from start_m (2,), at least `spacing_m` apart, those beside closed cells first."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import dijkstra
     from scipy.spatial import cKDTree
 
     is_open = terrain.cost > 0
@@ -73,13 +87,8 @@ def walk_graph(terrain: Terrain, start_m: Array, spacing_m: float) -> WalkGraph:
     apart = np.linalg.norm(places - places[0], axis=1)
     if not (pairs == 0).any() and len(places) > 1:  # the start lies in a closed cell
         pairs = np.vstack([pairs, [0, 1 + int(np.argmin(apart[1:]))]])
-    lengths = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1) * terrain.resolution_m
-    ends = tuple(pairs.T.astype(np.int32))  # the index type that all versions of csgraph accept
-    edges = coo_array((lengths, ends), shape=(len(places), len(places)))
-    kept = np.flatnonzero(np.isfinite(dijkstra(edges, directed=False, indices=0)))
-    lengths_m, via = dijkstra(edges.tocsr()[kept][:, kept], directed=False, return_predecessors=True)
-    near = np.argsort(lengths_m, axis=1, kind="stable")[:, 1 : NEIGHBOUR_COUNT + 1]
-    return WalkGraph(terrain.to_metres(places[kept]), lengths_m, via.astype(np.int32), near.astype(np.int32))
+    lengths_m = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1) * terrain.resolution_m
+    return WalkGraph.reached(terrain.to_metres(places), pairs, lengths_m, 0)[0]
 
 
 def covering_walk(graph: WalkGraph, told: Array, price_m: float, turns: Array, draws: Array) -> tuple[Array, int]:

@@ -16,8 +16,6 @@ from twc_env.planning.terrain import FREE, Terrain
 CELL = 4
 """Cells of the terrain along a cell of the floor; 8 x 8 of these are the bits of a word."""
 BEAMS_MIN = 180
-NEIGHBOUR_COUNT = 30
-"""Nearest places of each that `WalkGraph.near` names."""
 STRAIGHT, DIAGONAL = 5, 7
 """Lengths of steps between cells."""
 READ_SHARE = 0.75
@@ -34,9 +32,6 @@ def place_graph(terrain: Terrain, start_m: Array, spacing_m: float) -> tuple[Wal
     Each cell belongs to the place that is nearest by its way, and places are neighbours whose cells touch, so that no
     door is missed: the ways are at most a few percent longer than the shortest ones.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import dijkstra
-
     stride = max(2, round(spacing_m / terrain.resolution_m))
     cells = _widest_cells(terrain.cost, stride)
     owner, length = np.full(terrain.cost.shape, -1, np.int32), np.full(terrain.cost.shape, 2**30, np.int32)
@@ -52,18 +47,15 @@ def place_graph(terrain: Terrain, start_m: Array, spacing_m: float) -> tuple[Wal
             edges[u, v] = min(edges.get((u, v), 2**30), int(way))
     pairs = np.array(list(edges), np.int32).reshape(-1, 2)
     ways_m = np.array(list(edges.values()), float) * terrain.resolution_m / STRAIGHT
-    graph = coo_array((ways_m, tuple(pairs.T)), shape=(len(cells), len(cells))).tocsr()
     places_m = terrain.to_metres(cells + 0.5)
     row, column = np.clip(terrain.to_cells(start_m).astype(int), 0, np.array(owner.shape) - 1)
     first = int(owner[row, column])
     if first < 0:  # it lies in a closed cell
         first = int(np.argmin(np.hypot(*(places_m - start_m).T)))
-    kept = np.flatnonzero(np.isfinite(dijkstra(graph, directed=False, indices=first)))
-    lengths_m, via = dijkstra(graph[kept][:, kept], directed=False, return_predecessors=True)
-    near = np.argsort(lengths_m, axis=1, kind="stable")[:, 1 : NEIGHBOUR_COUNT + 1]
+    graph, kept = WalkGraph.reached(places_m, pairs, ways_m, first)
     number = np.full(len(cells) + 1, -1, np.int32)
     number[kept] = np.arange(len(kept))
-    return WalkGraph(places_m[kept], lengths_m, via.astype(np.int32), near.astype(np.int32)), number[owner]
+    return graph, number[owner]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
