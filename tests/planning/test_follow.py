@@ -117,7 +117,11 @@ def test_a_robot_that_reverses_is_sooner_back_and_keeps_off_what_is_behind_it():
 def test_who_drives_backwards_sees_all_around_and_is_carried_by_nobody():
     assert can_reverse(EnvConfig())
     assert not can_reverse(override(EnvConfig(), {"lidar.field_of_view_rad": 4.7}))
-    assert [can_reverse(own) for own in robot_configs(override(EnvConfig(), {"team": "twc-slam"}))] == [False, True, True]
+    assert [can_reverse(own) for own in robot_configs(override(EnvConfig(), {"team": "twc-slam"}))] == [
+        False,
+        True,
+        True,
+    ]
 
 
 def test_a_robot_slows_down_in_a_narrow_passage():

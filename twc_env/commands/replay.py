@@ -182,7 +182,7 @@ def _replay(options: argparse.Namespace) -> None:
 
 
 def _asked(options: argparse.Namespace, beam_count: object) -> Asked:
-    from twc_env.datasets.logs.readings_table import unit_choices
+    from twc_env.datasets.logs.column_units import unit_choices
     from twc_env.datasets.ros.robot_topics import Wishes
     from twc_env.replaying.inputs import Asked
 

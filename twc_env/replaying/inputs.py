@@ -14,8 +14,9 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, from_dict, override
 from twc_env.datasets.logs import frame_log, scan_log
+from twc_env.datasets.logs.column_units import Span
 from twc_env.datasets.logs.file_kind import refuse_other_kinds
-from twc_env.datasets.logs.readings_table import Readings, Span, read_signs, read_wifi, wifi_scan
+from twc_env.datasets.logs.readings_table import Readings, read_signs, read_wifi, wifi_scan
 from twc_env.datasets.logs.scan_log import ScanLog
 from twc_env.datasets.ros.bag_file import is_bag
 from twc_env.datasets.ros.bag_log import describe, read_bag

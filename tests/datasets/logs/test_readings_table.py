@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from twc_env.datasets.logs.readings_table import Span, read_signs, read_wifi, unit_choices
+from twc_env.datasets.logs.column_units import Span, unit_choices
+from twc_env.datasets.logs.readings_table import read_signs, read_wifi
 from twc_env.errors import DataError
 
 BEGUN = 1_700_000_000.0

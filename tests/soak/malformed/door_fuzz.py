@@ -13,7 +13,8 @@ from twc_env.agents.policy import make_policy
 
 from tests.soak.attempts import Attempt, workplace
 from tests.soak.malformed.mutations import OF_JSON, OF_TEXT, mutated
-from twc_env.datasets.logs.readings_table import Span, read_signs, read_wifi
+from twc_env.datasets.logs.column_units import Span
+from twc_env.datasets.logs.readings_table import read_signs, read_wifi
 from twc_env.errors import TwcError
 from twc_env.records.random_streams import random_stream
 from twc_env.running.finished_parts import FinishedParts
