@@ -237,10 +237,10 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     config = source.config
     if not options.allow_code:
         refuse_code(config, logs[0], asked)
-    chosen = {"slam.mode": "localisation"} if options.localise else {}
     if options.localise and options.save is not None:
         raise DataError("--save writes a map, and --localise changes none: leave one of them out")
-    chosen = {**asked, **chosen, **prior_setting(options)}
+    mode = {"slam.mode": "localisation"} if options.localise else {}
+    chosen: dict[str, object] = {**asked, **mode, **prior_setting(options)}
     if options.noise == "from-log" and override(config, chosen).slam.mode == "cooperative":
         source = with_errors_of_log(source)
     config = override(source.config, chosen)

@@ -75,10 +75,10 @@ def with_errors_of_log(source: ReplayInput) -> ReplayInput:
     paths = [[frame for frames in source.steps for frame in frames if frame.robot == robot] for robot in robots]
     if source.is_episode or any(map(_has_gyro, paths)):
         return source
-    config, paths, told = taken_from_log(source.config, paths)
+    config, without, told = taken_from_log(source.config, paths)
     if not told:
         return dataclasses.replace(source, notes=[*source.notes, UNTOLD])
-    own = {robot: iter(path) for robot, path in zip(robots, paths, strict=True)}
+    own = {robot: iter(path) for robot, path in zip(robots, without, strict=True)}
     steps = [tuple(next(own[frame.robot]) for frame in frames) for frames in source.steps]
     names = [f"robot {source.names[robot] or robot}, " if len(robots) > 1 else "" for robot in robots]
     notes = [name + _described(errors) for name, errors in zip(names, told, strict=True)]
@@ -108,7 +108,9 @@ def taken_from_log(
 def errors_of(frames: Sequence[SensorFrame], config: EnvConfig) -> OdometryErrors | None:
     """Errors of the odometry of one robot's frames; None if too few scans are matched, or many in a motion."""
     front = FrontEnds(override(config, {"robots": 1}), 1)
-    read, matched, steps = [], [], []
+    read: list[Array] = []
+    matched: list[Array] = []
+    steps: list[int] = []
     stretch, before, is_dense = _Stretch(), None, False
     for k, frame in enumerate(frames):
         front.update(front.intake.on_circle([dataclasses.replace(frame, robot=0)])[0])
@@ -121,7 +123,7 @@ def errors_of(frames: Sequence[SensorFrame], config: EnvConfig) -> OdometryError
             matched.append(between(before, front.poses_odom[0]))
             steps.append(stretch.steps)
         stretch, before = _Stretch(), front.poses_odom[0] if is_known else None
-        is_dense = len(read) == MOTIONS_MIN and np.median(steps) > STEPS_MAX
+        is_dense = len(read) == MOTIONS_MIN and bool(np.median(steps) > STEPS_MAX)
         if is_dense or len(read) == MOTIONS_MAX:
             break
     if len(read) < MOTIONS_MIN or is_dense:
