@@ -40,10 +40,14 @@ def test_the_team_learned_explores_any_map_with_velocities_and_says_which_policy
         explore(override(config, {"failure.robots": 1}), "learned", 0)
 
 
-def test_the_shipped_policy_of_a_task_suits_its_settings_best():
-    from twc_env.training.shipped import shipped_for
+def test_the_shipped_policy_of_a_task_suits_its_settings_best(tmp_path, monkeypatch):
+    from twc_env.training import shipped
 
     from twc_env.tasks import task_config
 
+    for name in ("Quick", "Entrance"):
+        (tmp_path / f"Explore{name}-v1").mkdir()
+        (tmp_path / f"Explore{name}-v1" / shipped.FILE_NAME).touch()
+    monkeypatch.setattr(shipped, "FOLDER", tmp_path)
     for task, name in (("Quick", "Quick"), ("Entrance", "Entrance"), ("Office", "Entrance"), ("Mall", "Entrance")):
-        assert shipped_for(task_config(f"twc/Explore{task}-v1")).name == f"Explore{name}-v1"
+        assert shipped.shipped_for(task_config(f"twc/Explore{task}-v1")).name == f"Explore{name}-v1"
