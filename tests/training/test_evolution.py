@@ -24,7 +24,7 @@ def test_a_pair_with_equal_weights_plays_equal_episodes_and_weights_matter(task)
     from twc_env.training.evolution import Episodes, Settings
 
     weights = np.tile([weight for weight, _ in RULE.values()], (4, 1))
-    weights[3, list(RULE).index("way")] = 5.0
+    weights[3, list(RULE).index("stay")] = 20.0
     episodes = Episodes(task, Settings(environments=4, workers=0))
     played, decisions = episodes.play(weights, [7, 7, 8, 8])
     episodes.close()
