@@ -93,7 +93,9 @@ def test_a_log_with_constant_errors_ends_as_near_as_one_without():
     raw = poses_along(np.array([frame.odometry for frames in poor.steps for frame in frames[:1]])[1:])
     goal = run(read(log), read(log).config).paths()[0].estimated
     assert absolute_trajectory_error_m(odometry, goal) < 0.5 * absolute_trajectory_error_m(raw, goal)
-    assert absolute_trajectory_error_m(run(better, better.config).paths()[0].estimated, goal) < 0.2
+    path = run(better, better.config).paths()[0]
+    assert absolute_trajectory_error_m(path.estimated, goal) < 0.2
+    assert path.odometry == pytest.approx(raw, abs=1e-6), "what is written is the odometry of the log"
 
 
 def test_gyros_and_short_logs_keep_what_is_assumed():

@@ -62,11 +62,13 @@ class Replay:
             poses = self._in_map(robot, np.array([frame.step for frame in own]), odom)
             times_s = np.array([self.source.begun_s[robot] + frame.time_s for frame in own])
             mount, logged = self.source.mounts[robot], None
-            odometry = np.array(list(accumulate((f.odometry for f in own), compose, initial=np.zeros(3)))[1:])
             if self.source.odometry is not None:
                 logged = self.source.odometry[robot]
-            if mount.any() and logged is not None:
-                poses, odometry = compose(poses, inverse(mount)), between(logged[0], logged)
+                odometry = between(logged[0], logged)
+            else:
+                odometry = np.array(list(accumulate((f.odometry for f in own), compose, initial=np.zeros(3)))[1:])
+            if mount.any():
+                poses = compose(poses, inverse(mount))
             name = self.source.names[robot]
             found.append(RobotPath(robot, name, times_s, poses, odometry, odometry if logged is None else logged))
         return found
