@@ -1,14 +1,22 @@
-"""The commands of docs/first_hours run in their order, on smaller settings, and write what the pages name."""
+"""The commands of docs/first_hours run in their order, on smaller settings, and write what the pages name: in a clone,
+and with nothing but the wheel."""
 
+import hashlib
+import json
 import os
 import re
 import shlex
+import shutil
+import subprocess
+import sys
+import zipfile
 from pathlib import Path
 
 import pytest
 
 from tests.docs.test_commands import ROOT
 from tests.forks import Forks
+from twc_env.kernels.cache_folder import cache_folder
 
 PAGES = ("student", "researcher", "lecturer")
 SMALLER = (
@@ -47,10 +55,52 @@ def programs(page: str) -> list[str]:
     return found
 
 
-@pytest.fixture(scope="module")
-def forks(tmp_path_factory):
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    forks = Forks(LOADED, tmp_path_factory.mktemp("forks"), {**os.environ, "PYTHONPATH": path, "MPLBACKEND": "Agg"})
+def unpacked_wheel(folder: Path) -> Path:
+    """A folder with what a wheel of this clone installs, and this clone's kernels for it below `cache`."""
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = folder.glob("*.whl")
+    site = folder / "site"
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    give_kernels(site, folder / "cache")
+    return site
+
+
+def give_kernels(site: Path, cache: Path) -> None:
+    """Copy compiled kernels to where they are found for the files in `site`, which spares minutes: numba names folders
+    by the path of the source, and looks at its time. Without them all runs as well."""
+    there = {}
+    for source in (path for top in ("twc_env", "agents", "training") for path in (ROOT / top).rglob("*.py")):
+        inside = source.relative_to(ROOT)
+        installed = site / (inside if inside.parts[0] == "twc_env" else "twc_env" / inside)
+        os.utime(installed, ns=(source.stat().st_atime_ns, source.stat().st_mtime_ns))
+        there[numba_folder(source)] = numba_folder(installed)
+    copy = shutil.copytree(cache_folder(), cache / "twc_env" / "kernels" / cache_folder().name)
+    for file in copy.glob("*/sums.json"):
+        for folder in [path for path in file.parent.iterdir() if path.is_dir()]:
+            if folder.name in there:
+                folder.rename(file.parent / there[folder.name])
+            else:
+                shutil.rmtree(folder)
+        sums = {tuple(name.split("/")): value for name, value in json.loads(file.read_text()).items()}
+        file.write_text(json.dumps({f"{there[at]}/{name}": value for (at, name), value in sums.items() if at in there}))
+
+
+def numba_folder(source: Path) -> str:
+    return f"{source.parent.name}_{hashlib.sha1(str(source.parent).encode()).hexdigest()}"
+
+
+@pytest.fixture(scope="module", params=["clone", "wheel"])
+def forks(request, tmp_path_factory):
+    folder, settings = tmp_path_factory.mktemp("forks"), {"MPLBACKEND": "Agg"}
+    path = ROOT
+    if request.param == "wheel":
+        path, settings["XDG_CACHE_HOME"] = unpacked_wheel(folder), str(folder / "cache")
+    settings["PYTHONPATH"] = os.pathsep.join([str(path), os.environ.get("PYTHONPATH", "")])
+    forks = Forks(f"import sys\nsys.path[0] = {str(path)!r}\n{LOADED}", folder, {**os.environ, **settings})
+    status, said = forks.run("import twc_env.agents\nprint(twc_env.agents.__file__)", folder)
+    assert status == 0 and Path(said.strip()).is_relative_to(path), said
     yield forks
     forks.close()
 
