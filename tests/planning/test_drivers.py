@@ -4,6 +4,7 @@ import numpy as np
 
 from twc_env.config import DynamicsConfig
 from twc_env.planning import Drivers, PathFinder, Terrain
+from twc_env.planning.drivers import BACK_OUT_S, STUCK_S
 from twc_env.planning.follow import is_path_blocked
 from twc_env.records.geometry import points_along, travelled_m
 from twc_env.records.messages import Belief, GridMap
@@ -49,6 +50,22 @@ def test_a_team_drives_as_each_of_its_robots_alone():
             poses[:, 1] += step[:, 0] * np.sin(poses[:, 2])
             poses[:, 2] += step[:, 1] + 0.01 * random.standard_normal(3)
     assert {"driving", "arrived"} <= statuses
+
+
+def test_a_robot_that_is_held_backs_out_and_fails_though_views_are_chosen_anew():
+    dynamics, grid, pose = DynamicsConfig(), walled_room(), np.array([1.0, 1.0, 0.0])
+    drivers, belief = Drivers([dynamics], PathFinder()), belief_of(0, grid, pose)
+    commands, ticks, chosen_anew = [], round((STUCK_S + BACK_OUT_S) / dynamics.time_step_s) + 2, 0
+    for tick in range(ticks):
+        if tick % 5 == 0 and drivers.status(0) != "failed":
+            chosen_anew += 1
+            drivers.start(0, np.array([4.5, 1.0 + 0.1 * (tick % 10)]), belief, "view")
+        commands.append(drivers.commands([belief], terrain_of)[0])
+    assert chosen_anew > 5 and drivers.status(0) == "failed"
+    assert {tuple(command) for command in commands[-8:-2]}.isdisjoint({tuple(command) for command in commands[:20]})
+    drivers.start(0, np.array([4.5, 1.0]), belief, "view")
+    drivers.commands([belief], terrain_of)
+    assert drivers.status(0) == "driving", "it tries again"
 
 
 def test_a_path_is_blocked_where_a_wall_is_near_a_point_of_its_next_three_metres():

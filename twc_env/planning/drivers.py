@@ -195,13 +195,16 @@ class Drivers:
         """Send a robot to goal_m (2,) in the map frame.
 
         kind: "place", "view", "frontier" (has arrived once the frontier is mapped) or "teammate" (arrives at
-        `TEAMMATE_ARRIVAL_M`).
+        `TEAMMATE_ARRIVAL_M`). Another view while it drives does not free a robot that is stuck: it still backs out.
         """
         own, (x, y) = self._state[robot], belief.pose_map_robot[:2]
+        if kind == "view" and own[_STATUS] == DRIVING and self.is_of(robot, belief):  # as chosen anew all the time
+            own[_ANCHOR_TICK] -= own[_TICKS]
+        else:
+            own[_ANCHOR_X], own[_ANCHOR_Y], own[_ANCHOR_TICK], own[_BACK_OUT_TICKS] = x, y, 0, 0
         own[_STATUS], own[_GOAL_X : _GOAL_Y + 1], own[_IS_FRONTIER] = DRIVING, goal_m, kind == "frontier"
         own[_ARRIVAL_M] = TEAMMATE_ARRIVAL_M if kind == "teammate" else arrival_m
-        own[_TICKS] = own[_BACK_OUT_TICKS] = own[_CORNERS] = 0
-        own[_ANCHOR_X], own[_ANCHOR_Y], own[_ANCHOR_TICK] = x, y, 0
+        own[_TICKS] = own[_CORNERS] = 0
         own[_VERSION], own[_TEAMMATES] = map_id(belief)
         own[_X : _HEADING + 1] = belief.pose_map_robot
 
