@@ -62,7 +62,7 @@ class CandidateSearch:
         self,
         beliefs: Sequence[Belief],
         is_due: Sequence[bool] | Array = (),
-        terrains: dict[tuple[float, GridMap], Terrain] | None = None,
+        terrains: dict[tuple[float, GridMap, int], Terrain] | None = None,
         goals_m: Array | None = None,
     ) -> None:
         """Update the candidates of robots for which `is_due` (robots,), and those that are old or of another map.
@@ -85,7 +85,8 @@ class CandidateSearch:
                     of_team = _goals_of_others(belief, beliefs, goals_m), np.array(spent_m).reshape(-1, 2)
                     found = find_views(belief, terrain, self._finder, slots, range_m, *of_team)
                     if not len(found.frontiers_m):  # shut in, by a map in which noise may have narrowed a gap
-                        terrain = terrain_of(known, belief, NARROW_FACTOR * self._radii_m[robot])
+                        radius_m, has_doors = NARROW_FACTOR * self._radii_m[robot], self._config.clutter.door_share > 0
+                        terrain = terrain_of(known, belief, radius_m, has_doors)
                         found = find_views(belief, terrain, self._finder, slots, range_m, *of_team)
                 self.candidates[robot] = found
 
@@ -128,7 +129,7 @@ class MacroActions:
         self._stay_until = np.zeros(count, np.int64)
         self._is_view = np.zeros(count, bool)
         """Whether the last goal of each robot was a view."""
-        self._terrains: dict[tuple[float, GridMap], Terrain] = {}
+        self._terrains: dict[tuple[float, GridMap, int], Terrain] = {}
         self._terrains_of: Sequence[Belief] = ()
         """The beliefs of which the terrains are."""
         self._ticks = 0
@@ -249,17 +250,21 @@ class MacroActions:
             self._terrains_of = beliefs
 
     def _terrain(self, belief: Belief, squeeze: float) -> Terrain:
-        return terrain_of(self._terrains, belief, squeeze * self._radii_m[belief.robot])
+        trusts_scan = squeeze < 1.0 and self._config.clutter.door_share > 0.0
+        return terrain_of(self._terrains, belief, squeeze * self._radii_m[belief.robot], trusts_scan)
 
 
-def terrain_of(known: dict[tuple[float, GridMap], Terrain], belief: Belief, radius_m: float) -> Terrain:
+def terrain_of(
+    known: dict[tuple[float, GridMap, int], Terrain], belief: Belief, radius_m: float, trusts_scan: bool = False
+) -> Terrain:
     """The terrain of the robot's grid for robots of this radius; `known` caches the terrains of the present step.
 
     The key is the grid, not the group: robots of one group may hold different maps (`link.topology = "peer"`).
+    trusts_scan: without the walls that the robot sees through, as a door that was shut for long is one in its map.
     """
-    key = radius_m, belief.grid
+    key = radius_m, belief.grid, belief.robot if trusts_scan else -1
     if key not in known:
-        known[key] = Terrain.of(belief, radius_m)
+        known[key] = Terrain.of(belief, radius_m, trusts_scan)
     return known[key]
 
 
