@@ -12,16 +12,19 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """A folder into which the built wheel was unpacked."""
-    folder = tmp_path_factory.mktemp("wheel")
+def unpacked_wheel(folder: Path) -> Path:
+    """A folder into which the wheel of this clone, built in `folder`, was unpacked."""
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
     (wheel,) = folder.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(folder / "site")
     return folder / "site"
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    return unpacked_wheel(tmp_path_factory.mktemp("wheel"))
 
 
 def test_the_wheel_contains_only_twc_env_at_the_top(installed):

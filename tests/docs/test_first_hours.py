@@ -7,15 +7,13 @@ import os
 import re
 import shlex
 import shutil
-import subprocess
-import sys
-import zipfile
 from pathlib import Path
 
 import pytest
 
 from tests.docs.test_commands import ROOT
 from tests.forks import Forks
+from tests.test_wheel import unpacked_wheel
 from twc_env.kernels.cache_folder import cache_folder
 
 PAGES = ("student", "researcher", "lecturer")
@@ -55,18 +53,6 @@ def programs(page: str) -> list[str]:
     return found
 
 
-def unpacked_wheel(folder: Path) -> Path:
-    """A folder with what a wheel of this clone installs, and this clone's kernels for it below `cache`."""
-    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
-    (wheel,) = folder.glob("*.whl")
-    site = folder / "site"
-    with zipfile.ZipFile(wheel) as archive:
-        archive.extractall(site)
-    give_kernels(site, folder / "cache")
-    return site
-
-
 def give_kernels(site: Path, cache: Path) -> None:
     """Copy compiled kernels to where they are found for the files in `site`, which spares minutes: numba names folders
     by the path of the source, and looks at its time. Without them all runs as well."""
@@ -97,6 +83,7 @@ def forks(request, tmp_path_factory):
     path = ROOT
     if request.param == "wheel":
         path, settings["XDG_CACHE_HOME"] = unpacked_wheel(folder), str(folder / "cache")
+        give_kernels(path, folder / "cache")
     settings["PYTHONPATH"] = os.pathsep.join([str(path), os.environ.get("PYTHONPATH", "")])
     forks = Forks(f"import sys\nsys.path[0] = {str(path)!r}\n{LOADED}", folder, {**os.environ, **settings})
     status, said = forks.run("import twc_env.agents\nprint(twc_env.agents.__file__)", folder)

@@ -40,7 +40,7 @@ class CandidateSearch:
     def __init__(self, config: EnvConfig, finder: PathFinder | None = None):
         self._config = config
         own = robot_configs(config)
-        self._radii_m = [each.dynamics.robot_radius_m for each in own]
+        self._radii_m, self._has_doors = [each.dynamics.robot_radius_m for each in own], config.clutter.door_share > 0.0
         self._ranges_m = [each.lidar.range_max_m for each in own]
         self._period = max(1, round(config.observation.frontier_period_s / config.dynamics.time_step_s))
         self._finder = finder or PathFinder()
@@ -67,7 +67,7 @@ class CandidateSearch:
     ) -> None:
         """Update the candidates of robots for which `is_due` (robots,), and those that are old or of another map.
 
-        terrains: as in `terrain_of`; goals_m: (robots, 2) places to which robots drive, each in its own map; NaN: none.
+        terrains: as in `terrain`; goals_m: (robots, 2) places to which robots drive, each in its own map; NaN: none.
         """
         step, known = beliefs[0].step, {} if terrains is None else terrains
         for robot, belief in enumerate(beliefs):
@@ -75,7 +75,7 @@ class CandidateSearch:
             is_old = step - looked_step >= self._period or map_id(belief) != looked_map
             if is_old or (len(is_due) and is_due[robot]):
                 self._looked[robot] = step, map_id(belief)
-                terrain = terrain_of(known, belief, self._radii_m[robot])
+                terrain = self.terrain(known, belief)
                 slots, range_m = self._config.action.frontier_slots, self._ranges_m[robot]
                 if self._config.action.goals == "frontiers":
                     range_m = range_m if self._config.observation.gains else 0.0
@@ -85,10 +85,24 @@ class CandidateSearch:
                     of_team = _goals_of_others(belief, beliefs, goals_m), np.array(spent_m).reshape(-1, 2)
                     found = find_views(belief, terrain, self._finder, slots, range_m, *of_team)
                     if not len(found.frontiers_m):  # shut in, by a map in which noise may have narrowed a gap
-                        radius_m, has_doors = NARROW_FACTOR * self._radii_m[robot], self._config.clutter.door_share > 0
-                        terrain = terrain_of(known, belief, radius_m, has_doors)
+                        terrain = self.terrain(known, belief, NARROW_FACTOR)
                         found = find_views(belief, terrain, self._finder, slots, range_m, *of_team)
                 self.candidates[robot] = found
+
+    def terrain(
+        self, known: dict[tuple[float, GridMap, int], Terrain], belief: Belief, squeeze: float = 1.0
+    ) -> Terrain:
+        """The terrain of the robot's grid, for `squeeze` times its radius; `known` caches those of the present step.
+
+        The key is the grid, not the group: robots of one group may hold different maps (`link.topology = "peer"`).
+        Where doors move, a squeezed one is without the walls that this robot sees through: a door that was shut for
+        long is a wall in its map until long after it has opened.
+        """
+        radius_m, trusts_scan = squeeze * self._radii_m[belief.robot], squeeze < 1.0 and self._has_doors
+        key = radius_m, belief.grid, belief.robot if trusts_scan else -1
+        if key not in known:
+            known[key] = Terrain.of(belief, radius_m, trusts_scan)
+        return known[key]
 
 
 def _goals_of_others(belief: Belief, beliefs: Sequence[Belief], goals_m: Array | None) -> Array:
@@ -112,7 +126,6 @@ class MacroActions:
         self._finder = PathFinder()
         count = config.robots
         own = robot_configs(config)
-        self._radii_m = [each.dynamics.robot_radius_m for each in own]
         self._drivers = Drivers(
             [each.dynamics for each in own], self._finder, config.people.count > 0, config.clutter.furniture > 0,
             [config.action.reverses and can_reverse(each) for each in own],
@@ -250,22 +263,7 @@ class MacroActions:
             self._terrains_of = beliefs
 
     def _terrain(self, belief: Belief, squeeze: float) -> Terrain:
-        trusts_scan = squeeze < 1.0 and self._config.clutter.door_share > 0.0
-        return terrain_of(self._terrains, belief, squeeze * self._radii_m[belief.robot], trusts_scan)
-
-
-def terrain_of(
-    known: dict[tuple[float, GridMap, int], Terrain], belief: Belief, radius_m: float, trusts_scan: bool = False
-) -> Terrain:
-    """The terrain of the robot's grid for robots of this radius; `known` caches the terrains of the present step.
-
-    The key is the grid, not the group: robots of one group may hold different maps (`link.topology = "peer"`).
-    trusts_scan: without the walls that the robot sees through, as a door that was shut for long is one in its map.
-    """
-    key = radius_m, belief.grid, belief.robot if trusts_scan else -1
-    if key not in known:
-        known[key] = Terrain.of(belief, radius_m, trusts_scan)
-    return known[key]
+        return self._search.terrain(self._terrains, belief, squeeze)
 
 
 def _waypoint(action, agent: str, size: int) -> Array:
