@@ -9,7 +9,7 @@ import pytest
 import twc_env
 from twc_env.config import override
 from twc_env.exploration.episode import Episode
-from twc_env.exploration.macro_actions import terrain_of
+from twc_env.exploration.macro_actions import CandidateSearch
 from twc_env.exploration.observation.observations import ObservationBuilder
 from twc_env.slam.engine import CooperativeSlam
 from twc_env.slam.matching.loop_verification import LoopVerifier
@@ -96,10 +96,10 @@ def test_robots_that_met_share_a_group_but_each_holds_its_own_map(played):
 
 
 def test_robots_of_one_group_plan_on_their_own_maps(played):
-    beliefs, known = played[0].beliefs[-1], {}
+    beliefs, known, search = played[0].beliefs[-1], {}, CandidateSearch(played[0].env.config)
     assert any({b.robot, *b.teammates} == {c.robot, *c.teammates} for b, c in combinations(beliefs, 2))
     for belief in beliefs:
-        planned, alone = terrain_of(known, belief, 0.2), terrain_of({}, belief, 0.2)
+        planned, alone = search.terrain(known, belief), search.terrain({}, belief)
         assert np.array_equal(planned.origin_m, alone.origin_m) and np.array_equal(planned.kind, alone.kind)
 
 
