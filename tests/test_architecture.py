@@ -3,6 +3,7 @@
 import ast
 import json
 import re
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -195,6 +196,37 @@ def test_no_modules_import_each_other_in_a_circle():
         targets = {f"{base}.{name}" if f"{base}.{name}" in MODULES else base for base, name in named}
         arrows[module] = (targets & set(MODULES)) - packages - {module}
     TopologicalSorter(arrows).prepare()  # raises CycleError, which names the circle
+
+
+@cache
+def names_in(module: str) -> set[str]:
+    """Every name that a module binds anywhere, its submodules, and the names that it may load when asked for them."""
+    path = MODULES[module]
+    found = {each.stem for each in path.parent.iterdir()} if path.name == "__init__.py" else set()
+    nodes = list(ast.walk(ast.parse(path.read_text())))
+    for node in nodes:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Name):
+            found.add(node.id)
+        elif isinstance(node, ast.alias):
+            found.add(node.asname or node.name)
+    if "__getattr__" in found:
+        found |= {node.value for node in nodes if isinstance(node, ast.Constant)}
+    return found
+
+
+def test_what_tests_import_is_there():
+    missing = []
+    for path in sorted((ROOT / "tests").rglob("*.py")):
+        named = imports_of(path.read_text(), ".".join(path.relative_to(ROOT).with_suffix("").parts))
+        named = {
+            (in_clone(base), name) for base, name in named if base.split(".")[0] in ("twc_env", "agents", "training")
+        }
+        for base, name in sorted(named):
+            if base not in MODULES or (name not in ("", "*") and name not in names_in(base)):
+                missing.append(f"{path.relative_to(ROOT)}: {base}.{name}")
+    assert missing == []
 
 
 @pytest.mark.parametrize("module", [name for name in MODULES if is_below(name, "twc_env")])
