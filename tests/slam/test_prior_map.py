@@ -210,6 +210,16 @@ def test_a_ros_map_of_other_cells_is_the_map_of_an_episode_in_localisation_mode(
     assert np.abs(frame).max() < 0.15, "both sessions have one frame"
 
 
+def test_a_ros_map_of_the_wrong_size_is_not_found_and_told(tmp_path):
+    office = {"map": "gen:office:300:7", "robots": 1, "max_cycles": 500, "action.kind": "frontier"}
+    grid = explored(office, seed=0).engine.belief(0).grid
+    write_ros_map(GridMap(grid.log_odds, 2.0 * grid.origin_m, 2.0 * grid.resolution_m), tmp_path, "large")
+    engine = explored({**office, "slam.mode": "localisation", "slam.prior": str(tmp_path / "large.yaml")}, 3).engine
+    assert engine.lacked() == [
+        "robot 0 is lost in the map; at 0.49 times its size its scans would fit: check its resolution"
+    ]
+
+
 def explored(settings, seed):
     """An environment after an episode in which the robot goes to the first of its frontiers."""
     env = ExplorationEnv(config=settings)

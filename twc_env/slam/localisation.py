@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +25,7 @@ from twc_env.records.geometry import between, compose, inverse, transform_points
 from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import GridMap, Keyframe
 from twc_env.slam.mapping.map_saving import keyframes_of
-from twc_env.slam.matching.global_matching import match_globally
+from twc_env.slam.matching.global_matching import CELL_M, GlobalMatch, match_globally, possible_places, turn_along_walls
 from twc_env.slam.matching.point_matching import match_to_tree
 from twc_env.slam.matching.scan_matching import scan_points
 from twc_env.slam.places.place_recognition import make_recogniser
@@ -57,15 +58,22 @@ AGREE_M, AGREE_RAD = 0.7, 0.15
 """Two guesses agree if the poses of the robot that they imply now differ by less."""
 APART_M, VOTES_MIN = 2.0, 4
 """Guesses count once in such a length of path, one by a sign twice, and so many must agree."""
-RECENT, SEARCH_EVERY = 12, 4
-"""Keyframes whose scans are searched for together, and keyframes between two searches of the whole map."""
-SCORE_MIN = 0.5
-"""Least score of the global search."""
+RECENT, PATIENT_SEARCHES, EVERY_MAX = 12, 40, 4
+"""Keyframes whose scans are searched for together; after so many searches of each keyframe every second one is searched
+for, after as many again every third one, up to the last number."""
+SCALE_AT, SCALES, SCALE_MARGIN, SCALE_SAME = (10, 30, 100), 1.04 ** np.arange(-24, 19), 0.12, 0.1
+"""After these searches in a grid it tries at which size the map would fit the scans. One must stand out by this score
+from those that differ by more than this share, twice."""
+SCORE_MIN, SQUARE_SHARE_MIN = 0.6, 0.3
+"""Least score of the search of the whole map, and how dominant the directions of walls must be to lay them along each
+other: many scans and a map tell them better than two scans."""
+NEIGHBOURS = 25
+"""Nearest cells whose main axis is the direction of a wall."""
 GUESSES_MAX = 60
 """Latest guesses that wait for another that agrees."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Walls:
     """What robots are localised in, shared by all of them."""
 
@@ -85,21 +93,60 @@ class Walls:
             raise DataError("the map to localise in has no walls; choose another file")
         return cls(known.grid, cKDTree(points), tuple(keyframes_of(known, PLACES)))
 
+    @cached_property
+    def window(self) -> SearchWindow:
+        """What a search of the whole map needs to know of it."""
+        points, origin_m = self.tree.data, self.grid.origin_m
+        middle_m = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        middle_m = origin_m + np.round((middle_m - origin_m) / CELL_M) * CELL_M
+        half_m = 0.5 * float(np.ptp(points, axis=0).max())
+        limit = 0 if self.grid.log_odds.min() < 0 else 1
+        places = possible_places(lambda shifts: self.grid.level_at(shifts + middle_m) < limit, half_m)
+        return SearchWindow(middle_m, half_m, places, _walls_run(points))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchWindow:
+    """Where in a map a search looks for a robot."""
+
+    middle_m: Array
+    """(2,), so that centres of the grid's cells are centres of the search's: at their edges, rounding would choose."""
+    half_m: float
+    """Half of the side."""
+    places: Array
+    """`possible_places` on the free floor of the map; of a map that tells no free floor, on all but its walls."""
+    walls: tuple[float, float]
+    """Direction of the walls and how dominant it is, see `walls_run`."""
+
+
+def _walls_run(points: Array) -> tuple[float, float]:
+    """As `walls_run`, of points (n, 2) in any order, on walls of any thickness; straight stretches count most."""
+    from scipy.spatial import cKDTree
+
+    points = CELL_M * np.unique(np.floor(points / CELL_M), axis=0)
+    _, near = cKDTree(points).query(points, NEIGHBOURS)
+    around = points[np.minimum(near, len(points) - 1)]
+    away = around - around.mean(axis=1, keepdims=True)
+    xx, yy, xy = (away[..., 0] ** 2).sum(1), (away[..., 1] ** 2).sum(1), (away[..., 0] * away[..., 1]).sum(1)
+    straight = np.hypot(xx - yy, 2 * xy) / np.maximum(xx + yy, 1e-12)
+    turn = (straight**4 * np.exp(2j * np.arctan2(2 * xy, xx - yy))).sum() / max((straight**4).sum(), 1e-12)
+    return float(np.angle(turn)) / 4, float(np.abs(turn))
+
 
 class Localiser:
     """Finds and tracks one robot in a map."""
 
     def __init__(self, config: EnvConfig, walls: Walls):
         self._walls, self._range_max_m = walls, config.lidar.range_max_m
-        points = walls.tree.data
-        self._middle_m = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        self._window_m = 0.5 * float(np.ptp(points, axis=0).max())
         self._recogniser = make_recogniser(config.slam.place_recognition, self._range_max_m)
         for place in walls.places:
             self._recogniser.propose(place, (PLACES,))
         self._has_cues = any(place.signs or len(place.fingerprint.macs) for place in walls.places)
         self._recent: list[Keyframe] = []
-        self._since_search = SEARCH_EVERY
+        self._searches, self._waited = 0, EVERY_MAX
+        """Searches of the whole map since it was last found, and keyframes since the latest."""
+        self._scales: list[float] = []
+        """Sizes of the map, of its stated one, at which scans fitted it."""
         self._guesses: list[tuple[float, int, Array]] = []
         """Path length, weight, and implied pose of the odom frame in the map of guesses while lost."""
         self._odom = self._matched = np.zeros(3)
@@ -197,16 +244,44 @@ class Localiser:
         """Weight and pose (3,) of a keyframe at which its scan and those before it lie on walls, over the whole map."""
         if self._has_cues and any(recent.signs or len(recent.fingerprint.macs) for recent in self._recent):
             return []
-        self._since_search += 1
-        if self._since_search < SEARCH_EVERY or len(self._recent) < RECENT // 2:
+        self._waited += 1
+        if len(self._recent) < RECENT // 2 or self._waited < min(1 + self._searches // PATIENT_SEARCHES, EVERY_MAX):
             return []
-        self._since_search = 0
+        self._searches, self._waited = self._searches + 1, 0
         points = np.concatenate([
             transform_points(between(keyframe.pose_odom, k.pose_odom), scan_points(k.ranges_m, self._range_max_m))
             for k in self._recent
         ])  # fmt: skip
-        found = match_globally(self._walls.tree.data - self._middle_m, points, self._window_m, SCORE_MIN)
-        return [] if found is None else [(1, found.pose + np.array([*self._middle_m, 0.0]))]
+        if not len(points):
+            return []
+        if not self._walls.places and self._searches in SCALE_AT:
+            self._try_scales(points)
+        found = self._match(points, SCORE_MIN)
+        return [] if found is None else [(1, found.pose + np.array([*self._walls.window.middle_m, 0.0]))]
+
+    def _match(self, points: Array, score_min: float) -> GlobalMatch | None:
+        """The pose, from the middle of the map, at which points (n, 2) lie best on walls of the map."""
+        window = self._walls.window
+        turn_rad = turn_along_walls(window.walls, _walls_run(points), SQUARE_SHARE_MIN)
+        return match_globally(
+            self._walls.tree.data - window.middle_m, points, window.half_m, score_min, turn_rad, window.places
+        )
+
+    def _try_scales(self, points: Array) -> None:
+        """Note the size of the map at which the points (n, 2) fit, if one stands out."""
+        found = [self._match(points / scale, SCORE_MIN - SCALE_MARGIN) for scale in SCALES.tolist()]
+        scores = np.array([0.0 if match is None else match.score for match in found])
+        best = int(np.argmax(scores))
+        is_other = np.abs(SCALES / SCALES[best] - 1.0) > SCALE_SAME
+        if scores[best] >= max(SCORE_MIN, scores[is_other].max() + SCALE_MARGIN):
+            self._scales.append(float(SCALES[best]))
+
+    @property
+    def map_scale(self) -> float:
+        """What the map's resolution would have to be multiplied by so that scans fit it; 1 if it seems right."""
+        found = np.array(self._scales)
+        is_sure = len(found) > 1 and np.ptp(found) < SCALE_SAME * found.mean() and self._believed[0] == -math.inf
+        return float(found.mean()) if is_sure and abs(found.mean() - 1.0) > SCALE_SAME else 1.0
 
     def _find(self, guesses: list[tuple[int, Array]], keyframe: Keyframe, time_s: float) -> None:
         """Refine guesses of a keyframe's pose; one that agrees with enough earlier ones is tried."""

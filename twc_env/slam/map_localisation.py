@@ -104,4 +104,12 @@ class MapLocalisation(CooperativeSlam):
 
     def lacked(self) -> list[str]:
         """One line per robot that is lost now."""
-        return [f"robot {robot} is lost in the map" for robot, own in enumerate(self.localisers) if own.is_lost]
+        lines = []
+        for robot, own in enumerate(self.localisers):
+            if own.is_lost:
+                size = own.map_scale
+                hint = (
+                    "" if size == 1.0 else f"; at {size:.2g} times its size its scans would fit: check its resolution"
+                )
+                lines.append(f"robot {robot} is lost in the map{hint}")
+        return lines

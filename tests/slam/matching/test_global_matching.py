@@ -11,11 +11,13 @@ from twc_env.slam.matching.global_matching import (
     FULL,
     LEVELS,
     WALL_RAD,
-    headings_along_walls,
     lattice_headings,
     match_globally,
+    possible_places,
     score_fields,
     subsampled,
+    turn_along_walls,
+    walls_run,
 )
 
 
@@ -86,7 +88,8 @@ def test_a_scan_is_found_at_any_heading(seed, lays_walls_along):
     random = np.random.default_rng(seed)
     pose = np.array([*random.uniform(-2.5, 2.5, 2), random.uniform(-math.pi, math.pi)])
     source = transform_points(inverse(pose), room()) + random.normal(0, 0.01, room().shape)
-    found = match_globally(room(), source, window_m=3.0, lays_walls_along=lays_walls_along)
+    turn_rad = turn_along_walls(walls_run(room()), walls_run(source)) if lays_walls_along else None
+    found = match_globally(room(), source, window_m=3.0, turn_rad=turn_rad)
     error = between(pose, found.pose)
     assert math.hypot(*error[:2]) < 0.15 and abs(wrap_angle(error[2])) < 0.05
 
@@ -98,21 +101,32 @@ def test_shifts_stay_within_the_window_rounded_to_cells(window_m, moved_m):
     assert np.abs(found.pose[:2]).max() == pytest.approx(moved_m)
 
 
-def test_headings_that_align_walls_are_few_and_near_quarter_turns():
+def test_a_turn_along_walls_leaves_headings_near_it_and_its_right_angles():
     source = transform_points(np.array([0.0, 0.0, 0.7]), room())
-    headings = lattice_headings(source)
-    chosen = headings_along_walls(headings, room(), source)
-    assert 4 <= len(chosen) < len(headings) / 8
-    assert np.abs(wrap_angle(4 * (chosen + 0.7))).max() < 4 * (WALL_RAD + 0.01)
+    turn_rad = turn_along_walls(walls_run(room()), walls_run(source))
+    assert abs(wrap_angle(4 * (turn_rad + 0.7))) < 0.04
+    everywhere, along = (match_globally(room(), source, 3.0, turn_rad=turn) for turn in (None, turn_rad))
+    assert abs(wrap_angle(along.pose[2] + 0.7)) < WALL_RAD
+    assert np.array_equal(along.pose, everywhere.pose) and along.evaluated < everywhere.evaluated / 8
 
 
-def test_without_main_directions_every_heading_is_tried():
+def test_without_main_directions_there_is_no_turn_along_walls():
     turn = np.arange(0, 6.28, 0.02)
     circle = 3.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    headings = lattice_headings(circle)
-    assert np.array_equal(headings_along_walls(headings, room(), circle), headings)
-    assert np.array_equal(headings_along_walls(headings, circle, room()), headings)
-    assert np.array_equal(headings_along_walls(headings, room(), circle[:1]), headings)
+    for pair in ((room(), circle), (circle, room()), (room(), circle[:1])):
+        assert turn_along_walls(*(walls_run(points) for points in pair)) is None
+
+
+def test_only_possible_places_are_searched():
+    source = transform_points(inverse(np.array([1.0, 0.5, 0.2])), room())
+    anywhere = match_globally(room(), source, 3.0)
+    near = match_globally(
+        room(), source, 3.0, places=possible_places(lambda m: np.hypot(*(m - [1, 0.5]).T).T < 0.5, 3.0)
+    )
+    assert np.array_equal(near.pose, anywhere.pose) and near.evaluated < anywhere.evaluated / 4
+    left = match_globally(room(), source, 3.0, score_min=0.0, places=possible_places(lambda m: m[..., 0] < 0, 3.0))
+    assert left.pose[0] < 0 and left.score < anywhere.score
+    assert match_globally(room(), source, 3.0, places=possible_places(lambda m: m[..., 0] > 9, 3.0)) is None
 
 
 def test_every_level_is_an_upper_bound_for_all_shifts_of_its_box():

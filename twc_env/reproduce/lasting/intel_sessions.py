@@ -22,6 +22,7 @@ from twc_env.datasets.logs.scan_log import BEAMS, RANGE_MAX_M, SETTINGS, sensor_
 from twc_env.errors import DataError
 from twc_env.metrics import lay_map
 from twc_env.records.geometry import compose, wrap_angle
+from twc_env.replaying.odometry_errors import taken_from_log
 from twc_env.reproduce.logs.intel import place_frames, read_corrected, read_log
 from twc_env.reproduce.logs.laser_logs import INTEL, intel_folder
 from twc_env.slam.engine import CooperativeSlam
@@ -47,8 +48,9 @@ def intel_sessions(sessions: int, scans: int = SCANS) -> list[dict]:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "map.npz"
         for number, piece in enumerate(np.array_split(np.arange(scans), sessions)):
-            engine = CooperativeSlam(config, 1, read_lasting_map(file) if number else None)
-            (placed[piece],) = place_frames(engine, [sensor_frames(log, BEAMS, RANGE_MAX_M, piece)])
+            told, paths, _ = taken_from_log(config, [sensor_frames(log, BEAMS, RANGE_MAX_M, piece)])
+            engine = CooperativeSlam(told, 1, read_lasting_map(file) if number else None)
+            (placed[piece],) = place_frames(engine, paths)
             is_found = number == 0 or engine.found_prior(0)
             group[piece] = 0 if is_found else number
             if number == 0:

@@ -9,6 +9,7 @@ whose side doubles from level to level. The search finds the best pose of the la
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,13 +61,15 @@ def match_globally(
     source_points: Array,
     window_m: float,
     score_min: float = 0.4,
-    lays_walls_along: bool = False,
+    turn_rad: float | None = None,
+    places: Array | None = None,
 ) -> GlobalMatch | None:
     """Pose of the source points (n, 2) in the frame of the target points (m, 2) with the highest score.
 
-    Searches all headings, or with `lays_walls_along` those of `headings_along_walls`, and all shifts of up to
-    `window_m`, rounded to whole cells, along x and y; with a window of 0 it only rotates. None if no pose reaches
-    `score_min`. Raises DataError for invalid points or settings.
+    Searches all headings, and all shifts of up to `window_m`, rounded to whole cells, along x and y; with a window of 0
+    it only rotates. turn_rad: as of `turn_along_walls`: only headings near it, modulo 90 degrees. places: shifts to
+    search alone, of `possible_places`. None if no pose reaches `score_min`. Raises DataError for invalid points or
+    settings.
     """
     target_points, source_points = validated_points(target_points), validated_points(source_points)
     for points in (target_points, source_points):
@@ -84,16 +87,31 @@ def match_globally(
     fields, origin_m = score_fields(target_points)
     chosen = subsampled(source_points)
     headings = lattice_headings(chosen)
-    if lays_walls_along:
-        headings = headings_along_walls(headings, target_points, source_points)
+    if turn_rad is not None:
+        headings = headings[np.abs(_modulo_quarter(headings - turn_rad)) <= WALL_RAD]
     reach = int(round(window_m / CELL_M))
     best = np.zeros(3, np.int64)
     least = int(score_min * FULL * len(chosen))
-    score, evaluated = _branch_and_bound(fields, chosen, headings, origin_m, reach, least, best)
+    if places is None:
+        places = np.zeros((0, 0, 0), np.uint8)
+    score, evaluated = _branch_and_bound(fields, chosen, headings, origin_m, reach, least, places, best)
     if score < 0:
         return None
     pose = np.array([best[1] * CELL_M, best[2] * CELL_M, headings[best[0]]])
     return GlobalMatch(pose, score / (FULL * len(chosen)), int(evaluated))
+
+
+def possible_places(is_possible: Callable[[Array], Array], window_m: float) -> Array:
+    """(LEVELS, k, k) uint8 for `match_globally`: whether any of the 2^l x 2^l shifts from (row, column) on is possible.
+
+    is_possible: for shifts (..., 2) [m], x and y, whether the source's origin may be there.
+    """
+    reach = int(round(window_m / CELL_M))
+    shifts_m = CELL_M * np.arange(-reach, reach + 1)
+    places = np.zeros((LEVELS, len(shifts_m), len(shifts_m)), np.uint8)
+    places[0] = is_possible(np.stack(np.meshgrid(shifts_m, shifts_m), axis=-1))
+    _widen(places)
+    return places
 
 
 def subsampled(points: Array, count_max: int = POINTS_MAX) -> Array:
@@ -110,19 +128,24 @@ def lattice_headings(points: Array) -> Array:
     return (np.arange(count) - count // 2) * (2 * math.pi / count)
 
 
-def headings_along_walls(headings: Array, target_points: Array, source_points: Array) -> Array:
-    """Those headings at which the walls of the source are parallel or orthogonal to the walls of the target.
+def walls_run(points: Array) -> tuple[float, float]:
+    """Direction of walls modulo 90 degrees [rad], and how dominant it is [0, 1]; points (n, 2) in order of beams."""
+    direction_rad, share = _walls_run(np.ascontiguousarray(points, float), WALL_STEP_M)
+    return direction_rad, share
 
-    All headings if one of the two has no dominant wall directions. Points must be in the order of the beams.
+
+def turn_along_walls(
+    target: tuple[float, float], source: tuple[float, float], share_min: float = SQUARE_SHARE_MIN
+) -> float | None:
+    """Turn of the source that lays its walls along those of the target, modulo 90 degrees; both as of `walls_run`.
+
+    None if one of the two has no dominant directions.
     """
-    (target_rad, target_share), (source_rad, source_share) = (
-        _walls_run(np.ascontiguousarray(points, float), WALL_STEP_M) for points in (target_points, source_points)
-    )
-    if min(target_share, source_share) < SQUARE_SHARE_MIN:
-        return headings
-    off = (headings - target_rad + source_rad + math.pi / 4) % (math.pi / 2) - math.pi / 4
-    along: Array = headings[np.abs(off) <= WALL_RAD]
-    return along
+    return None if min(target[1], source[1]) < share_min else float(_modulo_quarter(target[0] - source[0]))
+
+
+def _modulo_quarter(angles_rad: Array | float) -> Array | float:
+    return (angles_rad + math.pi / 4) % (math.pi / 2) - math.pi / 4
 
 
 @kernel
@@ -210,31 +233,33 @@ def _turn(points, heading, origin, cells):
 
 
 @kernel
-def _branch_and_bound(fields, points, headings, origin, reach, score_min, best):
+def _branch_and_bound(fields, points, headings, origin, reach, score_min, places, best):
     """Best score over all headings and shifts -reach..reach (-1 if below score_min), and the number of evaluations.
 
     Writes the heading's index and the shift (columns, rows) to `best`. Depth first, boxes with the highest bound
-    first; a box whose bound does not exceed the best score is pruned.
+    first; a box whose bound does not exceed the best score is pruned, and one in which no place is possible.
     """
-    levels = fields.shape[0]
+    levels, is_limited = fields.shape[0], len(places) > 0
     top = levels - 1
     side = 1 << top
     boxes = (2 * reach + side) // side
-    count = len(headings) * boxes * boxes
     turned = np.empty((len(headings), len(points), 2), np.int32)
-    bounds = np.empty(count, np.int64)
-    held = score_min - 1
+    bounds = np.empty(len(headings) * boxes * boxes, np.int64)
+    held, evaluated = score_min - 1, 0
     for a in range(len(headings)):
         _turn(points, headings[a], origin, turned[a])
         for i in range(boxes):
             for j in range(boxes):
-                bounds[(a * boxes + i) * boxes + j] = _sum(
-                    fields[top], turned[a], i * side - reach, j * side - reach, held
-                )
-    evaluated = count
+                k = (a * boxes + i) * boxes + j
+                if is_limited and not places[top, i * side, j * side]:
+                    bounds[k] = -1
+                    continue
+                bounds[k] = _sum(fields[top], turned[a], i * side - reach, j * side - reach, held)
+                evaluated += 1
     is_found = False
     stack = np.empty((4 * levels, 4), np.int64)  # level, row shift, column shift, bound
-    for k in np.argsort(-bounds, kind="mergesort"):
+    promising = np.flatnonzero(bounds > held)
+    for k in promising[np.argsort(-bounds[promising], kind="mergesort")]:
         if bounds[k] <= held:
             break
         a = k // (boxes * boxes)
@@ -256,6 +281,8 @@ def _branch_and_bound(fields, points, headings, origin, reach, score_min, best):
                 for c in range(2):
                     low_row, low_column = row + r * half, column + c * half
                     if low_row > reach or low_column > reach:
+                        continue
+                    if is_limited and not places[level - 1, low_row + reach, low_column + reach]:
                         continue
                     value = _sum(fields[level - 1], turned[a], low_row, low_column, held)
                     evaluated += 1

@@ -12,7 +12,7 @@ from twc_env.config import LidarConfig, OdometryFilterConfig, VerificationConfig
 from twc_env.records.array_validation import validated_pose
 from twc_env.records.messages import Keyframe, LoopCandidate, LoopClosure, is_loose
 from twc_env.slam.matching.closure_covariance import closure_covariance
-from twc_env.slam.matching.global_matching import match_globally
+from twc_env.slam.matching.global_matching import match_globally, turn_along_walls, walls_run
 from twc_env.slam.matching.point_matching import match_points
 from twc_env.slam.matching.target_walls import TargetWalls, WallMatch
 from twc_env.slam.pose_graph.keyframe_paths import path_position
@@ -138,8 +138,11 @@ class LoopVerifier:
         """A better guess: search around the candidate's guess, or globally for the recognisers of `ANYWHERE`."""
         rule = self._config
         if candidate.recogniser in ANYWHERE:
-            target_points, along_walls = self._points(target, target_path, SPACING_M), candidate.recogniser == "wifi"
-            found = match_globally(target_points, points, WIDE_WINDOW_M, lays_walls_along=along_walls)
+            target_points = self._points(target, target_path, SPACING_M)
+            turn_rad = None
+            if candidate.recogniser == "wifi":
+                turn_rad = turn_along_walls(walls_run(target_points), walls_run(points))
+            found = match_globally(target_points, points, WIDE_WINDOW_M, turn_rad=turn_rad)
             return candidate.guess if found is None else found.pose
         window = rule.window_m, rule.window_rad
         return self._walls.field.correlate(points, candidate.guess, window, (STEP_M, STEP_RAD), stride=4)[0]
