@@ -117,12 +117,13 @@ class LogPage:
     def _add_moment(self, step: int, engine: Engine) -> None:
         team, places = engine.team, self._layout(engine)
         self._places = np.array([places[team.group_index(robot)] for robot in range(self._robots)])
-        closures = []
+        closures, paths = [], {}
         for closure in team.closures:
             ends = []
             for segment, index in (closure.candidate.target, closure.candidate.source):
-                pose = team.segment_path(segment)[0][index]
-                ends.append(rounded(compose(places[team.group_of_segment(segment)], pose)[:2]))
+                if segment not in paths:  # of an hour, some ten thousand poses
+                    paths[segment] = compose(places[team.group_of_segment(segment)], team.segment_path(segment)[0])
+                ends.append(rounded(paths[segment][index, :2]))
             closures.append(
                 {"kind": closure.candidate.recogniser, "status": closure.status, "reason": closure.reason,
                  "correct": None, "target_m": ends[0], "source_m": ends[1]}

@@ -171,8 +171,9 @@ def _draw_closures(axes: Any, replay: Replay, group: int) -> None:
 
     team = replay.engine.team
     own = set(team.groups[group].robots)
+    paths_m = {segment: team.segment_path(segment)[0][:, :2] for segment in own}
     lines = [
-        [team.segment_path(robot)[0][index][:2] for robot, index in (c.candidate.target, c.candidate.source)]
+        [paths_m[segment][index] for segment, index in (c.candidate.target, c.candidate.source)]
         for c in team.closures
         if c.status == "accepted" and {c.candidate.target[0], c.candidate.source[0]} <= own
     ]
