@@ -12,20 +12,8 @@ from twc_env.errors import DataError
 from .checkpoint import FILE_NAME, load, save
 
 LEARNED = "learned"
-"""Name of the team that plays the shipped policy of each task."""
+"""Name of the team that plays the shipped policy that suits a task best."""
 FOLDER = Path(__file__).with_name("shipped_policies")
-
-
-def shipped(task: str) -> Path:
-    """The folder of the policy for a task, such as "twc/ExploreQuick-v1". Raises DataError if there is none."""
-    folder = FOLDER / task.rpartition("/")[2]
-    if not (folder / FILE_NAME).is_file():
-        known = ", ".join(sorted(path.parent.name for path in FOLDER.glob(f"*/{FILE_NAME}"))) or "none"
-        raise DataError(
-            f"no policy for {task} comes with this version (for these: {known}): train one with twc-env train mappo "
-            f"--task {task}, and name its folder"
-        )
-    return folder
 
 
 def shipped_for(config: EnvConfig) -> Path:

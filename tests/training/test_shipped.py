@@ -2,25 +2,31 @@
 
 import pytest
 
-from twc_env.errors import DataError
 from twc_env.suite.entries import entries
-from twc_env.suite.models import model_in_task
+from twc_env.suite.models import model_for, model_in_task
 
 pytestmark = pytest.mark.usefixtures("torch")
 
 
-def test_the_team_learned_plays_the_policy_of_the_task_which_is_small_and_has_a_card():
-    from twc_env.training.shipped import shipped
+def test_the_team_learned_plays_the_policy_of_the_task_which_is_small_and_has_a_card(caplog):
+    from twc_env.training.shipped import FOLDER
 
-    folder = shipped("twc/ExploreQuick-v1")
+    folder = FOLDER / "ExploreQuick-v1"
     assert (folder / "model.safetensors").stat().st_size < 2_000_000 and "nearest-frontier" in (
         folder / "card.md"
     ).read_text()
-    env, act = model_in_task(entries(["twc/ExploreQuick-v1"], ["learned"], "test", 1)[0])
+    with caplog.at_level("INFO"):
+        env, act = model_in_task(entries(["twc/ExploreQuick-v1"], ["learned"], "test", 1)[0])
     seen, _ = env.reset(seed=0)
-    assert set(act(seen)) == set(env.agents)
-    with pytest.raises(DataError, match=r"no policy for twc/ExploreMall-v1 .* train one with twc-env train mappo"):
-        shipped("twc/ExploreMall-v1")
+    assert set(act(seen)) == set(env.agents) and "no policy of its own" not in caplog.text
+
+
+def test_in_a_task_without_a_policy_of_its_own_learned_plays_another_and_says_so_once(caplog):
+    of_ward = entries(["twc/ExploreWard-v1"], ["learned"], "test", 2)
+    with caplog.at_level("INFO"):
+        assert [model_for(entry)[0].parent.name for entry in of_ward] == ["ExploreQuick-v1"] * 2
+    said = "learned: twc/ExploreWard-v1 has no policy of its own; it plays the one for ExploreQuick-v1"
+    assert caplog.text.count(said) == 1
 
 
 def test_the_team_learned_explores_any_map_with_velocities_and_says_which_policy_it_is(caplog):

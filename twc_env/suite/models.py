@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from twc_env.commands.train import learning_libraries
 from twc_env.config import EnvConfig, override
 from twc_env.errors import DataError
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.running.terminal import tell
 from twc_env.suite.entries import Entry
 
 
@@ -28,10 +30,19 @@ def model_bytes(entry: Entry) -> bytes:
 def _model_path(entry: Entry) -> Path:
     with learning_libraries():
         from twc_env.training.run_folder import model_in
-        from twc_env.training.shipped import LEARNED, shipped
+        from twc_env.training.shipped import LEARNED, shipped_for
 
-    path: Path = model_in(shipped(entry.task) if entry.team == LEARNED else Path(entry.team))
+    if entry.team != LEARNED:
+        path: Path = model_in(Path(entry.team))
+        return path
+    folder = shipped_for(entry.config)
+    if folder.name != entry.task.rpartition("/")[2]:
+        _tell_once(f"learned: {entry.task} has no policy of its own; it plays the one for {folder.name}")
+    path = model_in(folder)
     return path
+
+
+_tell_once = cache(tell)
 
 
 def model_for(entry: Entry) -> tuple[Path, EnvConfig]:
