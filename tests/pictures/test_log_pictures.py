@@ -2,15 +2,17 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from twc_env.datasets.logs.scan_log import ScanLog
 from twc_env.errors import DataError
-from twc_env.pictures.log_page import LogPage
+from twc_env.pictures.log_page import GAP_M, LogPage
 from twc_env.pictures.log_picture import _figure, draw_log, one_name_per_sign
 from twc_env.pictures.style import style
+from twc_env.records.messages import GridMap
 from twc_env.replaying.inputs import Asked, input_of
 from twc_env.replaying.run import run
 
@@ -101,3 +103,20 @@ def test_misread_texts_of_one_sign_are_one_name_and_other_signs_beside_it_keep_t
     names = one_name_per_sign([(text, np.array([x, 0.0])) for text, x in readings])
     assert [name for name, _ in names] == ["F1RE HYDRANT (and 2 like it)", "EXIT", "FIRE HYDRANT"]
     assert [place[0] for _, place in names] == [0.0, 0.2, 5.0]
+
+
+def test_a_robot_stands_in_its_new_map_as_soon_as_maps_are_merged():
+    """Moments are ten steps apart, and the merge is between two of them."""
+    grid, page = GridMap(np.full((40, 60), -20, np.int16), np.zeros(2), 0.1), LogPage(2, 1600, 0.2)
+    team = SimpleNamespace(closures=[], grid_of=lambda group: grid, segments=SimpleNamespace(robots_in=tuple))
+    team.keyframe_steps = lambda robot: np.zeros(0)
+    engine, poses = SimpleNamespace(team=team), np.array([[1.0, 2.0, 0.0], [3.0, 2.0, 0.5]])
+    engine.pose_map_robot = lambda robot: poses[robot]
+    for step in range(10):
+        is_merged = step >= 5
+        team.groups = [SimpleNamespace(robots=own) for own in ([(0, 1)] if is_merged else [(0,), (1,)])]
+        team.group_index = lambda robot, merged=is_merged: 0 if merged else robot
+        team.regroupings = int(is_merged)
+        page.note(step, engine)
+    away_m = np.array(page._poses) - poses
+    assert away_m[:5, 1, 0] == pytest.approx(6.0 + GAP_M) and away_m[5:] == pytest.approx(0.0)

@@ -1,5 +1,7 @@
 """Driving a team: as each of its robots alone, and the check of paths ahead as that of the points along them."""
 
+import dataclasses
+
 import numpy as np
 
 from twc_env.config import DynamicsConfig
@@ -8,6 +10,7 @@ from twc_env.planning.drivers import BACK_OUT_S, STUCK_S
 from twc_env.planning.follow import is_path_blocked
 from twc_env.records.geometry import points_along, travelled_m
 from twc_env.records.messages import Belief, GridMap
+from twc_env.records.team_messages import TeamBeliefs
 
 CELL_M = 0.1
 
@@ -50,6 +53,30 @@ def test_a_team_drives_as_each_of_its_robots_alone():
             poses[:, 1] += step[:, 0] * np.sin(poses[:, 2])
             poses[:, 2] += step[:, 1] + 0.01 * random.standard_normal(3)
     assert {"driving", "arrived"} <= statuses
+
+
+def test_a_list_of_beliefs_drives_a_team_as_their_arrays_do():
+    """Robots 1 and 2 share a map at first; then one leaves it, which is no jump of the map of robot 0."""
+    dynamics, grid = DynamicsConfig(), walled_room()
+    poses, goals = np.array([[1.0, 1.0, 0.0], [2.0, 3.0, 1.0], [4.5, 1.0, 3.0]]), ([4.5, 3.0], [1.0, 0.6], [0.8, 1.0])
+    listed, stacked = Drivers([dynamics] * 3, PathFinder()), Drivers([dynamics] * 3, PathFinder())
+    for tick in range(30):
+        together = [(), (2,), (1,)] if tick < 15 else [(), (), ()]
+        beliefs = [
+            dataclasses.replace(belief_of(k, grid, pose.copy()), teammates={other: poses[other] + 0.0 for other in own})
+            for k, (pose, own) in enumerate(zip(poses, together, strict=True))
+        ]
+        for robot, goal in enumerate(goals if tick == 0 else ()):
+            listed.start(robot, np.array(goal), beliefs[robot], "view")
+            stacked.start(robot, np.array(goal), beliefs[robot], "view")
+        commands = listed.commands(beliefs, terrain_of)
+        assert np.array_equal(commands, stacked.commands(TeamBeliefs.of(beliefs), terrain_of))
+        assert listed.goals_m[0].tolist() == goals[0]
+        assert all(listed.is_of(robot, belief) for robot, belief in enumerate(beliefs))
+        step = commands * dynamics.time_step_s
+        poses[:, 0] += step[:, 0] * np.cos(poses[:, 2])
+        poses[:, 1] += step[:, 0] * np.sin(poses[:, 2])
+        poses[:, 2] += step[:, 1]
 
 
 def test_a_robot_that_is_held_backs_out_and_fails_though_views_are_chosen_anew():

@@ -1,5 +1,7 @@
 """A later session in the map of an earlier one: two drives through one hall, from different starts."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import GridMap
 from twc_env.reproduce.routes import RoutePlanner, room_tour, steer
 from twc_env.slam.engine import CooperativeSlam
-from twc_env.slam.localisation import GAIN, Localiser, Walls
+from twc_env.slam.localisation import GAIN, RECENT, Localiser, Walls
 from twc_env.slam.map_localisation import MapLocalisation
 from twc_env.slam.merging import map_merging
 from twc_env.slam.modes import make_engine
@@ -166,19 +168,44 @@ def test_a_robot_in_another_building_says_that_it_is_lost(config, first):
     ("turned", "is_lost", "left"), [(0.15, False, 1.0), (0.06, False, 1.0 - GAIN), (0.15, True, 0.0)]
 )
 def test_a_match_far_from_odometry_is_believed_by_a_lost_robot_alone(config, turned, is_lost, left):
-    """A scan in an empty room of 8 x 5 m, at a pose that is `turned` too far; `left`: what is left of that after it."""
-    level = np.full((51, 81), -50, np.int16)
-    level[[0, -1]] = level[:, [0, -1]] = 50
-    localiser = Localiser(
-        config, Walls.of(LastingMap.of_grid(GridMap(level, np.array([-0.05, -0.05]), 0.1), 120, 10.0))
-    )
-    angles = 2 * np.pi * np.arange(120) / 120 + 1e-9
-    along_m = [np.where(np.cos(angles) > 0, 5.0, -3.0) / np.cos(angles), np.where(np.sin(angles) > 0, 3.0, -2.0)]
-    ranges_m = np.minimum(along_m[0], along_m[1] / np.sin(angles))
+    """`left`: what is left of a heading that is `turned` too far after a scan."""
+    localiser = in_a_room(config)
     localiser.pose_map_odom, localiser.is_lost = np.array([3.0, 2.0, turned]), is_lost
     localiser._streak = (0, 0.0) if is_lost else (5, 0.0)
-    localiser.update(np.zeros(3), ranges_m, [], 0.0)
+    localiser.update(np.zeros(3), scan_in_room(3.0), [], 0.0)
     assert localiser.pose_map_odom[2] == pytest.approx(left * turned, abs=0.01)
+
+
+def test_a_robot_that_is_lost_again_searches_from_every_keyframe_and_does_not_doubt_the_size_of_the_map(config):
+    """It has searched for long before it was found, and some searches fitted a map of half the size."""
+    localiser, searches = in_a_room(config), []
+    localiser._searches, localiser._scales = 200, [0.5, 0.5]
+    assert localiser.map_scale == 0.5
+    localiser.pose_map_odom = np.array([2.0, 2.0, 0.0])
+    for step in range(20):
+        localiser.update(np.array([0.2 * step, 0.0, 0.0]), scan_in_room(2.0 + 0.2 * step), [], 0.1 * step)
+    assert not localiser.is_lost
+    seen = SimpleNamespace(signs=(), fingerprint=SimpleNamespace(macs=()), pose_odom=np.zeros(3))
+    seen.ranges_m = scan_in_room(3.0)
+    localiser._begin()
+    localiser._recent, localiser._match = [seen] * RECENT, lambda *_: searches.append(None)
+    for _ in range(20):
+        localiser._searched(seen)
+    assert len(searches) == 20 and localiser.map_scale == 1.0
+
+
+def in_a_room(config):
+    """A localiser in an empty room of 8 x 5 m."""
+    level = np.full((51, 81), -50, np.int16)
+    level[[0, -1]] = level[:, [0, -1]] = 50
+    return Localiser(config, Walls.of(LastingMap.of_grid(GridMap(level, np.array([-0.05, -0.05]), 0.1), 120, 10.0)))
+
+
+def scan_in_room(x_m):
+    """Ranges at (x_m, 2) of that room."""
+    angles = 2 * np.pi * np.arange(120) / 120 + 1e-9
+    along_m = [np.where(np.cos(angles) > 0, 8.0 - x_m, -x_m) / np.cos(angles), np.where(np.sin(angles) > 0, 3.0, -2.0)]
+    return np.minimum(along_m[0], along_m[1] / np.sin(angles))
 
 
 def test_a_map_without_walls_is_refused(config):

@@ -35,12 +35,16 @@ class LogPage:
         self._poses: list[Array] = []
         """Per step (robots, 3), in the frame of the page."""
         self._places = np.zeros((robots, 3))
-        """(robots, 3) place of each robot's map on the page."""
+        """(robots, 3) place of each robot's map on the page ..."""
+        self._regroupings = -1
+        """... and the count of merges and splits by then."""
 
     def note(self, step: int, engine: Engine) -> None:
         """Record one step."""
         if step % self._period == 0:
             self._add_moment(step, engine)
+        elif engine.team.regroupings != self._regroupings:
+            self._lay_out(engine)
         live = np.array([engine.pose_map_robot(robot) for robot in range(self._robots)])
         self._poses.append(compose(self._places, live))
 
@@ -114,9 +118,15 @@ class LogPage:
         own = engine.team.groups[group].robots
         return segments.robots_in(own) or (segments.owners[own[0]],)
 
+    def _lay_out(self, engine: Engine) -> dict[int, Array]:
+        """`_layout`, also for the robots."""
+        places = self._layout(engine)
+        self._places = np.array([places[engine.team.group_index(robot)] for robot in range(self._robots)])
+        self._regroupings = engine.team.regroupings
+        return places
+
     def _add_moment(self, step: int, engine: Engine) -> None:
-        team, places = engine.team, self._layout(engine)
-        self._places = np.array([places[team.group_index(robot)] for robot in range(self._robots)])
+        team, places = engine.team, self._lay_out(engine)
         closures, paths = [], {}
         for closure in team.closures:
             ends = []

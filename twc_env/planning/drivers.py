@@ -29,7 +29,7 @@ from twc_env.planning.path_finder import Disc, PathFinder
 from twc_env.planning.terrain import Terrain, has_frontier_near
 from twc_env.records.geometry import compose, inverse, transform_points
 from twc_env.records.messages import Belief
-from twc_env.records.team_messages import TeamBeliefs
+from twc_env.records.team_messages import NOBODY, TeamBeliefs
 
 CHECK_S = 0.5
 """Period of checking the path, or a frontier goal, against the newest map."""
@@ -225,7 +225,8 @@ class Drivers:
         else:
             ranges_m = self._stacked([belief.ranges_m for belief in beliefs])
             poses = np.array([[belief.pose_map_robot] for belief in beliefs])
-            teammates = np.zeros((len(beliefs), max(len(belief.teammates) for belief in beliefs)), np.int64)
+            counts = np.array([len(belief.teammates) for belief in beliefs])
+            teammates = np.where(np.arange(counts.max()) < counts[:, None], 0, NOBODY)  # only their number counts
             versions, grids = np.array([belief.map_version for belief in beliefs]), [each.grid for each in beliefs]
         if self._felt:
             ranges_m = self._with_felt(beliefs, ranges_m)

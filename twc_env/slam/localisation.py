@@ -218,7 +218,7 @@ class Localiser:
         self.pose_map_odom, self._believed = compose(pose, inverse(odom)), (time_s, self._travel_m)
         self._streak = scans + 1, begun_m if scans else self._travel_m
         if scans + 1 >= SURE_SCANS and self._travel_m - self._streak[1] >= SURE_M:
-            self.is_lost = False
+            self.is_lost, self._searches = False, 0
 
     def _through(self, pose: Array, points: Array) -> float:
         """Share of beams to points (n, 2) that would have gone through walls of the map from this pose."""
@@ -254,7 +254,7 @@ class Localiser:
         ])  # fmt: skip
         if not len(points):
             return []
-        if not self._walls.places and self._searches in SCALE_AT:
+        if not self._walls.places and self.pose_map_odom is None and self._searches in SCALE_AT:
             self._try_scales(points)
         found = self._match(points, SCORE_MIN)
         return [] if found is None else [(1, found.pose + np.array([*self._walls.window.middle_m, 0.0]))]
@@ -278,9 +278,10 @@ class Localiser:
 
     @property
     def map_scale(self) -> float:
-        """What the map's resolution would have to be multiplied by so that scans fit it; 1 if it seems right."""
+        """What the map's resolution would have to be multiplied by so that scans fit it; 1 if it seems right, as where
+        a pose was tried."""
         found = np.array(self._scales)
-        is_sure = len(found) > 1 and np.ptp(found) < SCALE_SAME * found.mean() and self._believed[0] == -math.inf
+        is_sure = len(found) > 1 and np.ptp(found) < SCALE_SAME * found.mean() and self.pose_map_odom is None
         return float(found.mean()) if is_sure and abs(found.mean() - 1.0) > SCALE_SAME else 1.0
 
     def _find(self, guesses: list[tuple[int, Array]], keyframe: Keyframe, time_s: float) -> None:

@@ -64,6 +64,13 @@ def test_dates_that_can_be_day_or_month_first_are_asked_for(tmp_path):
         assert read_wifi(table(tmp_path, rows), span)[0][0].times_s.tolist() == [begun_s]
 
 
+def test_dates_with_points_begin_with_the_day_unless_the_user_says_otherwise(tmp_path):
+    text = f"time,bssid,rssi\n11.12.2023 08:00:00,{MAC}1,-50\n"
+    for units, begun_s in ((), 1_702_281_600.0), (("date=mdy",), 1_699_776_000.0):
+        ((scans,), _) = read_wifi(table(tmp_path, text), Span(begun_s - 1, begun_s + 1, units=unit_choices(units)))
+        assert scans.times_s.tolist() == [begun_s]
+
+
 def test_times_since_the_log_began_are_recognised_and_said(tmp_path):
     rows = "".join(f"{t},{MAC}1,-50\n" for t in (0, 40, 99))
     (found,), notes = read_wifi(table(tmp_path, "t,bssid,rssi\n" + rows), SPAN)
@@ -126,6 +133,7 @@ def test_several_robots_need_a_column(tmp_path):
         ("", "is empty"),
         ("x,y,z\n1,2,3\n", "no column for time, address, strength"),
         (f"time,bssid,rssi\n{BEGUN},{MAC}1\n", "row 2: 2 columns, expected 3"),
+        (f"time,bssid,rssi,robot\n{BEGUN},{MAC}1,-50,0\n{BEGUN},{MAC}1,-50\n", "row 3: 3 columns, expected 4"),
         (f"time,bssid,rssi\n{BEGUN},{MAC}1,loud\n", "row 2: strength must be a number"),
         (f"time,bssid,rssi\n{BEGUN},{MAC}1,60\n", "no strength is below 0: give dBm"),
         (f"time,bssid,rssi\nyesterday,{MAC}1,-60\n", "row 2: 'yesterday' is no time"),

@@ -1,11 +1,13 @@
 import itertools
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
 
 from twc_env.errors import DataError
 from twc_env.records.geometry import between, inverse, transform_points, wrap_angle
+from twc_env.records.messages import GridMap
 from twc_env.slam.matching.global_matching import (
     CELL_M,
     FULL,
@@ -127,6 +129,17 @@ def test_only_possible_places_are_searched():
     left = match_globally(room(), source, 3.0, score_min=0.0, places=possible_places(lambda m: m[..., 0] < 0, 3.0))
     assert left.pose[0] < 0 and left.score < anywhere.score
     assert match_globally(room(), source, 3.0, places=possible_places(lambda m: m[..., 0] > 9, 3.0)) is None
+
+
+def test_possible_places_of_a_large_map_take_little_more_memory_than_they_are_large():
+    grid = GridMap(np.full((900, 900), -20, np.int16), np.full(2, -45.0), CELL_M)
+    tracemalloc.start()
+    places = possible_places(lambda shifts_m: grid.level_at(shifts_m) < 0, 50.0)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    shifts_m = CELL_M * np.arange(-500, 501)
+    assert np.array_equal(places[0], grid.level_at(np.stack(np.meshgrid(shifts_m, shifts_m), axis=-1)) < 0)
+    assert peak < 2 * places.nbytes
 
 
 def test_every_level_is_an_upper_bound_for_all_shifts_of_its_box():

@@ -81,7 +81,7 @@ class TextTable:
                 f"{path}: no column for {missing} in the header {separator.join(rows[0])[:80]!r}; name the columns "
                 f"{', '.join(needed)}"
             )
-        width = max(self._columns[name] for name in needed)
+        width = max(self._columns.values())
         for number, row in zip(self._numbers, rows, strict=True):
             if len(row) <= width:
                 raise DataError(f"{path}, row {number}: {len(row)} columns, expected {width + 1}; fix or delete it")
@@ -214,13 +214,14 @@ class TextTable:
         return times_s
 
     def _is_day_first(self, cells: Sequence[str], span: Span) -> bool | None:
-        """Whether dates such as 01/05/2026 begin with the day; None if there are none. With points they do."""
+        """Whether dates such as 01/05/2026 begin with the day; None if there are none. With points they do, unless the
+        user says otherwise."""
         dates = [match for match in (_DATE.fullmatch(cell.strip()) for cell in cells) if match]
         if not dates:
             return None
-        if dates[0][2] == ".":
-            return True
         told = span.units.get("date")
+        if told is None and dates[0][2] == ".":
+            return True
         can = {
             "dmy": all(int(date[3]) <= _MONTHS for date in dates),
             "mdy": all(int(date[1]) <= _MONTHS for date in dates),

@@ -109,7 +109,8 @@ def possible_places(is_possible: Callable[[Array], Array], window_m: float) -> A
     reach = int(round(window_m / CELL_M))
     shifts_m = CELL_M * np.arange(-reach, reach + 1)
     places = np.zeros((LEVELS, len(shifts_m), len(shifts_m)), np.uint8)
-    places[0] = is_possible(np.stack(np.meshgrid(shifts_m, shifts_m), axis=-1))
+    for row, y_m in zip(places[0], shifts_m.tolist(), strict=True):  # all at once take 13 times the memory
+        row[:] = is_possible(np.column_stack([shifts_m, np.full(len(shifts_m), y_m)]))
     _widen(places)
     return places
 
