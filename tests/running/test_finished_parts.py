@@ -77,6 +77,13 @@ def test_other_files_than_python_do_not_change_the_digest(package):
     assert code_digest("toy_package") == before != code_digest()
 
 
+def test_the_lock_of_an_editor_is_no_code(package):
+    before = code_digest(package.name)
+    (package / ".#code.py").symlink_to("somebody@a-machine.1234:1700000000")
+    code_digest.cache_clear()
+    assert code_digest(package.name) == before
+
+
 def test_the_digest_of_the_code_includes_bundled_maps(tmp_path, package, monkeypatch):
     before = code_digest()
     (tmp_path / "maps").mkdir()

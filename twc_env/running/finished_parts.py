@@ -33,7 +33,7 @@ def code_digest(*packages: str) -> str:
     folders = [Path(place) for name in ("twc_env", *packages) for place in _places(name)]
     content = hashlib.sha256()
     for folder in [*folders, bundled_folder()]:
-        for path in sorted(path for path in folder.rglob("*") if path.suffix in SUFFIXES):
+        for path in sorted(path for path in folder.rglob("*") if path.suffix in SUFFIXES and path.is_file()):
             content.update(f"{path.relative_to(folder).as_posix()}\n".encode() + path.read_bytes())
     return content.hexdigest()[:8]
 
