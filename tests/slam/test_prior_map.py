@@ -213,6 +213,13 @@ def test_a_map_without_walls_is_refused(config):
         MapLocalisation(config, 1, LastingMap.of_grid(GridMap(np.zeros((3, 3), np.int16), np.zeros(2), 0.1), 120, 10.0))
 
 
+def test_a_map_too_large_to_search_is_refused_at_once(config):
+    level = np.zeros((2, 11_000), np.int16)
+    level[:, ::1000] = 50
+    with pytest.raises(DataError, match=r"is 1000 m long.*check its resolution"):
+        MapLocalisation(config, 1, LastingMap.of_grid(GridMap(level, np.zeros(2), 0.1), 120, 10.0))
+
+
 def test_localisation_without_a_map_and_a_plain_map_without_localisation_are_refused(config, first, tmp_path):
     with pytest.raises(ConfigError, match=r"slam\.mode is 'localisation': name the map"):
         make_engine(override(config, {"slam.mode": "localisation"}), 1)

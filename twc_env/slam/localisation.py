@@ -25,7 +25,14 @@ from twc_env.records.geometry import between, compose, inverse, transform_points
 from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import GridMap, Keyframe
 from twc_env.slam.mapping.map_saving import keyframes_of
-from twc_env.slam.matching.global_matching import CELL_M, GlobalMatch, match_globally, possible_places, turn_along_walls
+from twc_env.slam.matching.global_matching import (
+    CELL_M,
+    REACH_MAX_M,
+    GlobalMatch,
+    match_globally,
+    possible_places,
+    turn_along_walls,
+)
 from twc_env.slam.matching.point_matching import match_to_tree
 from twc_env.slam.matching.scan_matching import scan_points
 from twc_env.slam.places.place_recognition import make_recogniser
@@ -91,6 +98,12 @@ class Walls:
         points = known.grid.centre_of(np.argwhere(known.grid.log_odds > 0))
         if not len(points):
             raise DataError("the map to localise in has no walls; choose another file")
+        side_m = float(np.ptp(points, axis=0).max())
+        if not len(known.poses) and side_m > 2.0 * REACH_MAX_M - 1.0:
+            raise DataError(
+                f"the map to localise in is {side_m:.0f} m long, and scans are searched for in up to "
+                f"{2.0 * REACH_MAX_M:.0f} m: check its resolution, or cut it"
+            )
         return cls(known.grid, cKDTree(points), tuple(keyframes_of(known, PLACES)))
 
     @cached_property
@@ -261,14 +274,21 @@ class Localiser:
 
     def _match(self, points: Array, score_min: float) -> GlobalMatch | None:
         """The pose, from the middle of the map, at which points (n, 2) lie best on walls of the map."""
-        window = self._walls.window
-        turn_rad = turn_along_walls(window.walls, _walls_run(points), SQUARE_SHARE_MIN)
+        window, turn_rad = self._walls.window, self._turn_rad(points)
         return match_globally(
             self._walls.tree.data - window.middle_m, points, window.half_m, score_min, turn_rad, window.places
         )
 
+    def _turn_rad(self, points: Array) -> float | None:
+        return turn_along_walls(self._walls.window.walls, _walls_run(points), SQUARE_SHARE_MIN)
+
     def _try_scales(self, points: Array) -> None:
-        """Note the size of the map at which the points (n, 2) fit, if one stands out."""
+        """Note the size of the map at which the points (n, 2) fit, if one stands out.
+
+        Not where walls have no main directions: with all headings so many searches take half a minute.
+        """
+        if self._turn_rad(points) is None:
+            return
         found = [self._match(points / scale, SCORE_MIN - SCALE_MARGIN) for scale in SCALES.tolist()]
         scores = np.array([0.0 if match is None else match.score for match in found])
         best = int(np.argmax(scores))
