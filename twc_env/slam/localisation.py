@@ -36,6 +36,7 @@ from twc_env.slam.matching.global_matching import (
 from twc_env.slam.matching.point_matching import match_to_tree
 from twc_env.slam.matching.scan_matching import scan_points
 from twc_env.slam.places.place_recognition import make_recogniser
+from twc_env.slam.saved_maps.saved_map import wall_axes
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -115,7 +116,7 @@ class Walls:
         half_m = 0.5 * float(np.ptp(points, axis=0).max())
         limit = 0 if self.grid.log_odds.min() < 0 else 1
         places = possible_places(lambda shifts: self.grid.level_at(shifts + middle_m) < limit, half_m)
-        return SearchWindow(middle_m, half_m, places, _walls_run(points))
+        return SearchWindow(middle_m, half_m, places, _main_direction(points))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,17 +133,10 @@ class SearchWindow:
     """Direction of the walls and how dominant it is, see `walls_run`."""
 
 
-def _walls_run(points: Array) -> tuple[float, float]:
+def _main_direction(points: Array) -> tuple[float, float]:
     """As `walls_run`, of points (n, 2) in any order, on walls of any thickness; straight stretches count most."""
-    from scipy.spatial import cKDTree
-
-    points = CELL_M * np.unique(np.floor(points / CELL_M), axis=0)
-    _, near = cKDTree(points).query(points, NEIGHBOURS)
-    around = points[np.minimum(near, len(points) - 1)]
-    away = around - around.mean(axis=1, keepdims=True)
-    xx, yy, xy = (away[..., 0] ** 2).sum(1), (away[..., 1] ** 2).sum(1), (away[..., 0] * away[..., 1]).sum(1)
-    straight = np.hypot(xx - yy, 2 * xy) / np.maximum(xx + yy, 1e-12)
-    turn = (straight**4 * np.exp(2j * np.arctan2(2 * xy, xx - yy))).sum() / max((straight**4).sum(), 1e-12)
+    directions_rad, straight = wall_axes(CELL_M * np.unique(np.floor(points / CELL_M), axis=0), NEIGHBOURS)
+    turn = (straight**4 * np.exp(4j * directions_rad)).sum() / max((straight**4).sum(), 1e-12)
     return float(np.angle(turn)) / 4, float(np.abs(turn))
 
 
@@ -280,12 +274,12 @@ class Localiser:
         )
 
     def _turn_rad(self, points: Array) -> float | None:
-        return turn_along_walls(self._walls.window.walls, _walls_run(points), SQUARE_SHARE_MIN)
+        return turn_along_walls(self._walls.window.walls, _main_direction(points), SQUARE_SHARE_MIN)
 
     def _try_scales(self, points: Array) -> None:
         """Note the size of the map at which the points (n, 2) fit, if one stands out.
 
-        Not where walls have no main directions: with all headings so many searches take half a minute.
+        Not where walls have no main directions: so many searches of all headings would hold up the robot.
         """
         if self._turn_rad(points) is None:
             return

@@ -106,7 +106,7 @@ def compared(saved: SavedMap, cell_m: float) -> ComparedMap:
     holds_point[row, column] = True
     owner = np.zeros((rows, columns), np.int32)
     owner[row, column] = np.arange(len(points))
-    directions, is_thin = _facing(points, _directions(points), free, cell_m)
+    directions, is_thin = _facing(points, wall_axes(points, NEIGHBOURS)[0], free, cell_m)
     distance, (near_row, near_column) = ndimage.distance_transform_edt(~holds_point, return_indices=True)
     return ComparedMap(
         cell_m=cell_m,
@@ -144,12 +144,14 @@ def _thinned(points: Array, cell_m: float) -> Array:
     return np.column_stack([np.bincount(cell, points[:, axis]) / count for axis in range(2)])
 
 
-def _directions(points: Array) -> Array:
-    """(n,) main axis of each point's neighbours, in [0, pi)."""
-    _, near = cKDTree(points).query(points, min(NEIGHBOURS, len(points)))
-    away = points[near] - points[near].mean(axis=1, keepdims=True)
+def wall_axes(points: Array, neighbours: int) -> tuple[Array, Array]:
+    """(n,) main axis of each point's nearest neighbours, in [0, pi), and how straight they lie along it [0, 1]."""
+    _, near = cKDTree(points).query(points, min(neighbours, len(points)))
+    around = points[near.reshape(len(points), -1)]
+    away = around - around.mean(axis=1, keepdims=True)
     xx, yy, xy = (away[..., 0] ** 2).sum(1), (away[..., 1] ** 2).sum(1), (away[..., 0] * away[..., 1]).sum(1)
-    return np.asarray(0.5 * np.arctan2(2 * xy, xx - yy) % np.pi)
+    straight = np.hypot(xx - yy, 2 * xy) / np.maximum(xx + yy, 1e-12)
+    return np.asarray(0.5 * np.arctan2(2 * xy, xx - yy) % np.pi), straight
 
 
 def _facing(points: Array, directions_rad: Array, free: Array, cell_m: float) -> tuple[Array, Array]:
