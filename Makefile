@@ -37,11 +37,11 @@ demo: .venv/installed-demo ## three robots explore twin-01: table, map.png and a
 	.venv/bin/twc-env explore --map twin-01 --out runs/demo
 	@echo "The picture: runs/demo/map.png   The film: runs/demo/twin-01-seed0.gif"
 
-check: .venv/installed-dev ## format, lint, types, import arrows
+check: .venv/installed-dev ## format, lint, types, import arrows and costs
 	$(PY) -m ruff format --check .
 	$(PY) -m ruff check .
 	$(PY) -m mypy
-	$(PY) -m pytest -q tests/test_architecture.py
+	$(PY) -m pytest -q tests/test_architecture.py tests/test_import.py
 
 test: .venv/installed-test ## all tests, training and OCR included (installs torch and onnxruntime)
 	$(PY) -m pytest -q

@@ -36,7 +36,7 @@ from twc_env.slam.matching.global_matching import (
 from twc_env.slam.matching.point_matching import match_to_tree
 from twc_env.slam.matching.scan_matching import scan_points
 from twc_env.slam.places.place_recognition import make_recogniser
-from twc_env.slam.saved_maps.saved_map import wall_axes
+from twc_env.slam.saved_maps.wall_axes import wall_axes
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -8,9 +8,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray as Array
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from twc_env.errors import MapError
+from twc_env.slam.saved_maps.wall_axes import wall_axes
 
 CELL_M = 0.1
 """Cell of the comparison; maps of coarser cells are compared at theirs."""
@@ -142,16 +142,6 @@ def _thinned(points: Array, cell_m: float) -> Array:
     _, cell, count = np.unique(np.floor(points / cell_m), axis=0, return_inverse=True, return_counts=True)
     cell = cell.ravel()
     return np.column_stack([np.bincount(cell, points[:, axis]) / count for axis in range(2)])
-
-
-def wall_axes(points: Array, neighbours: int) -> tuple[Array, Array]:
-    """(n,) main axis of each point's nearest neighbours, in [0, pi), and how straight they lie along it [0, 1]."""
-    _, near = cKDTree(points).query(points, min(neighbours, len(points)))
-    around = points[near.reshape(len(points), -1)]
-    away = around - around.mean(axis=1, keepdims=True)
-    xx, yy, xy = (away[..., 0] ** 2).sum(1), (away[..., 1] ** 2).sum(1), (away[..., 0] * away[..., 1]).sum(1)
-    straight = np.hypot(xx - yy, 2 * xy) / np.maximum(xx + yy, 1e-12)
-    return np.asarray(0.5 * np.arctan2(2 * xy, xx - yy) % np.pi), straight
 
 
 def _facing(points: Array, directions_rad: Array, free: Array, cell_m: float) -> tuple[Array, Array]:
