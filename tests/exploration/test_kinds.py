@@ -9,6 +9,7 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, see
 
 import twc_env
 from tests.soak.observation_check import ACTIONS, BLOCKS, random_actions
+from twc_env.config import EnvConfig, override
 from twc_env.exploration.episode import Episode
 from twc_env.exploration.macro_actions import CandidateSearch, MacroActions
 from twc_env.exploration.observation.observations import ObservationBuilder
@@ -16,6 +17,7 @@ from twc_env.planning.candidates import NOTHING, SPENT_M, features_of, find_cand
 from twc_env.planning.drivers import map_id
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
+from twc_env.records.messages import Belief, GridMap
 from twc_env.slam.engine import CooperativeSlam
 
 ALL_BLOCKS = {f"observation.{name}": True for name in BLOCKS}
@@ -228,6 +230,29 @@ def test_robots_drive_backwards_to_goals_if_the_actions_say_so(reverses):
     moved, heading = np.diff(poses[..., :2], axis=0), poses[:-1, :, 2]
     ahead_m = moved[..., 0] * np.cos(heading) + moved[..., 1] * np.sin(heading)
     assert ((ahead_m < -0.05).mean() > 0.1) == reverses
+
+
+def test_the_view_to_which_another_robot_drives_moves_with_the_map():
+    """The left half of 10 m is known; then its frame moves by 3 m, and robot 0 looks before the next tick."""
+    log_odds, offered = np.zeros((100, 100), np.int16), []
+    log_odds[:, :50] = -50
+    macro_actions = MacroActions(override(EnvConfig(), {**VIEWS, "robots": 2}))
+    stay = len(macro_actions.mask(0)) - 1
+    for step, moved_m in enumerate((0.0, 3.0)):
+        poses, grid = np.array([[2.5, 3.0, 0.0], [2.5, 5.0, 0.0]]), GridMap(log_odds, np.array([0.0, moved_m]), 0.1)
+        poses[:, 1] += moved_m
+        beliefs = [
+            Belief(k, step, poses[k], grid, {1 - k: poses[1 - k]}, map_version=step, contact_steps={1 - k: step})
+            for k in range(2)
+        ]
+        if step == 0:
+            macro_actions.look(beliefs)
+            macro_actions.assign({"robot_0": stay, "robot_1": 0}, ["robot_0", "robot_1"], beliefs)
+        macro_actions.is_deciding[:] = True, False
+        macro_actions.look(beliefs)
+        offered.append(macro_actions.candidates[0])
+    assert offered[1].frontiers_m == pytest.approx(offered[0].frontiers_m + [0.0, 3.0])
+    assert offered[1].gains_m2 == pytest.approx(offered[0].gains_m2)
 
 
 def test_views_to_which_a_robot_drove_are_not_offered_again():

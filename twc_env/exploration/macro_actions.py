@@ -176,7 +176,9 @@ class MacroActions:
         for robot in np.flatnonzero(self._is_view & self.is_deciding & ~is_driving).tolist():
             if self._drivers.is_of(robot, beliefs[robot]):
                 self._search.spend(robot, goals_m[robot].copy(), beliefs[robot])
-        claimed_m = np.where((self._is_view & is_driving)[:, None], goals_m, np.nan)
+        claimed_m = np.full(goals_m.shape, np.nan)
+        for robot in np.flatnonzero(self._is_view & is_driving).tolist():
+            claimed_m[robot] = self._drivers.goal_in(robot, beliefs[robot])
         self._search.look(beliefs, self.is_deciding, self._terrains, claimed_m)
 
     def assign(self, actions: Mapping[str, object], agents: Sequence[str], beliefs: Sequence[Belief]) -> None:

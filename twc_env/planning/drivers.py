@@ -181,6 +181,14 @@ class Drivers:
         """(robots, 2) the last goal of each, in its map as of its last time step."""
         return self._state[:, _GOAL_X : _GOAL_Y + 1]
 
+    def goal_in(self, robot: int, belief: Belief) -> Array:
+        """(2,) the last goal of a robot in its present map, which may have jumped since its last time step."""
+        own = self._state[robot]
+        goal_m: Array = own[_GOAL_X : _GOAL_Y + 1].copy()
+        if not self.is_of(robot, belief):
+            goal_m = transform_points(compose(belief.pose_map_robot, inverse(own[_X : _HEADING + 1])), goal_m[None])[0]
+        return goal_m
+
     def is_of(self, robot: int, belief: Belief) -> bool:
         """Whether a robot has the map still in which its goal is."""
         return (self._state[robot, _VERSION], self._state[robot, _TEAMMATES]) == map_id(belief)
