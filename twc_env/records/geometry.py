@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -20,13 +21,18 @@ def wrap_one(angle_rad: float) -> float:
     return (angle_rad + math.pi) % (2 * math.pi) - math.pi
 
 
+def compose_one(pose_a_b: Sequence[float], pose_b_c: Sequence[float]) -> tuple[float, float, float]:
+    """`compose` of single poses, without array functions."""
+    (ax, ay, at), (bx, by, bt) = pose_a_b, pose_b_c
+    c, s = math.cos(at), math.sin(at)
+    return ax + c * bx - s * by, ay + s * bx + c * by, wrap_one(at + bt)
+
+
 def compose(pose_a_b: ArrayLike, pose_b_c: ArrayLike) -> Array:
     """The pose of c in a, from b in a and c in b; (..., 3) each, broadcast."""
     a, b = np.asarray(pose_a_b, float), np.asarray(pose_b_c, float)
     if a.ndim == 1 and b.ndim == 1:  # one pose: ten times faster without array functions
-        (ax, ay, at), (bx, by, bt) = a.tolist(), b.tolist()
-        c, s = math.cos(at), math.sin(at)
-        return np.array([ax + c * bx - s * by, ay + s * bx + c * by, wrap_one(at + bt)])
+        return np.array(compose_one(a.tolist(), b.tolist()))
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     x = a[..., 0] + c * b[..., 0] - s * b[..., 1]
     y = a[..., 1] + s * b[..., 0] + c * b[..., 1]

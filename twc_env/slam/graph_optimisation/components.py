@@ -81,7 +81,7 @@ def _back(motion: Motion) -> Motion:
 def unchecked_poses(count: int, edges: Array) -> Array:
     """(count,) bool: poses on no cycle of the edges (e, 2): every edge at them is a bridge (Tarjan 1974)."""
     ways: list[list[tuple[int, int]]] = [[] for _ in range(count)]
-    for e, (a, b) in enumerate(edges.tolist()):
+    for e, a, b in zip(range(len(edges)), *edges.T.tolist(), strict=True):
         ways[a].append((b, e))
         ways[b].append((a, e))
     order, low = [-1] * count, [0] * count

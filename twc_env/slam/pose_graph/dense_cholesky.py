@@ -1,21 +1,34 @@
 """Inverses of dense positive definite matrices, and solutions of their equations.
 
 LAPACK shares even small ones among threads, which wait for each other: on a machine that other programs keep busy a
-step may stall. Sums here have one order, so results do not depend on the number of threads or on the processor.
+step may stall. So it gets one thread, too, and sums have one order: results do not depend on the number of cores.
 """
 
 from __future__ import annotations
 
 import math
+from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.kernels.compiled import kernel
 
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
+
 ROWS_MAX = 400
-"""Rows of matrices that one thread attends to; larger ones are left to LAPACK."""
+"""Rows of matrices that are factorised here; larger ones are left to LAPACK."""
 PIVOT_MIN = 1e-300
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """What shares matrices among threads; made once, as it looks for all loaded libraries."""
+    from threadpoolctl import ThreadpoolController  # needed for large matrices alone
+
+    return ThreadpoolController()
 
 
 def inverse_of(matrix: Array) -> Array:
@@ -24,8 +37,9 @@ def inverse_of(matrix: Array) -> Array:
         return _inverse(matrix)
     from scipy.linalg.lapack import dpotrf, dpotri  # imported here: a tenth of the start-up time, not needed there
 
-    factor, _ = dpotrf(matrix.T, lower=0, overwrite_a=1)
-    lower = np.tril(dpotri(factor, lower=0, overwrite_c=1)[0].T)
+    with _libraries().limit(limits=1, user_api="blas"):
+        factor, _ = dpotrf(matrix.T, lower=0, overwrite_a=1)
+        lower = np.tril(dpotri(factor, lower=0, overwrite_c=1)[0].T)
     return lower + np.tril(lower, -1).T
 
 
@@ -38,10 +52,11 @@ def solution_of(matrix: Array, right: Array) -> Array | None:
         return right if _solve(matrix, right) else None
     from scipy.linalg.lapack import dpotrf, dpotrs  # imported late: takes a tenth of the start-up time
 
-    factor, failed = dpotrf(np.asfortranarray(matrix), lower=1, overwrite_a=1)
-    if failed or np.isnan(factor.diagonal()).any():  # LAPACK's libraries differ in whether they look for NaN
-        return None
-    found: Array = dpotrs(factor, right[:, None], lower=1)[0][:, 0]
+    with _libraries().limit(limits=1, user_api="blas"):
+        factor, failed = dpotrf(np.asfortranarray(matrix), lower=1, overwrite_a=1)
+        if failed or np.isnan(factor.diagonal()).any():  # LAPACK's libraries differ in whether they look for NaN
+            return None
+        found: Array = dpotrs(factor, right[:, None], lower=1)[0][:, 0]
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.records.geometry import compose
+from twc_env.records.geometry import compose_one
 from twc_env.records.twists import adjoint, turned
 from twc_env.slam.pose_graph.solver import Graph
 from twc_env.slam.pose_graph.systematic_errors import UNOWNED
@@ -16,23 +16,24 @@ class Chains:
 
     def __init__(self, graph: Graph, poses: Array):
         count = len(poses)
-        following, edge = np.full(count, -1), np.full(count, -1)
-        has_previous = np.zeros(count, bool)
-        for e in np.flatnonzero(~graph.is_closure):
-            a, b = graph.edges[e]
+        following, edge, has_previous = [-1] * count, [-1] * count, [False] * count
+        along = np.flatnonzero(~graph.is_closure)
+        for e, a, b in zip(along.tolist(), *graph.edges[along].T.tolist(), strict=True):
             if following[a] < 0 and not has_previous[b]:
                 following[a], edge[a], has_previous[b] = b, e, True
-        self.chain, self.step = np.full(count, -1), np.zeros(count, np.int64)
+        chain, steps, edge_before = [-1] * count, [0] * count, [-1] * count
         self.order: list[int] = []
-        self.edge_before = np.full(count, -1)  # odometry edge that ends at each pose
-        for start in [*np.flatnonzero(~has_previous), *range(count)]:
-            node, step = int(start), 0
-            while node >= 0 and self.chain[node] < 0:
-                self.chain[node], self.step[node] = start, step
+        for start in [*(k for k in range(count) if not has_previous[k]), *range(count)]:
+            node, step = start, 0
+            while node >= 0 and chain[node] < 0:
+                chain[node], steps[node] = start, step
                 self.order.append(node)
-                if edge[node] >= 0 and self.chain[following[node]] < 0:
-                    self.edge_before[following[node]] = edge[node]
-                node, step = int(following[node]), step + 1
+                if edge[node] >= 0 and chain[following[node]] < 0:
+                    edge_before[following[node]] = edge[node]
+                node, step = following[node], step + 1
+        self.chain, self.step = np.array(chain, np.int64), np.array(steps, np.int64)
+        self.edge_before = np.array(edge_before, np.int64)
+        """(n,) odometry edge that ends at each pose."""
         self._covariance = np.linalg.inv(graph.information[np.maximum(self.edge_before, 0)])
         self._covariance[self.edge_before < 0] = 0.0
         self._measured = graph.measured
@@ -46,14 +47,15 @@ class Chains:
 
     def dead_reckoning(self, poses: Array) -> Array:
         """Poses integrated from odometry alone, starting at each chain's first pose."""
-        out = poses.copy()
-        before = -1
+        x, y, heading = (column.tolist() for column in poses.T)
+        ahead, aside, turn = (column.tolist() for column in self._measured.T)
+        edges, before = self.edge_before.tolist(), -1
         for node in self.order:
-            edge = self.edge_before[node]
-            if edge >= 0:
-                out[node] = compose(out[before], self._measured[edge])
+            if (e := edges[node]) >= 0:
+                at, motion = (x[before], y[before], heading[before]), (ahead[e], aside[e], turn[e])
+                x[node], y[node], heading[node] = compose_one(at, motion)
             before = node
-        return out
+        return np.column_stack([x, y, heading])
 
     def accumulated_covariance(self, poses: Array) -> Array:
         """(n, 3, 3) accumulated covariance of independent motion noise up to each pose, as world-frame twists; the

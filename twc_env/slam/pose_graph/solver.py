@@ -195,7 +195,7 @@ class NormalEquations:
             step = self._step(poses, weight, float(weight @ squared), damping)
             if step is None:
                 break
-            before, (poses, squared, moved_m, moved_rad) = float(weight @ squared), step
+            before, (poses, squared, moved_m, moved_rad, damping) = float(weight @ squared), step
             damping = max(damping / 10, 1e-12)
             stalled = before - weight @ squared < DECREASE * before and moved_m < STALLED_M
             if stalled or (moved_m < step_m and moved_rad < step_rad):
@@ -203,15 +203,15 @@ class NormalEquations:
         return poses
 
     def _step(self, poses: Array, weight: Array, cost: float, damping: float):
-        """One damped step that does not raise the cost: poses, squared errors, largest moves [m, rad]; None if none is
-        found."""
+        """One damped step that does not raise the cost: poses, squared errors, largest moves [m, rad], and the damping
+        that it took; None if none is found."""
         heard, its_weight = self._active_equations(weight)
         for _ in range(8):
             is_sound, moved, moved_m, moved_rad = heard._solve_step(poses, its_weight, damping)
             if is_sound:
                 squared = self.squared_errors(moved)
                 if weight @ squared <= cost * (1 + 1e-12):
-                    return moved, squared, moved_m, moved_rad
+                    return moved, squared, moved_m, moved_rad, damping
             damping = max(damping * 10, 1e-9)
         return None
 
