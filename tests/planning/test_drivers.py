@@ -6,7 +6,7 @@ import numpy as np
 
 from twc_env.config import DynamicsConfig
 from twc_env.planning import Drivers, PathFinder, Terrain
-from twc_env.planning.drivers import BACK_OUT_S, STUCK_S
+from twc_env.planning.drivers import BACK_OUT_S, STUCK_S, WAIT_WEIGHT
 from twc_env.planning.follow import is_path_blocked
 from twc_env.records.geometry import points_along, travelled_m
 from twc_env.records.messages import Belief, GridMap
@@ -93,6 +93,39 @@ def test_a_robot_that_is_held_backs_out_and_fails_though_views_are_chosen_anew()
     drivers.start(0, np.array([4.5, 1.0]), belief, "view")
     drivers.commands([belief], terrain_of)
     assert drivers.status(0) == "driving", "it tries again"
+
+
+def test_a_robot_waits_for_people_but_not_for_good():
+    """A leg in front of it comes 0.2 m nearer and goes back again, all the time."""
+    dynamics, grid, pose = DynamicsConfig(), walled_room(), np.array([1.0, 1.0, 0.0])
+    drivers, failed_s = Drivers([dynamics], PathFinder(), waits_for_people=True), None
+    for tick in range(600):
+        ranges_m = np.full(180, 3.0)
+        ranges_m[[178, 179, 0, 1, 2]] = 0.45 + 0.2 * (tick // 4 % 2)
+        belief = Belief(0, tick, pose, grid, ranges_m=ranges_m, pose_odom=pose)
+        if tick == 0:
+            drivers.start(0, np.array([2.5, 1.0]), belief)
+        drivers.commands([belief], terrain_of)
+        if drivers.status(0) == "failed":
+            failed_s = tick * dynamics.time_step_s
+            break
+    assert failed_s is not None and 2 * STUCK_S < failed_s < STUCK_S / WAIT_WEIGHT + 2 * BACK_OUT_S
+
+
+def test_a_robot_that_sees_behind_backs_out_backwards():
+    """Walls ahead and aside, open floor behind: it has 1.2 s, in which it could not turn around."""
+    dynamics, grid, pose = DynamicsConfig(), walled_room(), np.array([3.0, 3.0, 0.0])
+    ranges_m, speeds = np.full(180, 0.6), {}
+    ranges_m[70:110] = 3.0
+    for reverses in (False, True):
+        drivers = Drivers([dynamics], PathFinder(), reverses=[reverses])
+        belief = Belief(0, 0, pose, grid, ranges_m=ranges_m)
+        drivers.start(0, np.array([4.5, 3.0]), belief)
+        told = [
+            drivers.commands([belief], terrain_of)[0, 0] for _ in range(round((STUCK_S + 0.5) / dynamics.time_step_s))
+        ]
+        speeds[reverses] = told[-1]
+    assert speeds[True] < -0.3 < speeds[False]
 
 
 def test_a_path_is_blocked_where_a_wall_is_near_a_point_of_its_next_three_metres():

@@ -41,6 +41,8 @@ GOAL_SQUARE_SHARE = 0.65
 """Half side of the square in which paths end, as a share of the arrival distance; its corners lie inside the latter."""
 STUCK_S, STUCK_M = 3.0, 0.3
 """A robot is stuck if it moved no further than `STUCK_M` in `STUCK_S`; one slower than 1 m/s has longer."""
+WAIT_WEIGHT = 0.1
+"""Who waits for people is stuck, too, but takes so much longer: a chair beside a robot that turns also seems to move."""
 BACK_OUT_S = 1.2
 """A stuck robot backs out toward the longest ranges for this long, then the goal has failed."""
 TEAMMATE_RADIUS_M, TEAMMATE_COST, TEAMMATE_RANGE_M = 0.6, 12, 6.0
@@ -337,7 +339,8 @@ class Drivers:
         if len(ranges_m) == 0:
             return 0.0, 0.5 * dynamics.turn_rate_max_rad_s
         bearing = 2 * math.pi * int(np.argmax(room_around_m(ranges_m))) / len(ranges_m)
-        return drive_to(0.6 * math.cos(bearing), 0.6 * math.sin(bearing), ranges_m, dynamics)
+        reverses = bool(self._state[robot, _REVERSES])
+        return drive_to(0.6 * math.cos(bearing), 0.6 * math.sin(bearing), ranges_m, dynamics, reverses=reverses)
 
     def _wait_for_people(self, beliefs: Sequence[Belief], commands: Array) -> None:
         """Slow down robots near which something moves."""
@@ -345,7 +348,7 @@ class Drivers:
             own, wanted = self._state[robot], float(commands[robot, 0])
             commands[robot, 0] = allowed = obstacles.limited(belief, wanted)
             if abs(allowed) < abs(wanted) and own[_STATUS] == DRIVING:
-                own[_ANCHOR_TICK] = own[_TICKS]  # who waits is not stuck
+                own[_ANCHOR_TICK] += 1.0 - WAIT_WEIGHT
 
 
 def map_id(belief: Belief) -> tuple[int, int]:
