@@ -32,7 +32,11 @@ NOISE_MAX = 1.0
 """Greatest noise of a step that the settings take [m, rad]."""
 HELD_SHARE = 1e-3
 """A match holds a pose in all directions if its information's least eigenvalue is this share of the greatest."""
-UNTOLD = f"odometry: noise is assumed; {MOTIONS_MIN} motions between matched scans half a metre apart would tell it"
+UNTOLD = (
+    f"odometry: noise is assumed; {MOTIONS_MIN} motions between matched scans about half a metre apart would tell it, "
+    f"those of denser scans do not"
+)
+UNTOLD_GYRO = "odometry: noise is assumed, as turn rates come from a gyro"
 ROUNDS, HUBER, WINSOR = 10, 1.5, 5.0
 """Rounds of the robust fit; residuals that count less, and at most, in robust standard deviations."""
 SAME_TURN_RAD = 1e-6
@@ -73,8 +77,10 @@ def with_errors_of_log(source: ReplayInput) -> ReplayInput:
     """The input as `taken_from_log` makes it, with a note of what was found."""
     robots = sorted({frame.robot for frames in source.steps for frame in frames})
     paths = [[frame for frames in source.steps for frame in frames if frame.robot == robot] for robot in robots]
-    if source.is_episode or any(map(_has_gyro, paths)):
+    if source.is_episode:
         return source
+    if any(map(_has_gyro, paths)):
+        return dataclasses.replace(source, notes=[*source.notes, UNTOLD_GYRO])
     config, without, told = taken_from_log(source.config, paths)
     if not told:
         return dataclasses.replace(source, notes=[*source.notes, UNTOLD])

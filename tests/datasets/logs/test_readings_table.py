@@ -178,6 +178,13 @@ def test_a_separator_within_a_text_moves_no_columns(tmp_path):
     assert len(read_signs(table(tmp_path, head + row.replace("2.5", "2.5,,")), SPAN)[0][0].values) == 1
 
 
+def test_separators_of_pages_and_lines_within_a_text_end_no_row(tmp_path):
+    head, texts = "time,text,bearing_deg,range_m\n", ["ROOM\x0c12", "HALL\u20283"]
+    rows = [f"{BEGUN + k},{text},-45,2.5\n" for k, text in enumerate(texts)]
+    found, _ = read_signs(table(tmp_path, head + "".join(rows)), SPAN)
+    assert [reading.text for scan in found for reading in scan.values] == texts
+
+
 def test_a_quote_that_is_not_closed_swallows_no_rows(tmp_path):
     rows = [f"{BEGUN + k},{text},-45,2.5\n" for k, text in enumerate(["A", '"Exit', "B", "C", '"Exit', "D"])]
     with pytest.raises(DataError, match=r"row 6: unexpected end of data; .* and close every quote"):

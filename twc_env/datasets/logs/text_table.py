@@ -50,7 +50,7 @@ class TextTable:
         text = read_text(path, errors="replace")
         if "\x00" in text:
             raise DataError(f"{path} is no table of text; give one with the columns {', '.join(needed)}")
-        lines = _without_comments(text.lstrip("\ufeff").splitlines())
+        lines = _without_comments(re.split("\r\n?|\n", text.lstrip("\ufeff")))  # a text may hold other separators
         first = next((line for line in lines if line.strip()), "")
         separator = max(_SEPARATORS, key=first.count)
         if separator not in first and len(first.split()) >= len(needed):
