@@ -42,7 +42,7 @@ GOAL_SQUARE_SHARE = 0.65
 STUCK_S, STUCK_M = 3.0, 0.3
 """A robot is stuck if it moved no further than `STUCK_M` in `STUCK_S`; one slower than 1 m/s has longer."""
 WAIT_WEIGHT = 0.1
-"""Who waits for people is stuck, too, but takes so much longer: a chair beside a robot that turns also seems to move."""
+"""Who waits for people is stuck, too, after a longer time: a chair beside a robot that turns also seems to move."""
 BACK_OUT_S = 1.2
 """A stuck robot backs out toward the longest ranges for this long, then the goal has failed."""
 TEAMMATE_RADIUS_M, TEAMMATE_COST, TEAMMATE_RANGE_M = 0.6, 12, 6.0
