@@ -35,6 +35,13 @@ def test_every_episode_in_a_building_begins_with_the_same_map_made_anew_or_not(e
     assert np.array_equal(again.grid.log_odds, known.grid.log_odds)
 
 
+def test_what_a_team_decides_and_sees_changes_nothing_of_an_earlier_session(env):
+    """Learners' robots choose views and would have mapped half as much again."""
+    choices = {"action.kind": "frontier", "action.goals": "views", "action.timing": "in-turn", "action.reverses": True}
+    seen = {"observation.gains": True, "observation.frontier_period_s": 60.0, "episode.ends_at_coverage": 0.9}
+    assert prior_of_team(begun(**choices, **seen, **{"action.decision_max_s": 0.5})) is prior_of_team(begun())
+
+
 def test_another_building_and_another_scanner_have_maps_of_their_own(env):
     known = prior_of_team(env)
     assert len(prior_of_team(begun(map="gen:office:300:8")).poses) > 0

@@ -2,14 +2,17 @@
 
 One robot of the same kind explores the building for that many time steps: it drives to the nearest frontier of its own
 map, from a start of its own, with noise of its own. What its engine saves is the prior map. Nothing true enters it, and
-it depends on the building and on the settings alone: all episodes in a building begin with the same map.
+it depends on the building, the world and the engine alone: all episodes in a building begin with the same map, whatever
+actions, observations and rewards the team of today has.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from functools import lru_cache
 
 from twc_env.config import EnvConfig, override, robot_configs
+from twc_env.config.environment import ActionConfig, EpisodeConfig, ObservationConfig, RewardConfig
 from twc_env.config.slam import EARLIER_SESSION
 from twc_env.datasets.lasting_maps import prior_of
 from twc_env.errors import ConfigError
@@ -36,9 +39,15 @@ def prior_in(config: EnvConfig, plan: Floorplan) -> LastingMap | None:
             f"slam.prior: {EARLIER_SESSION}:STEPS needs 1 to 1000000 time steps; got {config.slam.prior!r}"
         )
     alone = {"robots": 1, "robot": (), "slam.prior": "", "slam.mode": "cooperative", "max_cycles": int(steps)}
-    alone |= {"action.kind": "frontier", "action.timing": "synchronous", "link.topology": "central"}
-    alone |= {"episode.ends_at_coverage": 0.0, "episode.starts": "random"}
-    return _explored(override(robot_configs(config)[0], alone), plan)
+    same = override(robot_configs(config)[0], alone | {"link.topology": "central"})
+    same = dataclasses.replace(
+        same,
+        action=ActionConfig(kind="frontier", timing="synchronous"),
+        observation=ObservationConfig(),
+        reward=RewardConfig(),
+        episode=EpisodeConfig(),
+    )
+    return _explored(same, plan)
 
 
 @lru_cache(maxsize=MAPS_KEPT)
