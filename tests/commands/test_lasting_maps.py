@@ -21,6 +21,14 @@ def test_a_saved_map_is_the_prior_of_a_later_session_and_of_a_replay(tmp_path, c
     assert "first.npz" in message and "save the map again" in message
 
 
+def test_a_saved_map_names_the_robots_that_are_not_in_it(tmp_path, capsys):
+    common = ["explore", "--map", "twin-02", "--robots", "2", "--no-pictures", "--steps", "20"]
+    assert main([*common, "--save", str(tmp_path / "map.npz")]) == 0
+    assert re.search(r"sign texts\); without the map of robot [01]$", capsys.readouterr().out, re.MULTILINE)
+    assert main([*common, "--set", "slam.oracle=starts", "--save", str(tmp_path / "map.npz")]) == 0
+    assert "without the map" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("place", ["here", "file/map.npz"])
 def test_a_map_that_cannot_be_saved_is_refused_before_the_run(tmp_path, refusal, place):
     (tmp_path / "here").mkdir()

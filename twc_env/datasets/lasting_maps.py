@@ -85,16 +85,22 @@ class Mapper(Protocol):
     def lasting_map(self) -> LastingMap:
         """The map so far."""
 
+    @property
+    def unsaved_robots(self) -> tuple[int, ...]:
+        """Robots whose map is another one."""
+
 
 def save_map(path: str | Path, engine: Mapper) -> str:
-    """Write the map of an engine to a file; returns what there is to say about it, its size first. Raises DataError if
-    there is no map, or the file cannot be written."""
+    """Write the map of an engine to a file; returns what there is to say about it, its size first, and whose map is not
+    in it. Raises DataError if there is no map, or the file cannot be written."""
     lasting = engine.lasting_map()
     size = write_lasting_map(path, lasting)
     texts = {sign.text for signs in lasting.signs for sign in signs}
+    left = engine.unsaved_robots
     return (
         f"{path} ({size / 1000:,.0f} kB: {len(lasting.poses)} keyframes of {lasting.sessions} session"
         f"{'s' * (lasting.sessions != 1)}, {len(texts)} sign texts)"
+        + f"; without the map of robot{'s' * (len(left) > 1)} {', '.join(map(str, left))}" * bool(left)
     )
 
 

@@ -56,6 +56,11 @@ class DeadReckoning(BindsAnew):
         """Raises DataError: there is no map."""
         raise DataError("slam.mode is 'off': there is no map to save; use the engine")
 
+    @property
+    def unsaved_robots(self) -> tuple[int, ...]:
+        """Empty: no robot has a map."""
+        return ()
+
     def found_prior(self, robot: int) -> bool:
         """False: no robot shares a map."""
         return False

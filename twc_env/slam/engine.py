@@ -326,6 +326,11 @@ class CooperativeSlam(CopiedWhole):
         """
         return self.team.lasting_map()
 
+    @property
+    def unsaved_robots(self) -> tuple[int, ...]:
+        """Robots whose present map is not the one that `lasting_map` gives."""
+        return self.team.unsaved_robots
+
     def found_prior(self, robot: int) -> bool:
         """Whether the robot's map is merged with that of an earlier session."""
         mapper = self.mapper_of(robot)

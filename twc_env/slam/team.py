@@ -131,14 +131,26 @@ class TeamMapper:
     def lasting_map(self) -> LastingMap:
         """The map to save: that of the prior map's group, or of the group with most keyframes. Raises DataError without
         keyframes."""
-        groups = [group.robots for group in self.groups]
-        sizes = [len(self._graph.nodes_of(robots)) for robots in groups]
-        number = int(np.argmax(sizes)) if self.prior is None else self.group_of_segment(self.prior)
-        if self._lasting is not None and len(groups[number]) == 1:
+        number = self._saved_group
+        robots = self.groups[number].robots
+        if self._lasting is not None and len(robots) == 1:
             return self._lasting  # no robot has found it: nothing is known to have changed
-        if sizes[number] == 0:
+        if len(self._graph.nodes_of(robots)) == 0:
             raise DataError("there is no map to save: no robot has taken a keyframe")
-        return saved_map(self._graph, groups[number], self.grid_of(number), self._maps.range_max_m, self._lasting)
+        return saved_map(self._graph, robots, self.grid_of(number), self._maps.range_max_m, self._lasting)
+
+    @property
+    def unsaved_robots(self) -> tuple[int, ...]:
+        """Robots whose present map is not the one that `lasting_map` gives."""
+        is_saved = [self.group_index(robot) == self._saved_group for robot in range(len(self.segments.current))]
+        return tuple(np.flatnonzero(~np.array(is_saved)).tolist())
+
+    @property
+    def _saved_group(self) -> int:
+        """Index into `groups` of the group whose map `lasting_map` gives."""
+        if self.prior is not None:
+            return self.group_of_segment(self.prior)
+        return int(np.argmax([len(self._graph.nodes_of(group.robots)) for group in self.groups]))
 
     def update(self, step: int, keyframes: Sequence[Keyframe], scans: Sequence[tuple[int, int]] = ()) -> bool:
         """Add keyframes and requested scans; verify, merge and optimise within this step's budget.
