@@ -2,9 +2,11 @@
 
 import gzip
 import hashlib
+import re
 import threading
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
 
 import pytest
 
@@ -131,6 +133,18 @@ def test_tables_that_need_a_set_exist():
     from twc_env.reproduce.runner import TABLES
 
     assert {table for each in catalogue().values() for table in each.tables} <= set(TABLES)
+
+
+def test_the_page_of_real_data_names_the_same_files_and_tables():
+    page = Path(__file__).parents[3].joinpath("docs/real_data.md").read_text(encoding="utf-8")
+    rows = page.partition("| folder and files below")[2].split("\n\n")[0].splitlines()[2:]
+    for name, each in catalogue().items():
+        for file in each.files:
+            (row,) = [row for row in rows if any(
+                file.place.startswith(place.rstrip("*.json"))
+                for place in re.findall(r"`([^`]+/[^`]*)`", row.partition(" | ")[0])
+            )]  # fmt: skip
+            assert set(re.findall(r"`([a-z0-9-]+)`", row.rpartition(" | ")[2])) == set(each.tables), name
 
 
 def test_the_command_lists_and_fetches(tmp_path, monkeypatch, capsys):
