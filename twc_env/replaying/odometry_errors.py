@@ -36,7 +36,7 @@ UNTOLD = (
     f"odometry: noise is assumed; {MOTIONS_MIN} motions between matched scans about half a metre apart would tell it, "
     f"those of denser scans do not"
 )
-UNTOLD_GYRO = "odometry: noise is assumed, as turn rates come from a gyro"
+UNTOLD_GYRO = "odometry: noise is assumed, as turn rates come from a gyro (robot {})"
 ROUNDS, HUBER, WINSOR = 10, 1.5, 5.0
 """Rounds of the robust fit; residuals that count less, and at most, in robust standard deviations."""
 SAME_TURN_RAD = 1e-6
@@ -79,8 +79,10 @@ def with_errors_of_log(source: ReplayInput) -> ReplayInput:
     paths = [[frame for frames in source.steps for frame in frames if frame.robot == robot] for robot in robots]
     if source.is_episode:
         return source
-    if any(map(_has_gyro, paths)):
-        return dataclasses.replace(source, notes=[*source.notes, UNTOLD_GYRO])
+    if with_gyro := [
+        str(source.names[robot] or robot) for robot, path in zip(robots, paths, strict=True) if _has_gyro(path)
+    ]:
+        return dataclasses.replace(source, notes=[*source.notes, UNTOLD_GYRO.format(", ".join(with_gyro))])
     config, without, told = taken_from_log(source.config, paths)
     if not told:
         return dataclasses.replace(source, notes=[*source.notes, UNTOLD])
