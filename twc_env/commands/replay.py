@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 
 FORMATS = ("png", "pdf", "svg")
 SAMPLE = "sample"
+SCANS_ALONE = (
+    "robots share a map by their scans alone, and rooms that look alike fit, too: look at the picture, or give WiFi or "
+    "signs (--wifi, --signs)"
+)
 
 
 def add_arguments(replay: argparse.ArgumentParser) -> None:
@@ -262,13 +266,13 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     cpu_s = time.process_time() - begun_cpu_s
     end_line()
     team = done.engine.team
+    groups = [
+        [robot for robot in range(done.robots) if team.group_index(robot) == group] for group in groups_by_size(team)
+    ]
     figures = {
         "log": " ".join(map(str, logs)),
         "steps": len(source.steps),
-        "groups": [
-            [robot for robot in range(done.robots) if team.group_index(robot) == group]
-            for group in groups_by_size(team)
-        ],
+        "groups": groups,
         "maps": done.maps(),
         "keyframes": [len(team.keyframe_steps(robot)) for robot in range(done.robots)],
         "closures_accepted": sum(c.status == "accepted" for c in team.closures),
@@ -294,6 +298,8 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
             print("\nwhy there is more than one map:", *lacked, sep="\n  ")
         elif carried := [line for line in lacked if "put down elsewhere" in line]:
             print("\nnoticed, as scans do not go on from those before:", *carried, sep="\n  ")
+        if _rests_on_scans(source, groups):
+            print(f"\n{SCANS_ALONE}")
     write_json(options.json, figures | {"robots": done.table()})
     if options.out:
         _write_folder(options.out, done, formats)
@@ -305,6 +311,12 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
         for place in (options.out, page_path if has_page and not options.out else None, options.bag):
             if place is not None:
                 print(f"\nwritten: {_named(place, formats) if place is options.out else place}")
+
+
+def _rests_on_scans(source: ReplayInput, groups: Sequence[Sequence[int]]) -> bool:
+    """Whether robots share a map, groups (maps, robots of each), by nothing but their scans."""
+    has_readings = any(frame.wifi is not None or frame.signs for frames in source.steps for frame in frames)
+    return not has_readings and any(len(robots) > 1 for robots in groups)
 
 
 def _named(folder: Path, formats: Sequence[str]) -> str:

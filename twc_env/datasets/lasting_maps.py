@@ -100,7 +100,8 @@ def save_map(path: str | Path, engine: Mapper) -> str:
     return (
         f"{path} ({size / 1000:,.0f} kB: {len(lasting.poses)} keyframes of {lasting.sessions} session"
         f"{'s' * (lasting.sessions != 1)}, {len(texts)} sign texts)"
-        + f"; without the map of robot{'s' * (len(left) > 1)} {', '.join(map(str, left))}" * bool(left)
+        + f"; without the map of robot{'s' * (len(left) > 1)} {', '.join(map(str, left))}"
+        * bool(left)
     )
 
 

@@ -27,8 +27,10 @@ from twc_env.records.geometry import between, compose, inverse
 from twc_env.records.messages import Contacts, SensorFrame, SignReading, WifiScan
 from twc_env.records.whole_file import file_path
 
-READINGS_SETTINGS = {"slam.place_recognition.recogniser": "fused"}
-"""Settings of laser logs that are accompanied by WiFi or signs."""
+SIGNS_SETTINGS = {"slam.place_recognition.recogniser": "fused"}
+"""Settings of laser logs that are accompanied by signs, ..."""
+WIFI_SETTINGS = {"slam.place_recognition.recogniser": "wifi", "slam.merging.wifi_check": True}
+"""... and by WiFi; `fused` looks at signs alone."""
 GYRO_SETTINGS = {
     "slam.odometry_filter.turn_std_rad": 0.01,
     "slam.odometry_filter.gyro_bias_std_rad_s": 0.01,
@@ -141,8 +143,10 @@ def input_of(
     begun_s = [float(log.times_s[0]) for log in logs]
     steps, is_together = _steps(paths, begun_s, all(shared for _, _, shared in told))
     config = from_dict(scan_log.SETTINGS | {"lidar": lidar, "robots": len(logs), "max_cycles": len(steps)})
-    if any(wifi) or any(signs):
-        config = override(config, READINGS_SETTINGS)
+    if any(wifi):
+        config = override(config, WIFI_SETTINGS)
+    if any(signs):
+        config = override(config, SIGNS_SETTINGS)
     if all(log.turned_rad is not None for log in logs):
         config = override(config, GYRO_SETTINGS)
     if not is_together:
