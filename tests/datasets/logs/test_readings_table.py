@@ -71,6 +71,32 @@ def test_dates_with_points_begin_with_the_day_unless_the_user_says_otherwise(tmp
         assert scans.times_s.tolist() == [begun_s]
 
 
+@pytest.mark.parametrize(
+    ("header", "unit"),
+    [
+        ("secs,nsecs", 1), ("sec,nanosec", 1), ("header.stamp.secs,header.stamp.nsecs", 1), ("stamp_sec,stamp_nsec", 1),
+        ("sec,usec", 1000),
+    ],
+)  # fmt: skip
+def test_nanoseconds_beside_seconds_count(tmp_path, header, unit):
+    rows = [f"{MAC}1,-50,{BEGUN + k // 2:.0f},{(k % 2) * 900_000_000 // unit}\n" for k in range(4)]
+    (found,), notes = read_wifi(table(tmp_path, f"bssid,rssi,{header}\n" + "".join(rows)), SPAN)
+    assert found.times_s - BEGUN == pytest.approx([0.0, 0.9, 1.0, 1.9], abs=1e-6)
+    assert f"{header.split(',')[1]} are added to {header.split(',')[0]}" in " ".join(notes)
+
+
+@pytest.mark.parametrize("stamp", ["5,1000000000", "5.5,0", "5,-1", "5,x", "5,"])
+def test_nanoseconds_that_are_no_part_of_a_second_are_refused(tmp_path, stamp):
+    with pytest.raises(DataError, match="row 2: secs and nsecs must be whole seconds and the rest below one second"):
+        read_wifi(table(tmp_path, f"bssid,rssi,secs,nsecs\n{MAC}1,-50,{stamp}\n"), SPAN)
+
+
+def test_seconds_since_the_log_began_may_have_nanoseconds(tmp_path):
+    text = "".join(f"{k},500000000,{MAC}1,-50\n" for k in (0, 80))
+    (found,), _ = read_wifi(table(tmp_path, "secs,nsecs,bssid,rssi\n" + text), SPAN)
+    assert found.times_s.tolist() == [BEGUN + 0.5, BEGUN + 80.5]
+
+
 def test_times_since_the_log_began_are_recognised_and_said(tmp_path):
     rows = "".join(f"{t},{MAC}1,-50\n" for t in (0, 40, 99))
     (found,), notes = read_wifi(table(tmp_path, "t,bssid,rssi\n" + rows), SPAN)

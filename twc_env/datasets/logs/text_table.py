@@ -6,26 +6,37 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.logs.column_units import UNIT_NAMES, UNITS, Span, is_since_begin, name_and_unit, time_unit
+from twc_env.datasets.logs.column_units import (
+    UNIT_NAMES,
+    UNITS,
+    Span,
+    is_since_begin,
+    name_and_unit,
+    part_of_second,
+    time_unit,
+)
 from twc_env.datasets.logs.text_file import read_text
 from twc_env.errors import DataError
 
 _NAMES = {
-    "time": ("time", "t", "stamp", "timestamp", "ts", "unix", "unixtime", "epoch", "datetime", "date", "secs", "clock"),
+    "time": (
+        "time", "t", "stamp", "timestamp", "headerstamp", "ts", "unix", "unixtime", "epoch", "datetime", "date", "sec",
+        "secs", "clock",
+    ),
     "address": ("bssid", "mac", "ap", "address", "macaddress", "addr", "transmitter", "beacon", "accesspoint"),
     "strength": ("rssi", "level", "rss", "signal", "strength", "signalstrength", "power", "dbm", "signallevel"),
     "robot": ("robot", "robotid", "agent", "namespace", "vehicle"),
     "text": ("text", "label", "sign", "ocr", "reading", "content", "string", "name"),
     "bearing": ("bearing", "angle", "azimuth", "direction", "theta", "bearingangle"),
     "range": ("range", "distance", "dist", "r", "depth"),
-}
+}  # fmt: skip
 """Names of columns in other tables, without units, spaces and underscores."""
 _SEPARATORS = ";\t|,"
 """Of those that are equally frequent the first counts: beside it, commas are decimal ones."""
@@ -68,6 +79,7 @@ class TextTable:
         self._numbers = [number for number, _ in found]
         """Line of each row in the file."""
         self._check_widths(rows)
+        rows = self._with_whole_stamps(rows)
         rows = self._one_per_reading(rows, needed)
         self._columns = self._header(rows[0], needed)
         if self._columns is not None:
@@ -105,6 +117,31 @@ class TextTable:
                     "hold a separator in quotes"
                 )
 
+    def _with_whole_stamps(self, rows: list[list[str]]) -> list[list[str]]:
+        """Rows with the time in one column, of a table with one of whole seconds and one of nanoseconds beyond them;
+        other tables as they are. Raises DataError for rows that have no such time."""
+        at = _column_of(rows[0], "time")
+        found = None if at is None else part_of_second(rows[0], at)
+        if at is None or found is None:
+            return rows
+        part, unit_s = found
+        self.notes.append(f"{self._path}: {rows[0][part].strip()} are added to {rows[0][at].strip()}")
+        joined = [[*rows[0][:at], "time_s", *rows[0][at + 1 :]]]
+        for number, row in zip(self._numbers[1:], rows[1:], strict=True):
+            cells = [row[k].strip() if k < len(row) else "" for k in (at, part)]
+            try:
+                whole_s, beyond_s = float(cells[0]), float(cells[1]) * unit_s
+            except ValueError:
+                whole_s = beyond_s = math.nan
+            if not (whole_s.is_integer() and 0.0 <= beyond_s < 1.0):
+                raise DataError(
+                    f"{self._path}, row {number}: {rows[0][at].strip()} and {rows[0][part].strip()} must be whole "
+                    f"seconds and the rest below one second; got {' and '.join(cell[:30] for cell in cells)!r}; fix or "
+                    "delete it"
+                )
+            joined.append([*row[:at], f"{whole_s + beyond_s:.9f}", *row[at + 1 :]])
+        return joined
+
     def _one_per_reading(self, rows: list[list[str]], needed: Sequence[str]) -> list[list[str]]:
         """Rows of one reading each, of a table with a column per transmitter; other tables as they are."""
         at = [k for k, cell in enumerate(rows[0]) if _MAC.fullmatch(cell.strip())]
@@ -129,20 +166,11 @@ class TextTable:
         """The number of each column; None if one that is needed has no name."""
         columns: dict[str, int] = {}
         for name in (*needed, "robot"):
-            for alias in _NAMES[name]:
-                at = next(
-                    (
-                        k
-                        for k, cell in enumerate(header)
-                        if name_and_unit(cell)[0] == alias and k not in columns.values()
-                    ),
-                    None,
-                )
-                if at is not None:
-                    columns[name] = at
-                    if unit := name_and_unit(header[at])[1]:
-                        self._units[name] = unit
-                    break
+            at = _column_of(header, name, columns.values())
+            if at is not None:
+                columns[name] = at
+                if unit := name_and_unit(header[at])[1]:
+                    self._units[name] = unit
         return columns if all(name in columns for name in needed) else None
 
     def column(self, name: str) -> list[str]:
@@ -272,6 +300,12 @@ class TextTable:
                 )
             numbers.append(known[cell.strip().strip("/")])
         return np.array(numbers, int)
+
+
+def _column_of(header: Sequence[str], name: str, taken: Collection[int] = ()) -> int | None:
+    """The first column of a name, by the order of its aliases, that is not taken; None if there is none."""
+    names = [name_and_unit(cell)[0] if k not in taken else None for k, cell in enumerate(header)]
+    return next((names.index(alias) for alias in _NAMES[name] if alias in names), None)
 
 
 def _without_comments(lines: Sequence[str]) -> list[str]:
