@@ -36,6 +36,11 @@ def table(tmp_path, text: str):
         f"time,bssid,rssi\n14.11.2023 22:13:21,{MAC}1,-50\n14.11.2023 22:13:21.0,{MAC}2,-60\n",
         f"time,bssid,rssi\n11/14/2023 10:13:21 PM,{MAC}1,-50\n11/14/2023 10:13:21 PM,{MAC}2,-60\n",
         f"time,bssid,rssi\n2023/11/14 22:13:21,{MAC}1,-50\n2023/11/14 22:13:21,{MAC}2,-60\n",
+        f"date,time,bssid,rssi\n2023-11-14,22:13:21,{MAC}1,-50\n2023-11-14,22:13:21,{MAC}2,-60\n",
+        f"clock;date;bssid;rssi\n22:13:21,0;14.11.2023;{MAC}1;-50\n22:13:21,0;14.11.2023;{MAC}2;-60\n",
+        f"Time\tDate\tbssid\trssi\n10:13:21 PM\t11/14/2023\t{MAC}1\t-50\n10:13:21 PM\t11/14/2023\t{MAC}2\t-60\n",
+        f"date,time,{MAC}2,{MAC}1\n14/11/2023,22:13:21,-60,-50\n",
+        f"date,time,bssid,rssi\n2023-11-14,{BEGUN + 1},{MAC}1,-50\n2023-11-14,{BEGUN + 1},{MAC}2,-60\n",
         f"time,bssid,rssi,robot\n{BEGUN + 1},{MAC}1,-50,spot\n{BEGUN + 1},{MAC}2,-60,spot\n",
         f"time,{MAC}2,{MAC}1,note\n{BEGUN + 1},-60,-50,x\n",
         f"\ufefftime,bssid,rssi\r\n{BEGUN + 1},{MAC}1,-50\r\n\r\n{BEGUN + 1},{MAC}2,-60\r\n",
@@ -62,6 +67,21 @@ def test_dates_that_can_be_day_or_month_first_are_asked_for(tmp_path):
     for order, begun_s in (("dmy", 1_702_281_600.0), ("mdy", 1_699_776_000.0)):
         span = Span(begun_s - 1, begun_s + 1, units=unit_choices([f"date={order}"]))
         assert read_wifi(table(tmp_path, rows), span)[0][0].times_s.tolist() == [begun_s]
+
+
+def test_dates_beside_times_of_day_that_can_be_day_or_month_first_are_asked_for(tmp_path):
+    rows = f"date,time,bssid,rssi\n11/12/2023,08:00:00,{MAC}1,-50\n"
+    with pytest.raises(DataError, match="'11/12/2023 08:00:00' can be day or month first; give --units date=dmy or"):
+        read_wifi(table(tmp_path, rows), SPAN)
+    span = Span(1_702_281_599.0, 1_702_281_601.0, units=unit_choices(["date=dmy"]))
+    assert read_wifi(table(tmp_path, rows), span)[0][0].times_s.tolist() == [1_702_281_600.0]
+
+
+@pytest.mark.parametrize(("day", "clock"), [("2023-11-14", ""), ("", "22:13:22"), ("2023-11-14", "x")])
+def test_rows_without_a_date_or_a_time_of_day_are_refused(tmp_path, day, clock):
+    rows = f"date,time,bssid,rssi\n2023-11-14,22:13:21,{MAC}1,-50\n{day},{clock},{MAC}1,-50\n"
+    with pytest.raises(DataError, match=r"row 3: .*is no time"):
+        read_wifi(table(tmp_path, rows), SPAN)
 
 
 def test_dates_with_points_begin_with_the_day_unless_the_user_says_otherwise(tmp_path):
@@ -163,6 +183,7 @@ def test_several_robots_need_a_column(tmp_path):
         (f"time,bssid,rssi\n{BEGUN},{MAC}1,loud\n", "row 2: strength must be a number"),
         (f"time,bssid,rssi\n{BEGUN},{MAC}1,60\n", "no strength is below 0: give dBm"),
         (f"time,bssid,rssi\nyesterday,{MAC}1,-60\n", "row 2: 'yesterday' is no time"),
+        (f"time,bssid,rssi\n08:00:00,{MAC}1,-60\n", "row 2: '08:00:00' is no time; give a column date beside it"),
         (f"time,bssid,rssi\n{BEGUN + 5000},{MAC}1,-60\n", "put both on one clock"),
         (f"time,bssid,rssi\n12,{MAC}1,-60\n", "unit of time .* cannot be told; give --units time=s"),
     ],

@@ -47,6 +47,7 @@ _DATE = re.compile(
     r"(\d{1,2})([./-])(\d{1,2})\2(\d{4})[ T,]+(\d{1,2}):(\d\d)(?::(\d\d(?:[.,]\d+)?))?(?: ?([AaPp])[Mm])?"
 )
 """Date with the year last, and time of day."""
+_TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(?!\d)")
 _ROWS_MAX = 20_000_000
 _MONTHS = 12
 
@@ -79,7 +80,7 @@ class TextTable:
         self._numbers = [number for number, _ in found]
         """Line of each row in the file."""
         self._check_widths(rows)
-        rows = self._with_whole_stamps(rows)
+        rows = _with_dates(self._with_whole_stamps(rows))
         rows = self._one_per_reading(rows, needed)
         self._columns = self._header(rows[0], needed)
         if self._columns is not None:
@@ -274,8 +275,9 @@ class TextTable:
                 return _moment(date, is_day_first)
             return datetime.fromisoformat(cell.strip().replace("/", "-"))
         except (ValueError, OverflowError) as error:
+            needed = "a column date beside it" if _TIME_OF_DAY.match(cell.strip()) else "seconds"
             raise DataError(
-                f"{self._path}, row {row}: {cell[:40]!r} is no time; give seconds, or 2026-05-01T12:00:00.5Z"
+                f"{self._path}, row {row}: {cell[:40]!r} is no time; give {needed}, or 2026-05-01T12:00:00.5Z"
             ) from error
 
     def robots(self, span: Span) -> Array:
@@ -300,6 +302,21 @@ class TextTable:
                 )
             numbers.append(known[cell.strip().strip("/")])
         return np.array(numbers, int)
+
+
+def _with_dates(rows: list[list[str]]) -> list[list[str]]:
+    """Rows with date and time of day in one column, of a table with one of each; other tables as they are."""
+    day = next((k for k, cell in enumerate(rows[0]) if name_and_unit(cell)[0] == "date"), None)
+    at = None if day is None else _column_of(rows[0], "time", {day})
+    if day is None or at is None or len(rows) < 2 or max(day, at) >= len(rows[1]):
+        return rows
+    if ":" in rows[1][day] or not _TIME_OF_DAY.match(rows[1][at].strip()):
+        return rows
+    joined = [[*rows[0][:at], "time", *rows[0][at + 1 :]]]
+    for row in rows[1:]:
+        date, clock = (row[k].strip() if k < len(row) else "" for k in (day, at))
+        joined.append([*row[:at], f"{date} {clock}" if date and clock else clock, *row[at + 1 :]])
+    return joined
 
 
 def _column_of(header: Sequence[str], name: str, taken: Collection[int] = ()) -> int | None:
