@@ -146,6 +146,7 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
 
 
 def _replay(options: argparse.Namespace) -> None:
+    from twc_env.datasets.logs.file_kind import refuse_output_of_replay
     from twc_env.datasets.ros.bag_file import is_bag
 
     is_run = options.logs[0].is_dir() and not is_bag(options.logs[0])
@@ -158,6 +159,7 @@ def _replay(options: argparse.Namespace) -> None:
             raise DataError(f"there is no run folder or log {log}: check the path; `sample` is a log of the package")
         is_own_run = log.is_dir() and not is_bag(log)
         if is_own_run and not is_export and not (log / "frames.npz").exists():
+            refuse_output_of_replay(log)
             raise DataError(
                 f"{log} is no run folder (no frames.npz): name a log, or a folder of `explore --out`; "
                 "a bag of ROS 2 is a folder with metadata.yaml"

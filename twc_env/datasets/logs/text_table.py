@@ -304,6 +304,15 @@ class TextTable:
         return np.array(numbers, int)
 
 
+def is_header(line: str, needed: Sequence[str]) -> bool:
+    """Whether a line names these columns of a table, or transmitters in place of their address and strength."""
+    words = _words(line.strip().lstrip("#% "))
+    names = {name_and_unit(word)[0] for word in words}
+    if any(_MAC.fullmatch(word) for word in words):
+        names |= {"address", "strength"}
+    return all(names.intersection(_NAMES[name]) for name in needed)
+
+
 def _with_dates(rows: list[list[str]]) -> list[list[str]]:
     """Rows with date and time of day in one column, of a table with one of each; other tables as they are."""
     day = next((k for k, cell in enumerate(rows[0]) if name_and_unit(cell)[0] == "date"), None)
