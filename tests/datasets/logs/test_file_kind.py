@@ -94,6 +94,7 @@ def test_a_packed_file_without_its_suffix_is_to_be_renamed(tmp_path):
     [
         ("lasting-map-1", "it is a saved map; give it by --prior"),
         ("truth-1", "it is the truth of a frame log; give it by --truth"),
+        ("frames-2", "a newer version wrote it; update twc_env"),
         ("frames-0", "record it again"),
         ("other-1", "record it again"),
     ],

@@ -23,6 +23,7 @@ _OTHERS = {
     "twc_env/trace": "it is the trace of an episode; `twc-env replay RUN --html` shows its run folder",
 }
 """What the formats are, and what would work."""
+_DIGITS_MAX = 9
 
 
 def write_arrays(path: str | Path, **arrays: Any) -> None:
@@ -64,9 +65,12 @@ def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], rem
 
 
 def _advice(named: str, form: str) -> str | None:
-    """What to do with a file of another format than expected; None for those that are not ours."""
-    stem, own = named.rpartition("-")[0], form.rpartition("-")[0]
-    return None if stem == own else _OTHERS.get(stem)
+    """What to do with a file of another format than expected; None for those that are not ours, or are old."""
+    (stem, _, version), (own, _, known) = named.rpartition("-"), form.rpartition("-")
+    if stem == own:
+        is_newer = version.isdecimal() and len(version) <= _DIGITS_MAX and int(version) > int(known)
+        return "a newer version wrote it; update twc_env" if is_newer else None
+    return _OTHERS.get(stem)
 
 
 WHOLE, REAL, TRUTH_VALUE, TEXT = (
