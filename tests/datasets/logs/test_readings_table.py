@@ -275,6 +275,12 @@ def test_a_comment_with_a_date_is_no_header(tmp_path):
     assert read_wifi(table(tmp_path, text), SPAN)[0][0].values[0].rssi_dbm.tolist() == [-50.0]
 
 
+def test_a_comment_with_a_number_of_seconds_is_no_header(tmp_path):
+    text = f"# one scan every 5 sec\n{BEGUN + 1},{MAC}1,-50\n"
+    (found,), notes = read_wifi(table(tmp_path, text), SPAN)
+    assert found.times_s.tolist() == [BEGUN + 1] and "without a header" in " ".join(notes)
+
+
 def test_decimal_commas_need_no_header(tmp_path):
     text = f"{BEGUN:.0f},5;{MAC}1;-50,5\n{BEGUN:.0f},5;{MAC}2;-60,0\n"
     (found,), _ = read_wifi(table(tmp_path, text), SPAN)

@@ -339,7 +339,7 @@ def _without_comments(lines: Sequence[str]) -> list[str]:
     none follows."""
     begin = next((k for k, line in enumerate(lines) if line.strip() and line.lstrip()[0] not in "#%"), len(lines))
     head, *rest = (line.lstrip("#% \t") for line in (*lines[max(begin - 1, 0) : begin + 1], ""))
-    if begin and _names_time(head) and not (_names_time(rest[0]) and not any(map(_is_number, _words(rest[0])))):
+    if begin and _names_time(head) and not _names_time(rest[0]):
         return [*[""] * (begin - 1), head, *lines[begin:]]
     return [*[""] * begin, *lines[begin:]]
 
@@ -349,7 +349,9 @@ def _words(line: str) -> list[str]:
 
 
 def _names_time(line: str) -> bool:
-    return any(name_and_unit(word)[0] in _NAMES["time"] for word in _words(line))
+    """Whether a line may be a header with a time; one with numbers, as in "every 5 sec", is none."""
+    words = _words(line)
+    return not any(map(_is_number, words)) and any(name_and_unit(word)[0] in _NAMES["time"] for word in words)
 
 
 def _moment(date: re.Match[str], is_day_first: bool) -> datetime:
