@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from twc_env.datasets.lasting_maps import FORMAT, read_lasting_map, write_lasting_map
+from twc_env.datasets.lasting_maps import FORMAT, REMEDY, read_lasting_map, write_lasting_map
 from twc_env.datasets.logs.arrays_file import write_arrays
 from twc_env.errors import DataError
 from twc_env.records.lasting_map import LastingMap
@@ -62,7 +62,7 @@ def test_the_file_holds_arrays_and_json_only(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": np.array("twc_env/lasting-map-9")}, f"expected '{FORMAT}'"),
+        ({"format": np.array("twc_env/lasting-map-0")}, f"expected '{FORMAT}'"),
         ({"poses": np.zeros((2, 3))}, "scans_m of shape"),
         ({"poses": np.full((3, 3), np.nan)}, "poses that are not finite"),
         ({"edge_ends": np.array([[0, 1], [0, 3]], np.int32)}, "edge_ends up to 3"),
@@ -83,6 +83,16 @@ def test_a_file_that_contradicts_itself_is_refused_in_one_line(tmp_path, change,
     with pytest.raises(DataError, match=re.escape(message)) as refused:
         read_lasting_map(tmp_path / "map.npz")
     assert "\n" not in str(refused.value) and "save the map again" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("version", "told"),
+    [("2", "a newer version wrote it; update twc_env"), ("0", REMEDY), ("x", REMEDY), (5000 * "9", REMEDY)],
+)
+def test_a_map_of_a_newer_format_needs_a_newer_version_of_the_package(tmp_path, version, told):
+    write_arrays(tmp_path / "map.npz", format=np.array(f"twc_env/lasting-map-{version}"))
+    with pytest.raises(DataError, match=f"expected '{FORMAT}': {told}$"):
+        read_lasting_map(tmp_path / "map.npz")
 
 
 def test_every_damaged_byte_and_every_cut_is_noticed(tmp_path):

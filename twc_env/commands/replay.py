@@ -73,8 +73,8 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
     replay.add_argument(
         "--list",
         action="store_true",
-        help="list the topics of bags, their types, counts, rates and frames, and what they would be used for; run "
-        "nothing",
+        help="list the topics of bags, their types, counts, rates and frames, and what they would be used for, and the "
+        "robots of other logs, their scans, time and odometry; run nothing",
     )
     for option, what in (
         ("--scan-topic", "LaserScan"),
@@ -150,6 +150,7 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
 
 
 def _replay(options: argparse.Namespace) -> None:
+    from twc_env.datasets.logs.file_kind import refuse_output_of_replay
     from twc_env.datasets.ros.bag_file import is_bag
 
     is_run = options.logs[0].is_dir() and not is_bag(options.logs[0])
@@ -162,6 +163,7 @@ def _replay(options: argparse.Namespace) -> None:
             raise DataError(f"there is no run folder or log {log}: check the path; `sample` is a log of the package")
         is_own_run = log.is_dir() and not is_bag(log)
         if is_own_run and not is_export and not (log / "frames.npz").exists():
+            refuse_output_of_replay(log)
             raise DataError(
                 f"{log} is no run folder (no frames.npz): name a log, or a folder of `explore --out`; "
                 "a bag of ROS 2 is a folder with metadata.yaml"
@@ -169,7 +171,7 @@ def _replay(options: argparse.Namespace) -> None:
         if len(options.logs) > 1 and (is_own_run or log.suffix == ".npz"):
             raise DataError(f"{log} is of a whole team: give it alone; several logs are laser logs, one of each robot")
     if options.list:
-        _list_topics(options)
+        _list_contents(options)
         return
     log = options.logs[0]
     run = log if log.is_dir() else log.parent
@@ -195,15 +197,15 @@ def _asked(options: argparse.Namespace, beam_count: object) -> Asked:
     return Asked(wishes, tuple(options.wifi), tuple(options.signs), unit_choices(options.units), beams)
 
 
-def _list_topics(options: argparse.Namespace) -> None:
+def _list_contents(options: argparse.Namespace) -> None:
     from twc_env.datasets.ros.bag_file import is_bag
     from twc_env.datasets.ros.bag_log import list_topics
+    from twc_env.replaying.log_contents import list_robots
 
     tables = {}
     for log in options.logs:
-        if not is_bag(log):
-            raise DataError(f"{log} is no ROS bag: --list is for .bag, .db3, .mcap and folders of ROS 2")
-        tables[str(log)] = rows = list_topics(log, _asked(options, None).wishes)
+        rows = list_topics(log, _asked(options, None).wishes) if is_bag(log) else list_robots(log)
+        tables[str(log)] = rows
         if options.json != TERMINAL:
             print(f"{log}\n{aligned(rows)}")
     write_json(options.json, tables)

@@ -1,6 +1,8 @@
 """Files that are no logs are told by their content."""
 
+import gzip
 import io
+import lzma
 import tarfile
 import zipfile
 
@@ -9,6 +11,7 @@ import pytest
 
 from tests.datasets.test_log_cases import CASES
 from twc_env.__main__ import main
+from twc_env.datasets.logs.arrays_file import write_arrays
 from twc_env.datasets.logs.file_kind import refuse_other_kinds
 from twc_env.datasets.logs.scan_log import read_any_log
 from twc_env.errors import DataError
@@ -36,6 +39,77 @@ def test_a_file_of_another_kind_is_told_what_it_is(tmp_path, name, content, told
     with pytest.raises(DataError, match=told):
         refuse_other_kinds(tmp_path / name)
     assert main(["replay", str(tmp_path / name)]) == 2
+
+
+WIFI = b"time,bssid,rssi\n1,aa:bb:cc:dd:ee:01,-50\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("MIT.g2o.gz", b"VERTEX_SE2 0 0 0 0\n", "a pose graph .*`twc-env optimise"),
+        ("a.graph", b"# made by hand\n\nEDGE2 0 1 1 0 0 1 0 1 1 0 0\n", "a pose graph .*`twc-env optimise"),
+        ("robots.bag.gz", b"#ROSBAG V2.0\n", "a ROS 1 bag, packed: unpack it: gunzip"),
+        ("robots.mcap.xz", b"\x89MCAP0\r\n", "an MCAP file, as ROS 2 bags are, packed: unpack it: unxz"),
+        ("logs.tar.gz", bytes(257) + b"ustar", "a tar archive: unpack it"),
+        ("a.dat.gz", b"x\x00\x01", "a binary file of a kind that is not known"),
+        (
+            "map.yaml", b"image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n",
+            "a ROS map, without scans: `twc-env replay LOG --prior .* --localise` .* `twc-env maps show",
+        ),
+        ("a.tum", b"# time x y z qx qy qz qw\n0 1 2 0 0 0 0.6 0.8\n", r"a trajectory \(TUM\), without scans: compare"),
+        ("wifi.csv", WIFI, "a table of WiFi readings, which stands beside a log: `twc-env replay LOG --wifi"),
+        ("wifi.csv.gz", WIFI, "a table of WiFi readings"),
+        ("wifi.txt", WIFI.decode().encode("utf-16"), "a table of WiFi readings"),
+        ("wide.csv", b"\n# walk\ntime;aa:bb:cc:dd:ee:01\n1;-50\n", "a table of WiFi readings"),
+        ("signs.csv", b"# stamp label angle_deg distance\n1 A 4 2\n", "a table of sign readings.* --signs"),
+    ],
+)  # fmt: skip
+def test_what_stands_beside_logs_and_what_is_packed_is_told_with_what_reads_it(tmp_path, capsys, name, content, told):
+    pack = {".gz": gzip.compress, ".xz": lzma.compress}.get(name[-3:], bytes)
+    (tmp_path / name).write_bytes(pack(content))
+    with pytest.raises(DataError, match=told):
+        refuse_other_kinds(tmp_path / name)
+    assert main(["replay", str(tmp_path / name)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["a.log", "a.log.gz", "a.log.xz"])
+def test_a_log_of_any_encoding_is_no_other_kind(tmp_path, name):
+    pack = {".gz": gzip.compress, ".xz": lzma.compress}.get(name[-3:], bytes)
+    for encoding in ("utf-8", "utf-8-sig", "utf-16"):
+        (tmp_path / name).write_bytes(pack(("# time of logger, sign, angle, x\n" + raw_log()).encode(encoding)))
+        refuse_other_kinds(tmp_path / name)
+        assert len(read_any_log(tmp_path / name).times_s) == 4
+
+
+def test_a_packed_file_without_its_suffix_is_to_be_renamed(tmp_path):
+    (tmp_path / "a.log").write_bytes(gzip.compress(b"FLASER"))
+    with pytest.raises(DataError, match=r"a gzip file: rename it so that its name ends in \.gz"):
+        refuse_other_kinds(tmp_path / "a.log")
+
+
+@pytest.mark.parametrize(
+    ("form", "told"),
+    [
+        ("lasting-map-1", "it is a saved map; give it by --prior"),
+        ("truth-1", "it is the truth of a frame log; give it by --truth"),
+        ("frames-2", "a newer version wrote it; update twc_env"),
+        ("frames-0", "record it again"),
+        ("other-1", "record it again"),
+    ],
+)
+def test_our_own_files_of_another_kind_are_told_with_what_takes_them(tmp_path, refusal, form, told):
+    write_arrays(tmp_path / "a.npz", format=np.array(f"twc_env/{form}"))
+    said = refusal(main, ["replay", str(tmp_path / "a.npz")])
+    assert f"has format 'twc_env/{form}'; expected 'twc_env/frames-1': {told}" in said
+
+
+def test_the_folder_that_a_replay_wrote_holds_no_log(tmp_path, refusal):
+    (tmp_path / "trajectories").mkdir()
+    (tmp_path / "table.csv").touch()
+    said = refusal(main, ["replay", str(tmp_path)])
+    assert "is what a replay wrote, without the log: give the log itself" in said and "map.yaml --localise" in said
 
 
 def test_archives_are_to_be_unpacked(tmp_path):
@@ -86,6 +160,4 @@ def test_lines_with_poses_are_preferred_to_raw_ones(tmp_path):
 
 
 def gz_lines(path) -> str:
-    import gzip
-
     return gzip.decompress(path.read_bytes()).decode()

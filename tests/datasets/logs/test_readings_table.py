@@ -36,6 +36,11 @@ def table(tmp_path, text: str):
         f"time,bssid,rssi\n14.11.2023 22:13:21,{MAC}1,-50\n14.11.2023 22:13:21.0,{MAC}2,-60\n",
         f"time,bssid,rssi\n11/14/2023 10:13:21 PM,{MAC}1,-50\n11/14/2023 10:13:21 PM,{MAC}2,-60\n",
         f"time,bssid,rssi\n2023/11/14 22:13:21,{MAC}1,-50\n2023/11/14 22:13:21,{MAC}2,-60\n",
+        f"date,time,bssid,rssi\n2023-11-14,22:13:21,{MAC}1,-50\n2023-11-14,22:13:21,{MAC}2,-60\n",
+        f"clock;date;bssid;rssi\n22:13:21,0;14.11.2023;{MAC}1;-50\n22:13:21,0;14.11.2023;{MAC}2;-60\n",
+        f"Time\tDate\tbssid\trssi\n10:13:21 PM\t11/14/2023\t{MAC}1\t-50\n10:13:21 PM\t11/14/2023\t{MAC}2\t-60\n",
+        f"date,time,{MAC}2,{MAC}1\n14/11/2023,22:13:21,-60,-50\n",
+        f"date,time,bssid,rssi\n2023-11-14,{BEGUN + 1},{MAC}1,-50\n2023-11-14,{BEGUN + 1},{MAC}2,-60\n",
         f"time,bssid,rssi,robot\n{BEGUN + 1},{MAC}1,-50,spot\n{BEGUN + 1},{MAC}2,-60,spot\n",
         f"time,{MAC}2,{MAC}1,note\n{BEGUN + 1},-60,-50,x\n",
         f"\ufefftime,bssid,rssi\r\n{BEGUN + 1},{MAC}1,-50\r\n\r\n{BEGUN + 1},{MAC}2,-60\r\n",
@@ -64,11 +69,52 @@ def test_dates_that_can_be_day_or_month_first_are_asked_for(tmp_path):
         assert read_wifi(table(tmp_path, rows), span)[0][0].times_s.tolist() == [begun_s]
 
 
+def test_dates_beside_times_of_day_that_can_be_day_or_month_first_are_asked_for(tmp_path):
+    rows = f"date,time,bssid,rssi\n11/12/2023,08:00:00,{MAC}1,-50\n"
+    with pytest.raises(DataError, match="'11/12/2023 08:00:00' can be day or month first; give --units date=dmy or"):
+        read_wifi(table(tmp_path, rows), SPAN)
+    span = Span(1_702_281_599.0, 1_702_281_601.0, units=unit_choices(["date=dmy"]))
+    assert read_wifi(table(tmp_path, rows), span)[0][0].times_s.tolist() == [1_702_281_600.0]
+
+
+@pytest.mark.parametrize(("day", "clock"), [("2023-11-14", ""), ("", "22:13:22"), ("2023-11-14", "x")])
+def test_rows_without_a_date_or_a_time_of_day_are_refused(tmp_path, day, clock):
+    rows = f"date,time,bssid,rssi\n2023-11-14,22:13:21,{MAC}1,-50\n{day},{clock},{MAC}1,-50\n"
+    with pytest.raises(DataError, match=r"row 3: .*is no time"):
+        read_wifi(table(tmp_path, rows), SPAN)
+
+
 def test_dates_with_points_begin_with_the_day_unless_the_user_says_otherwise(tmp_path):
     text = f"time,bssid,rssi\n11.12.2023 08:00:00,{MAC}1,-50\n"
     for units, begun_s in ((), 1_702_281_600.0), (("date=mdy",), 1_699_776_000.0):
         ((scans,), _) = read_wifi(table(tmp_path, text), Span(begun_s - 1, begun_s + 1, units=unit_choices(units)))
         assert scans.times_s.tolist() == [begun_s]
+
+
+@pytest.mark.parametrize(
+    ("header", "unit"),
+    [
+        ("secs,nsecs", 1), ("sec,nanosec", 1), ("header.stamp.secs,header.stamp.nsecs", 1), ("stamp_sec,stamp_nsec", 1),
+        ("sec,usec", 1000),
+    ],
+)  # fmt: skip
+def test_nanoseconds_beside_seconds_count(tmp_path, header, unit):
+    rows = [f"{MAC}1,-50,{BEGUN + k // 2:.0f},{(k % 2) * 900_000_000 // unit}\n" for k in range(4)]
+    (found,), notes = read_wifi(table(tmp_path, f"bssid,rssi,{header}\n" + "".join(rows)), SPAN)
+    assert found.times_s - BEGUN == pytest.approx([0.0, 0.9, 1.0, 1.9], abs=1e-6)
+    assert f"{header.split(',')[1]} are added to {header.split(',')[0]}" in " ".join(notes)
+
+
+@pytest.mark.parametrize("stamp", ["5,1000000000", "5.5,0", "5,-1", "5,x", "5,"])
+def test_nanoseconds_that_are_no_part_of_a_second_are_refused(tmp_path, stamp):
+    with pytest.raises(DataError, match="row 2: secs and nsecs must be whole seconds and the rest below one second"):
+        read_wifi(table(tmp_path, f"bssid,rssi,secs,nsecs\n{MAC}1,-50,{stamp}\n"), SPAN)
+
+
+def test_seconds_since_the_log_began_may_have_nanoseconds(tmp_path):
+    text = "".join(f"{k},500000000,{MAC}1,-50\n" for k in (0, 80))
+    (found,), _ = read_wifi(table(tmp_path, "secs,nsecs,bssid,rssi\n" + text), SPAN)
+    assert found.times_s.tolist() == [BEGUN + 0.5, BEGUN + 80.5]
 
 
 def test_times_since_the_log_began_are_recognised_and_said(tmp_path):
@@ -137,6 +183,7 @@ def test_several_robots_need_a_column(tmp_path):
         (f"time,bssid,rssi\n{BEGUN},{MAC}1,loud\n", "row 2: strength must be a number"),
         (f"time,bssid,rssi\n{BEGUN},{MAC}1,60\n", "no strength is below 0: give dBm"),
         (f"time,bssid,rssi\nyesterday,{MAC}1,-60\n", "row 2: 'yesterday' is no time"),
+        (f"time,bssid,rssi\n08:00:00,{MAC}1,-60\n", "row 2: '08:00:00' is no time; give a column date beside it"),
         (f"time,bssid,rssi\n{BEGUN + 5000},{MAC}1,-60\n", "put both on one clock"),
         (f"time,bssid,rssi\n12,{MAC}1,-60\n", "unit of time .* cannot be told; give --units time=s"),
     ],
@@ -226,6 +273,12 @@ def test_errors_name_the_line_of_the_file(tmp_path):
 def test_a_comment_with_a_date_is_no_header(tmp_path):
     text = f"# survey, date 2023-11-14\ntime,bssid,rssi\n{BEGUN},{MAC}1,-50\n"
     assert read_wifi(table(tmp_path, text), SPAN)[0][0].values[0].rssi_dbm.tolist() == [-50.0]
+
+
+def test_a_comment_with_a_number_of_seconds_is_no_header(tmp_path):
+    text = f"# one scan every 5 sec\n{BEGUN + 1},{MAC}1,-50\n"
+    (found,), notes = read_wifi(table(tmp_path, text), SPAN)
+    assert found.times_s.tolist() == [BEGUN + 1] and "without a header" in " ".join(notes)
 
 
 def test_decimal_commas_need_no_header(tmp_path):

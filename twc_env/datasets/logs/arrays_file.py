@@ -16,6 +16,14 @@ from twc_env.records.whole_file import file_path, whole_file
 
 ARRAYS_BYTES_MAX = 900_000_000
 """Maximum size of the arrays of a file, unpacked."""
+_OTHERS = {
+    "twc_env/frames": "it is a frame log; `twc-env replay FILE` runs the engine on it",
+    "twc_env/truth": "it is the truth of a frame log; give it by --truth",
+    "twc_env/lasting-map": "it is a saved map; give it by --prior, beside a log",
+    "twc_env/trace": "it is the trace of an episode; `twc-env replay RUN --html` shows its run folder",
+}
+"""What the formats are, and what would work."""
+_DIGITS_MAX = 9
 
 
 def write_arrays(path: str | Path, **arrays: Any) -> None:
@@ -50,10 +58,19 @@ def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], rem
     except Exception as error:  # a broken archive surfaces as almost any exception
         raise DataError(f"{path} is not a {kind} or is truncated: {error}; {remedy}") from error
     if named != form:
-        raise DataError(f"{path} has format {named!r:.60}; expected {form!r}: {remedy}")
+        raise DataError(f"{path} has format {named!r:.60}; expected {form!r}: {_advice(named or '', form) or remedy}")
     if missing := sorted(set(keys) - set(arrays)):
         raise DataError(f"{path} lacks {', '.join(missing)}; {remedy}")
     return arrays
+
+
+def _advice(named: str, form: str) -> str | None:
+    """What to do with a file of another format than expected; None for those that are not ours, or are old."""
+    (stem, _, version), (own, _, known) = named.rpartition("-"), form.rpartition("-")
+    if stem == own:
+        is_newer = version.isdecimal() and len(version) <= _DIGITS_MAX and int(version) > int(known)
+        return "a newer version wrote it; update twc_env" if is_newer else None
+    return _OTHERS.get(stem)
 
 
 WHOLE, REAL, TRUTH_VALUE, TEXT = (

@@ -26,6 +26,12 @@ UNIT_NAMES = {
     "radians": "rad", "radian": "rad", "degrees": "deg", "degree": "deg", "°": "deg", "metres": "m", "meters": "m",
     "metre": "m", "meter": "m",
 }  # fmt: skip
+_SECONDS = ("sec", "secs", "seconds")
+_PARTS_S = (
+    dict.fromkeys(("nsec", "nsecs", "nanosec", "nanosecs", "nanos", "nanoseconds"), 1e-9)
+    | dict.fromkeys(("usec", "usecs", "microsec", "microsecs", "micros", "microseconds"), 1e-6)
+)  # fmt: skip
+"""Last words of columns beside whole seconds, and their units [s]: those of ROS stamps, and of `timeval`."""
 _OF_LOG = 0.5
 """Times from 0 that cover more than this share of the log are seconds since it began."""
 _EPOCHS = (("s", 1e8, 1e11), ("ms", 1e11, 1e14), ("us", 1e14, 1e17), ("ns", 1e17, 1e20))
@@ -49,13 +55,30 @@ class Span:
 
 def name_and_unit(cell: str) -> tuple[str, str]:
     """A column's name without unit, spaces and underscores, and its unit ("" if it tells none)."""
-    words = [word for word in re.split(r"[\s_\-()\[\]/.:]+", cell.strip().strip("\"'").lower()) if word]
+    words = _words(cell)
     unit = ""
     if len(words) > 1:
         last = UNIT_NAMES.get(words[-1], words[-1])
         if last == "dbm" or any(last in units for units in UNITS.values()):
             unit, words = last, words[:-1]
     return "".join(words), unit
+
+
+def part_of_second(header: Sequence[str], seconds: int) -> tuple[int, float] | None:
+    """The column with the part of a second beyond the whole ones of a column (`stamp.secs` has `stamp.nsecs`), and its
+    unit [s]; None if there is none."""
+    *stem, last = _words(header[seconds]) or [""]
+    if last not in _SECONDS:
+        return None
+    for k, cell in enumerate(header):
+        *other, part = _words(cell) or [""]
+        if other == stem and part in _PARTS_S:
+            return k, _PARTS_S[part]
+    return None
+
+
+def _words(cell: str) -> list[str]:
+    return [word for word in re.split(r"[\s_\-()\[\]/.:]+", cell.strip().strip("\"'").lower()) if word]
 
 
 def time_unit(values: Array, span: Span) -> str | None:

@@ -22,6 +22,8 @@ from twc_env.datasets.logs.text_table import TextTable, is_within
 from twc_env.errors import DataError
 from twc_env.records.messages import SignReading, WifiScan
 
+WIFI_COLUMNS = ("time", "address", "strength")
+SIGN_COLUMNS = ("time", "text", "bearing", "range")
 _RSSI_MIN_DBM, _RSSI_MAX_DBM = -150.0, 30.0
 """Strengths outside, and 0, stand for "not heard"."""
 _SCAN_S = 0.5
@@ -40,7 +42,7 @@ class Readings:
 
 def read_wifi(path: str | Path, span: Span) -> tuple[list[Readings], list[str]]:
     """Scans of each robot, and notes of one line. Raises DataError for tables that cannot be told."""
-    table = TextTable(path, ("time", "address", "strength"))
+    table = TextTable(path, WIFI_COLUMNS)
     times_s, robots = table.times_s(span), table.robots(span)
     strengths = table.numbers("strength", missing=math.nan)
     table.name_left_out(times_s, span)
@@ -64,7 +66,7 @@ def read_wifi(path: str | Path, span: Span) -> tuple[list[Readings], list[str]]:
 
 def read_signs(path: str | Path, span: Span) -> tuple[list[Readings], list[str]]:
     """Sign readings of each robot, and notes of one line. Raises DataError as above."""
-    table = TextTable(path, ("time", "text", "bearing", "range"))
+    table = TextTable(path, SIGN_COLUMNS)
     times_s, robots = table.times_s(span), table.robots(span)
     bearings, angle = table.in_unit("bearing", "angle", span, angle_unit)
     ranges_m, length = table.in_unit("range", "length", span, length_unit)

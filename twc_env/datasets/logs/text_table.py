@@ -6,26 +6,37 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.logs.column_units import UNIT_NAMES, UNITS, Span, is_since_begin, name_and_unit, time_unit
+from twc_env.datasets.logs.column_units import (
+    UNIT_NAMES,
+    UNITS,
+    Span,
+    is_since_begin,
+    name_and_unit,
+    part_of_second,
+    time_unit,
+)
 from twc_env.datasets.logs.text_file import read_text
 from twc_env.errors import DataError
 
 _NAMES = {
-    "time": ("time", "t", "stamp", "timestamp", "ts", "unix", "unixtime", "epoch", "datetime", "date", "secs", "clock"),
+    "time": (
+        "time", "t", "stamp", "timestamp", "headerstamp", "ts", "unix", "unixtime", "epoch", "datetime", "date", "sec",
+        "secs", "clock",
+    ),
     "address": ("bssid", "mac", "ap", "address", "macaddress", "addr", "transmitter", "beacon", "accesspoint"),
     "strength": ("rssi", "level", "rss", "signal", "strength", "signalstrength", "power", "dbm", "signallevel"),
     "robot": ("robot", "robotid", "agent", "namespace", "vehicle"),
     "text": ("text", "label", "sign", "ocr", "reading", "content", "string", "name"),
     "bearing": ("bearing", "angle", "azimuth", "direction", "theta", "bearingangle"),
     "range": ("range", "distance", "dist", "r", "depth"),
-}
+}  # fmt: skip
 """Names of columns in other tables, without units, spaces and underscores."""
 _SEPARATORS = ";\t|,"
 """Of those that are equally frequent the first counts: beside it, commas are decimal ones."""
@@ -36,6 +47,7 @@ _DATE = re.compile(
     r"(\d{1,2})([./-])(\d{1,2})\2(\d{4})[ T,]+(\d{1,2}):(\d\d)(?::(\d\d(?:[.,]\d+)?))?(?: ?([AaPp])[Mm])?"
 )
 """Date with the year last, and time of day."""
+_TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(?!\d)")
 _ROWS_MAX = 20_000_000
 _MONTHS = 12
 
@@ -68,6 +80,7 @@ class TextTable:
         self._numbers = [number for number, _ in found]
         """Line of each row in the file."""
         self._check_widths(rows)
+        rows = _with_dates(self._with_whole_stamps(rows))
         rows = self._one_per_reading(rows, needed)
         self._columns = self._header(rows[0], needed)
         if self._columns is not None:
@@ -105,6 +118,31 @@ class TextTable:
                     "hold a separator in quotes"
                 )
 
+    def _with_whole_stamps(self, rows: list[list[str]]) -> list[list[str]]:
+        """Rows with the time in one column, of a table with one of whole seconds and one of nanoseconds beyond them;
+        other tables as they are. Raises DataError for rows that have no such time."""
+        at = _column_of(rows[0], "time")
+        found = None if at is None else part_of_second(rows[0], at)
+        if at is None or found is None:
+            return rows
+        part, unit_s = found
+        self.notes.append(f"{self._path}: {rows[0][part].strip()} are added to {rows[0][at].strip()}")
+        joined = [[*rows[0][:at], "time_s", *rows[0][at + 1 :]]]
+        for number, row in zip(self._numbers[1:], rows[1:], strict=True):
+            cells = [row[k].strip() if k < len(row) else "" for k in (at, part)]
+            try:
+                whole_s, beyond_s = float(cells[0]), float(cells[1]) * unit_s
+            except ValueError:
+                whole_s = beyond_s = math.nan
+            if not (whole_s.is_integer() and 0.0 <= beyond_s < 1.0):
+                raise DataError(
+                    f"{self._path}, row {number}: {rows[0][at].strip()} and {rows[0][part].strip()} must be whole "
+                    f"seconds and the rest below one second; got {' and '.join(cell[:30] for cell in cells)!r}; fix or "
+                    "delete it"
+                )
+            joined.append([*row[:at], f"{whole_s + beyond_s:.9f}", *row[at + 1 :]])
+        return joined
+
     def _one_per_reading(self, rows: list[list[str]], needed: Sequence[str]) -> list[list[str]]:
         """Rows of one reading each, of a table with a column per transmitter; other tables as they are."""
         at = [k for k, cell in enumerate(rows[0]) if _MAC.fullmatch(cell.strip())]
@@ -129,20 +167,11 @@ class TextTable:
         """The number of each column; None if one that is needed has no name."""
         columns: dict[str, int] = {}
         for name in (*needed, "robot"):
-            for alias in _NAMES[name]:
-                at = next(
-                    (
-                        k
-                        for k, cell in enumerate(header)
-                        if name_and_unit(cell)[0] == alias and k not in columns.values()
-                    ),
-                    None,
-                )
-                if at is not None:
-                    columns[name] = at
-                    if unit := name_and_unit(header[at])[1]:
-                        self._units[name] = unit
-                    break
+            at = _column_of(header, name, columns.values())
+            if at is not None:
+                columns[name] = at
+                if unit := name_and_unit(header[at])[1]:
+                    self._units[name] = unit
         return columns if all(name in columns for name in needed) else None
 
     def column(self, name: str) -> list[str]:
@@ -246,8 +275,9 @@ class TextTable:
                 return _moment(date, is_day_first)
             return datetime.fromisoformat(cell.strip().replace("/", "-"))
         except (ValueError, OverflowError) as error:
+            needed = "a column date beside it" if _TIME_OF_DAY.match(cell.strip()) else "seconds"
             raise DataError(
-                f"{self._path}, row {row}: {cell[:40]!r} is no time; give seconds, or 2026-05-01T12:00:00.5Z"
+                f"{self._path}, row {row}: {cell[:40]!r} is no time; give {needed}, or 2026-05-01T12:00:00.5Z"
             ) from error
 
     def robots(self, span: Span) -> Array:
@@ -274,12 +304,42 @@ class TextTable:
         return np.array(numbers, int)
 
 
+def is_header(line: str, needed: Sequence[str]) -> bool:
+    """Whether a line names these columns of a table, or transmitters in place of their address and strength."""
+    words = _words(line.strip().lstrip("#% "))
+    names = {name_and_unit(word)[0] for word in words}
+    if any(_MAC.fullmatch(word) for word in words):
+        names |= {"address", "strength"}
+    return all(names.intersection(_NAMES[name]) for name in needed)
+
+
+def _with_dates(rows: list[list[str]]) -> list[list[str]]:
+    """Rows with date and time of day in one column, of a table with one of each; other tables as they are."""
+    day = next((k for k, cell in enumerate(rows[0]) if name_and_unit(cell)[0] == "date"), None)
+    at = None if day is None else _column_of(rows[0], "time", {day})
+    if day is None or at is None or len(rows) < 2 or max(day, at) >= len(rows[1]):
+        return rows
+    if ":" in rows[1][day] or not _TIME_OF_DAY.match(rows[1][at].strip()):
+        return rows
+    joined = [[*rows[0][:at], "time", *rows[0][at + 1 :]]]
+    for row in rows[1:]:
+        date, clock = (row[k].strip() if k < len(row) else "" for k in (day, at))
+        joined.append([*row[:at], f"{date} {clock}" if date and clock else clock, *row[at + 1 :]])
+    return joined
+
+
+def _column_of(header: Sequence[str], name: str, taken: Collection[int] = ()) -> int | None:
+    """The first column of a name, by the order of its aliases, that is not taken; None if there is none."""
+    names = [name_and_unit(cell)[0] if k not in taken else None for k, cell in enumerate(header)]
+    return next((names.index(alias) for alias in _NAMES[name] if alias in names), None)
+
+
 def _without_comments(lines: Sequence[str]) -> list[str]:
     """Lines with empty ones for comments before the table; a header may be one (`# time, bssid, rssi`, `%time,...`), if
     none follows."""
     begin = next((k for k, line in enumerate(lines) if line.strip() and line.lstrip()[0] not in "#%"), len(lines))
     head, *rest = (line.lstrip("#% \t") for line in (*lines[max(begin - 1, 0) : begin + 1], ""))
-    if begin and _names_time(head) and not (_names_time(rest[0]) and not any(map(_is_number, _words(rest[0])))):
+    if begin and _names_time(head) and not _names_time(rest[0]):
         return [*[""] * (begin - 1), head, *lines[begin:]]
     return [*[""] * begin, *lines[begin:]]
 
@@ -289,7 +349,9 @@ def _words(line: str) -> list[str]:
 
 
 def _names_time(line: str) -> bool:
-    return any(name_and_unit(word)[0] in _NAMES["time"] for word in _words(line))
+    """Whether a line may be a header with a time; one with numbers, as in "every 5 sec", is none."""
+    words = _words(line)
+    return not any(map(_is_number, words)) and any(name_and_unit(word)[0] in _NAMES["time"] for word in words)
 
 
 def _moment(date: re.Match[str], is_day_first: bool) -> datetime:
