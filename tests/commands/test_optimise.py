@@ -37,6 +37,16 @@ def test_a_graph_is_optimised_and_everything_written(ring, tmp_path, capsys):
     assert not found["is_lost"] and len(found["rejected"]) == 1
 
 
+def test_ids_with_more_digits_than_times_are_numbered_anew_in_the_trajectory(tmp_path, capsys):
+    path = tmp_path / "symbols.g2o"
+    path.write_text(ring_graph(first=ord("a") << 56))
+    assert main(["optimise", str(path), "--out", str(tmp_path / "o")]) == 0
+    assert "poses.tum counts the poses from 0" in capsys.readouterr().out
+    times, _ = read_tum(tmp_path / "o" / "poses.tum")
+    assert times.tolist() == list(range(24))
+    assert f"VERTEX_SE2 {(ord('a') << 56) + 23} " in (tmp_path / "o" / "graph.g2o").read_text()
+
+
 def test_the_picture_of_a_graph_has_the_palette_and_a_title_apart_from_its_axes(ring):
     pytest.importorskip("matplotlib", reason="matplotlib is an optional dependency")
     graph = read_pose_graph(ring)

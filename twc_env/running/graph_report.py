@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray as Array
 
 from twc_env.records.planar_graph import PlanarGraph
 from twc_env.records.whole_file import whole_file
@@ -16,6 +17,8 @@ from twc_env.slam.graph_optimisation.whole_graph import OptimisedGraph
 
 SHOWN_MAX = 12
 """Components in the table, the largest first."""
+TIME_MAX = 10**15
+"""Ids below this have no more digits than times in a TUM file. Those of GTSAM's symbols have 19."""
 
 
 def verdict(trust: Trust) -> str:
@@ -44,6 +47,15 @@ def summary(graph: PlanarGraph, result: OptimisedGraph) -> dict:
     }  # fmt: skip
 
 
+def notes(graph: PlanarGraph, written: bool) -> list[str]:
+    """What is to be known of a result, and of its files if they are written, in sentences."""
+    if not written or _has_ids_for_times(graph):
+        return []
+    return [
+        "the vertex ids have too many digits for times: poses.tum counts the poses from 0, in the order of graph.g2o"
+    ]
+
+
 def write_results(graph: PlanarGraph, result: OptimisedGraph, folder: Path) -> list[Path]:
     """Write the graph, the poses, a table of all closures and, with matplotlib, a picture; returns the paths."""
     from twc_env.datasets.logs.pose_graph_file import write_pose_graph
@@ -53,7 +65,7 @@ def write_results(graph: PlanarGraph, result: OptimisedGraph, folder: Path) -> l
     make_folder(folder)
     paths = [folder / name for name in ("graph.g2o", "poses.tum", "closures.csv")]
     write_pose_graph(paths[0], graph, result.poses, result.landmarks_m, result.accepted)
-    write_tum(paths[1], graph.vertex_ids.astype(float), result.poses)
+    write_tum(paths[1], _times(graph), result.poses)
     closures = [_closure(graph, result, int(e)) for e in np.flatnonzero(~graph.is_odometry)]
     with whole_file(paths[2]) as beside, beside.open("w", newline="") as file:
         writer = csv.DictWriter(file, _COLUMNS)
@@ -63,6 +75,16 @@ def write_results(graph: PlanarGraph, result: OptimisedGraph, folder: Path) -> l
         paths.append(folder / "graph.png")
         draw_graph(graph, result, paths[-1])
     return paths
+
+
+def _has_ids_for_times(graph: PlanarGraph) -> bool:
+    return all(abs(vertex) < TIME_MAX for vertex in graph.vertex_ids.tolist())
+
+
+def _times(graph: PlanarGraph) -> Array:
+    """(n,) the vertex ids, or the poses' own numbers where readers of doubles would not tell the ids apart."""
+    ids = graph.vertex_ids if _has_ids_for_times(graph) else np.arange(len(graph.vertex_ids))
+    return ids.astype(float)
 
 
 _COLUMNS = ("from", "to", "component", "accepted", "chi_squared", "reason", "disagrees_with", "chi_squared_of_both")
