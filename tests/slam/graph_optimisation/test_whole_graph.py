@@ -68,6 +68,29 @@ def test_landmarks_that_outweigh_odometry_move_the_poses(tmp_path):
     assert result.sighting_errors.max() < 0.1
 
 
+SURVEYED = (
+    "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 100 0 0 100 0 400\n"
+    "VERTEX_XY 8 10.5 5\nVERTEX_XY 9 10.5 7\n"
+    "EDGE_SE2_XY 0 8 0.5 -1 100 0 100\nEDGE_SE2_XY 1 8 -0.5 -1 100 0 100\n"
+    "EDGE_SE2_XY 0 9 0.5 1 100 0 100\nEDGE_SE2_XY 1 9 -0.5 1 100 0 100\n"
+)
+
+
+def test_two_fixed_landmarks_stay_and_say_where_the_poses_lie(tmp_path):
+    graph = read(tmp_path, SURVEYED + "FIX 8\nFIX 9\n")
+    assert graph.remarks == ()
+    result = optimise_graph(graph)
+    assert result.landmarks_m.tolist() == [[10.5, 5.0], [10.5, 7.0]]
+    assert result.poses == pytest.approx(np.array([[10.0, 6.0, 0.0], [11.0, 6.0, 0.0]]), abs=1e-4)
+
+
+def test_one_fixed_landmark_stays_beside_the_first_vertex(tmp_path):
+    result = optimise_graph(read(tmp_path, SURVEYED + "FIX 8\n"))
+    assert result.poses[0].tolist() == [0.0, 0.0, 0.0]
+    assert result.landmarks_m[0].tolist() == [10.5, 5.0]
+    assert result.landmarks_m[1] != pytest.approx([10.5, 7.0], abs=1.0)
+
+
 def test_vertices_without_a_place_are_laid_along_odometry_first():
     edges = np.array([(0, 2), (0, 1), (1, 2), (2, 3)])
     measured = np.array([(9.0, 9.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0)])

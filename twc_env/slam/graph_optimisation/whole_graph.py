@@ -23,6 +23,8 @@ METHODS = ("ours", "dcs", "cauchy", "gnc", "pcm", "none")
 ITERATIONS_MAX = 100
 SIGHTING_GATE = 9.21
 """99 % quantile of chi squared with two degrees of freedom: sightings beyond it are weighed down."""
+LANDMARKS_MIN = 2
+"""So many held landmarks say where the map lies."""
 HEADING_INFORMATION = 1e-6
 """Landmarks have no heading; the first sighting of each fixes one."""
 
@@ -61,8 +63,8 @@ class OptimisedGraph:
 def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
     """Optimise each component of a graph by one of METHODS, or a back end FILE.py:CLASS of one's own.
 
-    Vertices of FIX lines stay; a component without one holds its first vertex. Raises DataError where the equations
-    have no finite solution.
+    Vertices and landmarks of FIX lines stay; a component with neither such a vertex nor two such landmarks holds its
+    first vertex. Raises DataError where the equations have no finite solution.
     """
     start = placed_poses(graph)
     component = components_of(graph)
@@ -80,9 +82,11 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
         part = Graph(place[graph.edges[edges]], graph.measured[edges], graph.information[edges],
                      ~graph.is_odometry[edges])  # fmt: skip
         held = place[graph.held[component[graph.held] == number]]
-        held = held if len(held) else np.zeros(1, np.int64)
-        result = _solve(part, start[members], config, int(held[0]))
         sightings = np.flatnonzero(component[graph.sightings[:, 0]] == number)
+        fixed = np.intersect1d(graph.held_landmarks, graph.sightings[sightings, 1])
+        if not len(held) and len(fixed) < LANDMARKS_MIN:
+            held = np.zeros(1, np.int64)
+        result = _solve(part, start[members], config, int(held[0]) if len(held) else 0)
         if len(sightings) or len(held) > 1:
             fitted, seen = _with_landmarks(
                 graph, part, start[members], result, held, place, sightings, robust == "none"
@@ -158,7 +162,8 @@ def _with_landmarks(
     edges = np.concatenate([used.edges, np.column_stack([by, count + number.ravel()])])
     measured = np.concatenate([used.measured, np.column_stack([seen_m, np.zeros(len(seen_m))])])
     weights = np.concatenate([used.information, information])
-    equations = NormalEquations(edges, measured, weights, count + len(landmarks), held)
+    fixed = np.concatenate([held, count + np.flatnonzero(np.isin(landmarks, graph.held_landmarks))])
+    equations = NormalEquations(edges, measured, weights, count + len(landmarks), fixed)
     is_sighting = np.arange(len(edges)) >= len(used.edges)
 
     def whole(poses: Array) -> Array:
