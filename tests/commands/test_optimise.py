@@ -47,6 +47,24 @@ def test_ids_with_more_digits_than_times_are_numbered_anew_in_the_trajectory(tmp
     assert f"VERTEX_SE2 {(ord('a') << 56) + 23} " in (tmp_path / "o" / "graph.g2o").read_text()
 
 
+def test_two_robots_joined_by_a_closure_alone_are_unchecked_and_the_closure_is_named(tmp_path, capsys):
+    path = tmp_path / "two.g2o"
+    one, other = (ring_graph(first=first).splitlines()[:-1] for first in (0, 500))  # without the false closures
+    path.write_text("\n".join([*one, *other]) + "\nEDGE_SE2 5 503 40 7 1 100 0 0 100 0 400\n")
+    assert main(["optimise", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "the part behind closure 5-503 hangs on it alone, nothing checks it: 24 of 48 poses" in out
+    assert "unchecked" in out and "sound" not in out
+
+
+def test_poses_that_no_accepted_closure_joins_to_the_others_are_counted(tmp_path, capsys):
+    path = tmp_path / "two.g2o"
+    path.write_text(ring_graph() + ring_graph(first=500) + "EDGE_SE2 5 503 40 7 1 100 0 0 100 0 400\n")
+    assert main(["optimise", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "component 0: nothing accepted joins 24 of 48 poses to the others" in out and "unchecked" in out
+
+
 def test_the_picture_of_a_graph_has_the_palette_and_a_title_apart_from_its_axes(ring):
     pytest.importorskip("matplotlib", reason="matplotlib is an optional dependency")
     graph = read_pose_graph(ring)

@@ -62,7 +62,7 @@ def _optimise(options: argparse.Namespace) -> int:
     print(aligned(shown))
     if left:
         print(f"and {left} more components, in --json")
-    for note in notes(graph, options.out is not None):
+    for note in notes(graph, result, options.out is not None):
         print(f"note: {note}")
     for number, trust in enumerate(result.trust):
         for reason in trust.reasons:

@@ -15,15 +15,19 @@ from twc_env.running.output_folder import make_folder
 from twc_env.slam.graph_optimisation.trust import Trust
 from twc_env.slam.graph_optimisation.whole_graph import OptimisedGraph
 
+NAMED_MAX = 3
 SHOWN_MAX = 12
 """Components in the table, the largest first."""
+HANGING_MAX = 0.05
+"""Share of a component's poses that may hang on nothing, or on single closures which nothing checks."""
 TIME_MAX = 10**15
 """Ids below this have no more digits than times in a TUM file. Those of GTSAM's symbols have 19."""
 
 
-def verdict(trust: Trust) -> str:
-    """One word on a component: lost, unchecked (there are no closures), or sound."""
-    return "LOST" if trust.is_lost else "unchecked" if not trust.accepted else "sound"
+def verdict(trust: Trust, poses: int) -> str:
+    """One word on a component: lost, unchecked (no closures, or too much hangs on single ones or nothing), or sound."""
+    is_checked = trust.accepted and trust.hanging <= HANGING_MAX * poses
+    return "LOST" if trust.is_lost else "sound" if is_checked else "unchecked"
 
 
 def component_rows(graph: PlanarGraph, result: OptimisedGraph) -> tuple[list[dict], int]:
@@ -47,13 +51,14 @@ def summary(graph: PlanarGraph, result: OptimisedGraph) -> dict:
     }  # fmt: skip
 
 
-def notes(graph: PlanarGraph, written: bool) -> list[str]:
+def notes(graph: PlanarGraph, result: OptimisedGraph, written: bool) -> list[str]:
     """What is to be known of a result, and of its files if they are written, in sentences."""
-    if not written or _has_ids_for_times(graph):
-        return []
-    return [
-        "the vertex ids have too many digits for times: poses.tum counts the poses from 0, in the order of graph.g2o"
-    ]
+    said = _hanging(graph, result)
+    if written and not _has_ids_for_times(graph):
+        said.append(
+            "vertex ids have too many digits for times: poses.tum counts the poses from 0, as graph.g2o has them"
+        )
+    return said
 
 
 def write_results(graph: PlanarGraph, result: OptimisedGraph, folder: Path) -> list[Path]:
@@ -75,6 +80,27 @@ def write_results(graph: PlanarGraph, result: OptimisedGraph, folder: Path) -> l
         paths.append(folder / "graph.png")
         draw_graph(graph, result, paths[-1])
     return paths
+
+
+def _hanging(graph: PlanarGraph, result: OptimisedGraph) -> list[str]:
+    """Sentences on parts that nothing accepted holds, and on the closures that alone hold the largest ones."""
+    counts = np.bincount(result.component)
+    sizes = counts[result.component[graph.edges[:, 0]]]
+    order = sorted(result.hanging, key=lambda e: -result.hanging[e])
+    said = [
+        f"component {number}: nothing accepted joins {trust.loose} of {counts[number]} poses to the others"
+        for number, trust in enumerate(result.trust)
+        if trust.loose
+    ]
+    for e in order[:NAMED_MAX]:
+        first, second = graph.vertex_ids[graph.edges[e]].tolist()
+        said.append(
+            f"the part behind closure {first}-{second} hangs on it alone, nothing checks it: {result.hanging[e]} of "
+            f"{sizes[e]} poses"
+        )
+    if len(order) > NAMED_MAX:
+        said.append(f"and {len(order) - NAMED_MAX} more closures that nothing checks hold a part alone")
+    return said
 
 
 def _has_ids_for_times(graph: PlanarGraph) -> bool:
@@ -118,7 +144,7 @@ def _rows(graph: PlanarGraph, result: OptimisedGraph) -> list[dict]:
             "expected error [m]": round(float(trust.expected_error_m), 3),
             "map [m]": round(trust.diagonal_m, 1),
             "on no loop": f"{100 * trust.unchecked:.0f} %",
-            "verdict": verdict(trust),
+            "verdict": verdict(trust, size),
         }
         for number, (first, size, trust) in enumerate(zip(firsts, sizes, result.trust, strict=True))
     ]

@@ -45,9 +45,9 @@ def read_pose_graph(path: str | Path, turns: bool = True) -> PlanarGraph:
 
     Vertices without a line have NaN for a pose. Edges that lead from a higher to a lower id are turned round, unless
     `turns` is False. Left out and named in `remarks`: edges from a vertex to itself, sightings without information,
-    and lines of unknown kinds. Of FIX lines only those count that name a vertex or a landmark with a place. Raises DataError, naming the line, for
-    malformed numbers, one vertex in two places, information that is no inverse covariance, and for graphs in three
-    dimensions.
+    and lines of unknown kinds. Of FIX lines only those count that name a vertex or a landmark with a place. Raises
+    DataError, naming the line, for malformed numbers, one vertex in two places, information that is no inverse
+    covariance, and for graphs in three dimensions.
     """
     lines = _Lines(path)
     for number, line in enumerate(read_text(path, errors="replace").splitlines(), 1):

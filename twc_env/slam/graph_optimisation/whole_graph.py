@@ -11,7 +11,7 @@ from twc_env.config import PoseGraphConfig
 from twc_env.errors import DataError
 from twc_env.records.geometry import compose, inverse
 from twc_env.records.planar_graph import PlanarGraph
-from twc_env.slam.graph_optimisation.components import components_of, placed_poses
+from twc_env.slam.graph_optimisation.components import components_of, hanging_parts, placed_poses, poses_apart
 from twc_env.slam.graph_optimisation.trust import FEW_REFUSED, Trust, trust_in
 from twc_env.slam.pose_graph import solver as pose_graph
 from twc_env.slam.pose_graph.odometry_chains import Chains
@@ -51,6 +51,8 @@ class OptimisedGraph:
     """Why each rejected edge is rejected."""
     opponents: dict[int, tuple[int, float]]
     """Of rejected edges: the nearest accepted closure that contradicts it, and chi squared of both by odometry."""
+    hanging: dict[int, int]
+    """Accepted closures that alone hold a part of their component, unchecked, and the poses of that part."""
     trust: tuple[Trust, ...]
     """Of each component."""
 
@@ -72,6 +74,7 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
     landmarks_m = graph.landmarks_m.copy()
     reasons: dict[int, str] = {}
     opponents: dict[int, tuple[int, float]] = {}
+    hanging: dict[int, int] = {}
     trust = []
     config = PoseGraphConfig(robust="plain" if robust == "none" else robust, iterations_max=ITERATIONS_MAX)
     for number in range(int(component.max(initial=-1)) + 1):
@@ -102,7 +105,14 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
         poses[members], accepted[edges] = result.poses, result.accepted
         reasons |= {int(edges[one.edge]): one.reason for one in result.rejections}
         opponents |= {int(edges[e]): (int(edges[by]), chi) for e, (by, chi) in _opponents(part, start[members], result)}
-        trust.append(trust_in(part, result, robust))
+        used = np.flatnonzero(result.accepted)
+        witnesses = _witnesses(graph, place, sightings, held)
+        alone = hanging_parts(len(members), part.edges[used], part.is_closure[used], witnesses)
+        hanging |= {int(edges[used[e]]): behind for e, behind in alone.items()}
+        joined = np.concatenate([part.edges[used], witnesses])
+        checked = np.delete(joined, list(alone), axis=0)
+        apart = [poses_apart(len(members), pairs) for pairs in (checked, joined)]
+        trust.append(trust_in(part, result, robust, *apart))
     return OptimisedGraph(
         poses=poses,
         start=start,
@@ -113,6 +123,7 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
         sighting_errors=_sighting_errors(graph, poses, landmarks_m),
         reasons=reasons,
         opponents=opponents,
+        hanging=hanging,
         trust=tuple(trust),
     )
 
@@ -185,6 +196,17 @@ def _with_landmarks(
 
         fitted = equations.minimise(fitted, scaled, ITERATIONS_MAX)
     return fitted[:count], {int(k): fitted[count + m, :2] for m, k in enumerate(landmarks)}
+
+
+def _witnesses(graph: PlanarGraph, place: Array, sightings: Array, held: Array) -> Array:
+    """(w, 2) poses of a component, one after the other, that see the same landmark or are held; all held landmarks
+    count as one with the held poses."""
+    of = graph.sightings[sightings, 1]
+    mark = np.concatenate([np.where(np.isin(of, graph.held_landmarks), -1, of), np.full(len(held), -1)])
+    pose = np.concatenate([place[graph.sightings[sightings, 0]], held])
+    order = np.lexsort((pose, mark))
+    is_same = mark[order][1:] == mark[order][:-1]
+    return np.column_stack([pose[order][:-1], pose[order][1:]])[is_same]
 
 
 def _sighting_errors(graph: PlanarGraph, poses: Array, landmarks_m: Array) -> Array:
