@@ -24,7 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "examples:\n  twc-env optimise intel.g2o --out runs/intel\n"
         "  twc-env optimise manhattan.g2o.gz --robust gnc --json -\n\n"
         "--out writes graph.g2o (rejected edges as comments), poses.tum (the vertex id stands for the time, "
-        "or the number of the pose if ids have more than 15 digits), closures.csv and graph.png."
+        "or the number of the pose if ids have more than 15 digits), closures.csv, sightings.csv of landmarks, "
+        "and graph.png."
     )
     parser.add_argument("graph", type=Path, metavar="GRAPH", help="a g2o or TORO file")
     parser.add_argument(

@@ -13,7 +13,7 @@ from twc_env.records.planar_graph import PlanarGraph
 from twc_env.records.whole_file import whole_file
 from twc_env.running.output_folder import make_folder
 from twc_env.slam.graph_optimisation.trust import Trust
-from twc_env.slam.graph_optimisation.whole_graph import OptimisedGraph
+from twc_env.slam.graph_optimisation.whole_graph import SIGHTING_GATE, OptimisedGraph
 
 NAMED_MAX = 3
 SHOWN_MAX = 12
@@ -47,13 +47,17 @@ def summary(graph: PlanarGraph, result: OptimisedGraph) -> dict:
         "landmarks": len(graph.landmark_ids),
         "sightings": len(graph.sightings),
         "rejected": [_closure(graph, result, int(e)) for e in rejected],
+        "contradicting sightings": [
+            _sighting(graph, result, int(s)) for s in np.flatnonzero(result.sighting_errors > SIGHTING_GATE)
+        ],
         "remarks": list(graph.remarks),
+        "notes": notes(graph, result, written=False),
     }  # fmt: skip
 
 
 def notes(graph: PlanarGraph, result: OptimisedGraph, written: bool) -> list[str]:
     """What is to be known of a result, and of its files if they are written, in sentences."""
-    said = _hanging(graph, result)
+    said = [*_hanging(graph, result), *_contradicted(graph, result)]
     if written and not _has_ids_for_times(graph):
         said.append(
             "vertex ids have too many digits for times: poses.tum counts the poses from 0, as graph.g2o has them"
@@ -62,7 +66,10 @@ def notes(graph: PlanarGraph, result: OptimisedGraph, written: bool) -> list[str
 
 
 def write_results(graph: PlanarGraph, result: OptimisedGraph, folder: Path) -> list[Path]:
-    """Write the graph, the poses, a table of all closures and, with matplotlib, a picture; returns the paths."""
+    """Write the graph, the poses, tables of all closures and of sightings, if any, and, with matplotlib, a picture.
+
+    Returns the paths.
+    """
     from twc_env.datasets.logs.pose_graph_file import write_pose_graph
     from twc_env.datasets.logs.tum import write_tum
     from twc_env.pictures.graph_picture import draw_graph
@@ -71,11 +78,10 @@ def write_results(graph: PlanarGraph, result: OptimisedGraph, folder: Path) -> l
     paths = [folder / name for name in ("graph.g2o", "poses.tum", "closures.csv")]
     write_pose_graph(paths[0], graph, result.poses, result.landmarks_m, result.accepted)
     write_tum(paths[1], _times(graph), result.poses)
-    closures = [_closure(graph, result, int(e)) for e in np.flatnonzero(~graph.is_odometry)]
-    with whole_file(paths[2]) as beside, beside.open("w", newline="") as file:
-        writer = csv.DictWriter(file, _COLUMNS)
-        writer.writeheader()
-        writer.writerows(closures)
+    _write_table(paths[2], _COLUMNS, [_closure(graph, result, int(e)) for e in np.flatnonzero(~graph.is_odometry)])
+    if len(graph.sightings):
+        paths.append(folder / "sightings.csv")
+        _write_table(paths[-1], _SIGHTING, [_sighting(graph, result, s) for s in range(len(graph.sightings))])
     if find_spec("matplotlib") is not None:
         paths.append(folder / "graph.png")
         draw_graph(graph, result, paths[-1])
@@ -103,6 +109,20 @@ def _hanging(graph: PlanarGraph, result: OptimisedGraph) -> list[str]:
     return said
 
 
+def _contradicted(graph: PlanarGraph, result: OptimisedGraph) -> list[str]:
+    """A sentence on the sightings that stand out, if any, with the landmarks that most of them are of."""
+    out = graph.sightings[result.sighting_errors > SIGHTING_GATE, 1]
+    if not len(out):
+        return []
+    landmarks, times = np.unique(out, return_counts=True)
+    named = graph.landmark_ids[landmarks[np.argsort(-times, kind="stable")]].tolist()
+    some = ", ".join(map(str, named[:NAMED_MAX])) + (" ..." if len(named) > NAMED_MAX else "")
+    return [
+        f"{len(out)} of {len(graph.sightings)} sightings of landmarks contradict the rest (chi squared above "
+        f"{SIGHTING_GATE}): of {some}; chi2/dof leaves sightings out, and none makes a map LOST"
+    ]
+
+
 def _has_ids_for_times(graph: PlanarGraph) -> bool:
     return all(abs(vertex) < TIME_MAX for vertex in graph.vertex_ids.tolist())
 
@@ -114,6 +134,25 @@ def _times(graph: PlanarGraph) -> Array:
 
 
 _COLUMNS = ("from", "to", "component", "accepted", "chi_squared", "reason", "disagrees_with", "chi_squared_of_both")
+
+_SIGHTING = ("vertex", "landmark", "component", "contradicts", "chi_squared")
+
+
+def _write_table(path: Path, columns: tuple[str, ...], rows: list[dict]) -> None:
+    with whole_file(path) as beside, beside.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _sighting(graph: PlanarGraph, result: OptimisedGraph, sighting: int) -> dict:
+    vertex, landmark = graph.sightings[sighting].tolist()
+    error = float(result.sighting_errors[sighting])
+    values = (
+        int(graph.vertex_ids[vertex]), int(graph.landmark_ids[landmark]), int(result.component[vertex]),
+        error > SIGHTING_GATE, round(error, 3),
+    )  # fmt: skip
+    return dict(zip(_SIGHTING, values, strict=True))
 
 
 def _closure(graph: PlanarGraph, result: OptimisedGraph, edge: int) -> dict:

@@ -127,11 +127,18 @@ def test_a_closure_that_is_a_bridge_is_named_with_the_smaller_part_unless_someth
 
 
 BETWEEN = "EDGE_SE2 5 503 40 7 1 100 0 0 100 0 400\n"
-SEEN = "EDGE_SE2_XY 0 900 1 1 100 0 100\nEDGE_SE2_XY 501 900 1 1 100 0 100\n"
+SEEN = "EDGE_SE2_XY 0 900 1 1 {0} 0 {0}\nEDGE_SE2_XY 501 900 1 1 {0} 0 {0}\n"
 
 
 @pytest.mark.parametrize(
-    ("more", "hanging"), [("", 24), ("EDGE_SE2 6 504 40 7 1 100 0 0 100 0 400\n", 0), (SEEN, 0), ("FIX 1 500\n", 0)]
+    ("more", "hanging"),
+    [
+        ("", 24),
+        ("EDGE_SE2 6 504 40 7 1 100 0 0 100 0 400\n", 0),
+        (SEEN.format(1e-4), 0),
+        ("FIX 1 500\n", 0),
+        (SEEN.format(100), 24),
+    ],
 )
 def test_one_closure_between_two_robots_alone_holds_half_of_the_map(tmp_path, more, hanging):
     graph = read(tmp_path, ring_graph() + ring_graph(first=500) + BETWEEN + more)

@@ -106,7 +106,8 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
         reasons |= {int(edges[one.edge]): one.reason for one in result.rejections}
         opponents |= {int(edges[e]): (int(edges[by]), chi) for e, (by, chi) in _opponents(part, start[members], result)}
         used = np.flatnonzero(result.accepted)
-        witnesses = _witnesses(graph, place, sightings, held)
+        is_told = _sighting_errors(graph, poses, landmarks_m)[sightings] <= SIGHTING_GATE
+        witnesses = _witnesses(graph, place, sightings[is_told], held)
         alone = hanging_parts(len(members), part.edges[used], part.is_closure[used], witnesses)
         hanging |= {int(edges[used[e]]): behind for e, behind in alone.items()}
         joined = np.concatenate([part.edges[used], witnesses])
