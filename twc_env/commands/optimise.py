@@ -17,8 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Optimise a planar pose graph of any origin: g2o or TORO, packed (.gz, .xz) or not, with gaps in the ids, "
         "flipped edges, FIX lines, missing vertices, landmarks and several components, each of which is solved by "
         "itself. What cannot be used is named. Edges between vertices with neighbouring ids are odometry and are "
-        "believed; all others are closures. A component is LOST if its result cannot be trusted, with the reasons: "
-        "the exit status is 1 then."
+        "believed, unless the ids jump or the vertices' places deny them; all others are closures. A component is "
+        "LOST if its result cannot be trusted, with the reasons: the exit status is 1 then."
     )
     parser.epilog = (
         "examples:\n  twc-env optimise intel.g2o --out runs/intel\n"
