@@ -37,6 +37,49 @@ def test_a_graph_is_optimised_and_everything_written(ring, tmp_path, capsys):
     assert not found["is_lost"] and len(found["rejected"]) == 1
 
 
+def test_ids_with_more_digits_than_times_are_numbered_anew_in_the_trajectory(tmp_path, capsys):
+    path = tmp_path / "symbols.g2o"
+    path.write_text(ring_graph(first=ord("a") << 56))
+    assert main(["optimise", str(path), "--out", str(tmp_path / "o")]) == 0
+    assert "poses.tum counts the poses from 0" in capsys.readouterr().out
+    times, _ = read_tum(tmp_path / "o" / "poses.tum")
+    assert times.tolist() == list(range(24))
+    assert f"VERTEX_SE2 {(ord('a') << 56) + 23} " in (tmp_path / "o" / "graph.g2o").read_text()
+
+
+def test_two_robots_joined_by_a_closure_alone_are_unchecked_and_the_closure_is_named(tmp_path, capsys):
+    path = tmp_path / "two.g2o"
+    one, other = (ring_graph(first=first).splitlines()[:-1] for first in (0, 500))  # without the false closures
+    path.write_text("\n".join([*one, *other]) + "\nEDGE_SE2 5 503 40 7 1 100 0 0 100 0 400\n")
+    assert main(["optimise", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "the part behind closure 5-503 hangs on it alone, nothing checks it: 24 of 48 poses" in out
+    assert "unchecked" in out and "sound" not in out
+
+
+def test_poses_that_no_accepted_closure_joins_to_the_others_are_counted(tmp_path, capsys):
+    path = tmp_path / "two.g2o"
+    path.write_text(ring_graph() + ring_graph(first=500) + "EDGE_SE2 5 503 40 7 1 100 0 0 100 0 400\n")
+    assert main(["optimise", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "component 0: nothing accepted joins 24 of 48 poses to the others" in out and "unchecked" in out
+
+
+def test_sightings_that_contradict_the_rest_are_counted_and_listed(tmp_path, capsys):
+    path = tmp_path / "a.g2o"
+    path.write_text(
+        "EDGE_SE2 0 1 1 0 0 100 0 0 100 0 400\nEDGE_SE2 1 2 1 0 0 100 0 0 100 0 400\n"
+        "EDGE_SE2_XY 0 8 1 1 100 0 100\nEDGE_SE2_XY 1 8 0 1 100 0 100\nEDGE_SE2_XY 2 8 -1 1 100 0 100\n"
+        "EDGE_SE2_XY 0 9 1 -1 100 0 100\nEDGE_SE2_XY 1 9 0 -1 100 0 100\nEDGE_SE2_XY 2 9 9 5 100 0 100\n"
+    )
+    main(["optimise", str(path), "--out", str(tmp_path / "o"), "--json", str(tmp_path / "a.json")])
+    assert "1 of 6 sightings of landmarks contradict the rest (chi squared above 9.21): of 9" in capsys.readouterr().out
+    rows = list(csv.DictReader((tmp_path / "o" / "sightings.csv").read_text().splitlines()))
+    assert [row["contradicts"] for row in rows] == 5 * ["False"] + ["True"]
+    listed = json.loads((tmp_path / "a.json").read_text())["contradicting sightings"]
+    assert [(row["vertex"], row["landmark"]) for row in listed] == [(2, 9)]
+
+
 def test_the_picture_of_a_graph_has_the_palette_and_a_title_apart_from_its_axes(ring):
     pytest.importorskip("matplotlib", reason="matplotlib is an optional dependency")
     graph = read_pose_graph(ring)

@@ -17,14 +17,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Optimise a planar pose graph of any origin: g2o or TORO, packed (.gz, .xz) or not, with gaps in the ids, "
         "flipped edges, FIX lines, missing vertices, landmarks and several components, each of which is solved by "
         "itself. What cannot be used is named. Edges between vertices with neighbouring ids are odometry and are "
-        "believed; all others are closures. A component is LOST if its result cannot be trusted, with the reasons: "
-        "the exit status is 1 then."
+        "believed, unless the ids jump or the vertices' places deny them; all others are closures. A component is "
+        "LOST if its result cannot be trusted, with the reasons: the exit status is 1 then."
     )
     parser.epilog = (
         "examples:\n  twc-env optimise intel.g2o --out runs/intel\n"
         "  twc-env optimise manhattan.g2o.gz --robust gnc --json -\n\n"
-        "--out writes graph.g2o (rejected edges as comments), poses.tum (the vertex id stands for the time), "
-        "closures.csv and graph.png."
+        "--out writes graph.g2o (rejected edges as comments), poses.tum (the vertex id stands for the time, "
+        "or the number of the pose if ids have more than 15 digits), closures.csv, sightings.csv of landmarks, "
+        "and graph.png."
     )
     parser.add_argument("graph", type=Path, metavar="GRAPH", help="a g2o or TORO file")
     parser.add_argument(
@@ -42,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _optimise(options: argparse.Namespace) -> int:
     from twc_env.datasets.logs.pose_graph_file import read_pose_graph
     from twc_env.records.class_file import is_in_file
-    from twc_env.running.graph_report import component_rows, summary, write_results
+    from twc_env.running.graph_report import component_rows, notes, summary, write_results
     from twc_env.slam.graph_optimisation.whole_graph import METHODS, optimise_graph
 
     if options.robust not in METHODS and not is_in_file(options.robust):
@@ -62,6 +63,8 @@ def _optimise(options: argparse.Namespace) -> int:
     print(aligned(shown))
     if left:
         print(f"and {left} more components, in --json")
+    for note in notes(graph, result, options.out is not None):
+        print(f"note: {note}")
     for number, trust in enumerate(result.trust):
         for reason in trust.reasons:
             print(f"LOST, component {number}: {reason}")

@@ -27,6 +27,8 @@ class PlanarGraph:
     """(e,) bool: along a robot's path."""
     held: Array
     """(k,) indices of the vertices that FIX lines name."""
+    held_landmarks: Array = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(k,) indices of the landmarks that FIX lines name."""
     landmark_ids: Array = field(default_factory=lambda: np.zeros(0, np.int64))
     landmarks_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(m, 2); NaN where the file has no place for it."""

@@ -58,7 +58,7 @@ def test_what_is_left_out_is_named(tmp_path):
     assert "1 edges from a vertex to itself left out: 4" in remarks
     assert "2 lines of the kind 'PARAMS' left out" in remarks
     assert "'VERTEX_SE3:QUAT' (three dimensions) left out" in remarks
-    assert "FIX names 77, which the graph does not have" in remarks
+    assert "FIX names 77, which is neither a vertex nor a landmark with a place" in remarks
 
 
 def test_vertices_without_a_line_are_named(tmp_path):
@@ -93,12 +93,13 @@ def test_what_cannot_be_read_is_one_line(tmp_path, text, message):
 
 
 def test_a_written_graph_is_read_again_without_the_rejected_edges(tmp_path):
-    graph = read(tmp_path, ring_graph(first=100) + "FIX 103\nEDGE_SE2_XY 103 7 1 1 9 0 9\n")
+    graph = read(tmp_path, ring_graph(first=100) + "FIX 103\nVERTEX_XY 7 1 1\nFIX 7\nEDGE_SE2_XY 103 7 1 1 9 0 9\n")
     result = optimise_graph(graph)
     write_pose_graph(tmp_path / "b.g2o", graph, result.poses, result.landmarks_m, result.accepted)
     again = read_pose_graph(tmp_path / "b.g2o")
     assert again.vertex_ids.tolist() == graph.vertex_ids.tolist()
     assert len(again.edges) == result.accepted.sum() == len(graph.edges) - 1
     assert again.held.tolist() == [3]
+    assert again.held_landmarks.tolist() == [0]
     assert again.poses == pytest.approx(result.poses, abs=1e-9)
     assert again.landmarks_m == pytest.approx(result.landmarks_m, abs=1e-9)

@@ -8,7 +8,13 @@ from twc_env.datasets.logs.pose_graph_file import read_pose_graph
 from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.records.planar_graph import PlanarGraph
 from twc_env.reproduce.pose_graphs import robustness
-from twc_env.slam.graph_optimisation.components import components_of, placed_poses, unchecked_poses
+from twc_env.slam.graph_optimisation.components import (
+    components_of,
+    hanging_parts,
+    placed_poses,
+    poses_apart,
+    unchecked_poses,
+)
 from twc_env.slam.graph_optimisation.whole_graph import METHODS, optimise_graph
 
 
@@ -68,6 +74,29 @@ def test_landmarks_that_outweigh_odometry_move_the_poses(tmp_path):
     assert result.sighting_errors.max() < 0.1
 
 
+SURVEYED = (
+    "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 100 0 0 100 0 400\n"
+    "VERTEX_XY 8 10.5 5\nVERTEX_XY 9 10.5 7\n"
+    "EDGE_SE2_XY 0 8 0.5 -1 100 0 100\nEDGE_SE2_XY 1 8 -0.5 -1 100 0 100\n"
+    "EDGE_SE2_XY 0 9 0.5 1 100 0 100\nEDGE_SE2_XY 1 9 -0.5 1 100 0 100\n"
+)
+
+
+def test_two_fixed_landmarks_stay_and_say_where_the_poses_lie(tmp_path):
+    graph = read(tmp_path, SURVEYED + "FIX 8\nFIX 9\n")
+    assert graph.remarks == ()
+    result = optimise_graph(graph)
+    assert result.landmarks_m.tolist() == [[10.5, 5.0], [10.5, 7.0]]
+    assert result.poses == pytest.approx(np.array([[10.0, 6.0, 0.0], [11.0, 6.0, 0.0]]), abs=1e-4)
+
+
+def test_one_fixed_landmark_stays_beside_the_first_vertex(tmp_path):
+    result = optimise_graph(read(tmp_path, SURVEYED + "FIX 8\n"))
+    assert result.poses[0].tolist() == [0.0, 0.0, 0.0]
+    assert result.landmarks_m[0].tolist() == [10.5, 5.0]
+    assert result.landmarks_m[1] != pytest.approx([10.5, 7.0], abs=1.0)
+
+
 def test_vertices_without_a_place_are_laid_along_odometry_first():
     edges = np.array([(0, 2), (0, 1), (1, 2), (2, 3)])
     measured = np.array([(9.0, 9.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
@@ -85,6 +114,38 @@ def test_vertices_without_a_place_are_laid_along_odometry_first():
 def test_poses_on_no_loop_are_unchecked():
     edges = np.array([(0, 1), (1, 2), (2, 3), (1, 3), (3, 4), (5, 6), (5, 6)])
     assert np.flatnonzero(unchecked_poses(7, edges)).tolist() == [0, 4]
+
+
+def test_a_closure_that_is_a_bridge_is_named_with_the_smaller_part_unless_something_else_checks_it():
+    edges = np.array([(0, 1), (1, 2), (2, 3), (1, 3), (3, 4), (4, 5)])
+    is_closure = np.array([False, False, False, True, False, True])
+    nothing = np.zeros((0, 2), np.int64)
+    assert hanging_parts(6, edges, is_closure, nothing) == {5: 1}
+    assert hanging_parts(6, edges, is_closure | (edges[:, 0] == 3), nothing) == {4: 2, 5: 1}
+    assert hanging_parts(6, edges, is_closure, np.array([(0, 5)])) == {}
+    assert [poses_apart(6, edges[:count]) for count in (0, 3, 6)] == [5, 2, 0]
+
+
+BETWEEN = "EDGE_SE2 5 503 40 7 1 100 0 0 100 0 400\n"
+SEEN = "EDGE_SE2_XY 0 900 1 1 {0} 0 {0}\nEDGE_SE2_XY 501 900 1 1 {0} 0 {0}\n"
+
+
+@pytest.mark.parametrize(
+    ("more", "hanging"),
+    [
+        ("", 24),
+        ("EDGE_SE2 6 504 40 7 1 100 0 0 100 0 400\n", 0),
+        (SEEN.format(1e-4), 0),
+        ("FIX 1 500\n", 0),
+        (SEEN.format(100), 24),
+    ],
+)
+def test_one_closure_between_two_robots_alone_holds_half_of_the_map(tmp_path, more, hanging):
+    graph = read(tmp_path, ring_graph() + ring_graph(first=500) + BETWEEN + more)
+    result = optimise_graph(graph, "none")
+    assert result.trust[0].hanging == hanging
+    named = {tuple(graph.vertex_ids[graph.edges[e]].tolist()): poses for e, poses in result.hanging.items()}
+    assert named == ({(5, 503): 24} if hanging else {})
 
 
 @needs_data

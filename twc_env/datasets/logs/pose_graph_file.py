@@ -45,9 +45,9 @@ def read_pose_graph(path: str | Path, turns: bool = True) -> PlanarGraph:
 
     Vertices without a line have NaN for a pose. Edges that lead from a higher to a lower id are turned round, unless
     `turns` is False. Left out and named in `remarks`: edges from a vertex to itself, sightings without information,
-    and lines of unknown kinds. Of FIX lines only those count that name a vertex. Raises DataError, naming the line, for
-    malformed numbers, one vertex in two places, information that is no inverse covariance, and for graphs in three
-    dimensions.
+    and lines of unknown kinds. Of FIX lines only those count that name a vertex or a landmark with a place. Raises
+    DataError, naming the line, for malformed numbers, one vertex in two places, information that is no inverse
+    covariance, and for graphs in three dimensions.
     """
     lines = _Lines(path)
     for number, line in enumerate(read_text(path, errors="replace").splitlines(), 1):
@@ -154,9 +154,10 @@ class _Lines:
         seen = np.array([v for _, _, v, _ in sightings], float).reshape(-1, 5)
         seen_information = _symmetric(seen[:, 2:], _UPPER2, 2)
         self._check_information(seen_information, [s[3] for s in sightings])
-        held = [index[vertex] for vertex in dict.fromkeys(self.held) if vertex in index]
-        if lost := [vertex for vertex in dict.fromkeys(self.held) if vertex not in index]:
-            remarks.append(f"FIX names {_some(lost)}, which the graph does not have")
+        named = list(dict.fromkeys(self.held))
+        held = [index[vertex] for vertex in named if vertex in index]
+        if lost := [vertex for vertex in named if vertex not in index and vertex not in self.landmarks]:
+            remarks.append(f"FIX names {_some(lost)}, which is neither a vertex nor a landmark with a place")
         return PlanarGraph(
             vertex_ids=np.array(ids, np.int64),
             poses=poses,
@@ -165,6 +166,7 @@ class _Lines:
             information=information,
             is_odometry=is_odometry,
             held=np.array(held, np.int64),
+            held_landmarks=np.array([place_of[k] for k in named if k in self.landmarks], np.int64),
             landmark_ids=np.array(landmark_ids, np.int64),
             landmarks_m=np.array([self.landmarks.get(k, (math.nan,) * 2) for k in landmark_ids], float).reshape(-1, 2),
             sightings=np.array([(index[a], place_of[b]) for a, b, *_ in sightings], np.int64).reshape(-1, 2),
@@ -287,6 +289,7 @@ def write_pose_graph(path: str | Path, graph: PlanarGraph, poses: Array, landmar
         if np.isfinite(place).all():
             lines.append(f"VERTEX_XY {landmark} {_words(place)}")
     lines += [f"FIX {ids[k]}" for k in graph.held.tolist()]
+    lines += [f"FIX {landmark_ids[k]}" for k in graph.held_landmarks.tolist()]
     for k, (a, b) in enumerate(graph.edges.tolist()):
         values = _words([*graph.measured[k], *graph.information[k][_UPPER3]])
         lines.append(f"{'' if accepted[k] else '# rejected: '}EDGE_SE2 {ids[a]} {ids[b]} {values}")

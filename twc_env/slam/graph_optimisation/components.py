@@ -1,4 +1,5 @@
-"""Parts of a pose graph that nothing connects, poses for vertices that have none, and poses that no closure checks."""
+"""Parts of a pose graph that nothing connects, poses for vertices that have none, poses that no closure checks, and
+parts that hang on a single closure."""
 
 from __future__ import annotations
 
@@ -79,17 +80,40 @@ def _back(motion: Motion) -> Motion:
 
 
 def unchecked_poses(count: int, edges: Array) -> Array:
-    """(count,) bool: poses on no cycle of the edges (e, 2): every edge at them is a bridge (Tarjan 1974)."""
+    """(count,) bool: poses on no cycle of the edges (e, 2): every edge at them is a bridge."""
+    out = np.ones(count, bool)
+    out[edges[poses_behind(count, edges) == 0].ravel()] = False
+    return out
+
+
+def hanging_parts(count: int, edges: Array, is_closure: Array, witnesses: Array) -> dict[int, int]:
+    """Closures whose error nothing would show, and the poses of the smaller part that each alone holds.
+
+    Of edges (e, 2) between `count` poses; witnesses (w, 2) are pairs whose relative pose something else tells.
+    """
+    behind = poses_behind(count, np.concatenate([edges, witnesses]))[: len(edges)]
+    return {e: int(behind[e]) for e in np.flatnonzero((behind > 0) & is_closure).tolist()}
+
+
+def poses_apart(count: int, edges: Array) -> int:
+    """Of `count` poses those outside of the largest part that the edges (e, 2) connect."""
+    pairs = coo_array((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(count, count))
+    return count - int(np.bincount(connected_components(pairs, directed=False)[1]).max(initial=0))
+
+
+def poses_behind(count: int, edges: Array) -> Array:
+    """(e,) of edges (e, 2) that are bridges: the poses of the smaller part behind them; 0 of others (Tarjan 1974)."""
     ways: list[list[tuple[int, int]]] = [[] for _ in range(count)]
     for e, a, b in zip(range(len(edges)), *edges.T.tolist(), strict=True):
         ways[a].append((b, e))
         ways[b].append((a, e))
-    order, low = [-1] * count, [0] * count
-    is_bridge = np.zeros(len(edges), bool)
+    order, low, below = [-1] * count, [0] * count, [1] * count
+    behind = np.zeros(len(edges), np.int64)
     clock = 0
     for root in range(count):
         if order[root] >= 0:
             continue
+        bridges = []
         stack = [(root, -1, iter(ways[root]))]
         order[root] = low[root] = clock
         clock += 1
@@ -109,7 +133,9 @@ def unchecked_poses(count: int, edges: Array) -> Array:
                 if stack:
                     before = stack[-1][0]
                     low[before] = min(low[before], low[at])
-                    is_bridge[came_by] = low[at] > order[before]
-    out = np.ones(count, bool)
-    out[edges[~is_bridge].ravel()] = False
-    return out
+                    below[before] += below[at]
+                    if low[at] > order[before]:
+                        bridges.append((came_by, below[at]))
+        for e, poses in bridges:
+            behind[e] = min(poses, below[root] - poses)
+    return behind

@@ -64,6 +64,10 @@ class Trust:
     """Of the box around all poses."""
     unchecked: float
     """Share of poses on no loop of accepted closures."""
+    hanging: int = 0
+    """Poses that single closures, which nothing else checks, hold to the largest part; with the loose ones."""
+    loose: int = 0
+    """Poses that nothing accepted joins to the largest part."""
 
     @property
     def is_lost(self) -> bool:
@@ -71,8 +75,11 @@ class Trust:
         return bool(self.reasons)
 
 
-def trust_in(graph: Graph, result: BackendResult, robust: str = "ours") -> Trust:
-    """How far the result of the back end `robust` on this graph, one component, can be trusted."""
+def trust_in(graph: Graph, result: BackendResult, robust: str = "ours", hanging: int = 0, loose: int = 0) -> Trust:
+    """How far the result of the back end `robust` on this graph, one component, can be trusted.
+
+    hanging, loose: as `Trust` has them.
+    """
     poses, accepted = result.poses, result.accepted & graph.is_closure
     used = graph.of(result.accepted | ~graph.is_closure)
     count, closures = int(accepted.sum()), int(graph.is_closure.sum())
@@ -123,6 +130,8 @@ def trust_in(graph: Graph, result: BackendResult, robust: str = "ours") -> Trust
         expected_error_m=expected_m,
         diagonal_m=diagonal_m,
         unchecked=float(unchecked_poses(len(poses), used.edges).mean()) if len(poses) > 1 else 0.0,
+        hanging=hanging,
+        loose=loose,
     )
 
 

@@ -11,7 +11,7 @@ from twc_env.config import PoseGraphConfig
 from twc_env.errors import DataError
 from twc_env.records.geometry import compose, inverse
 from twc_env.records.planar_graph import PlanarGraph
-from twc_env.slam.graph_optimisation.components import components_of, placed_poses
+from twc_env.slam.graph_optimisation.components import components_of, hanging_parts, placed_poses, poses_apart
 from twc_env.slam.graph_optimisation.trust import FEW_REFUSED, Trust, trust_in
 from twc_env.slam.pose_graph import solver as pose_graph
 from twc_env.slam.pose_graph.odometry_chains import Chains
@@ -23,6 +23,8 @@ METHODS = ("ours", "dcs", "cauchy", "gnc", "pcm", "none")
 ITERATIONS_MAX = 100
 SIGHTING_GATE = 9.21
 """99 % quantile of chi squared with two degrees of freedom: sightings beyond it are weighed down."""
+LANDMARKS_MIN = 2
+"""So many held landmarks say where the map lies."""
 HEADING_INFORMATION = 1e-6
 """Landmarks have no heading; the first sighting of each fixes one."""
 
@@ -49,6 +51,8 @@ class OptimisedGraph:
     """Why each rejected edge is rejected."""
     opponents: dict[int, tuple[int, float]]
     """Of rejected edges: the nearest accepted closure that contradicts it, and chi squared of both by odometry."""
+    hanging: dict[int, int]
+    """Accepted closures that alone hold a part of their component, unchecked, and the poses of that part."""
     trust: tuple[Trust, ...]
     """Of each component."""
 
@@ -61,8 +65,8 @@ class OptimisedGraph:
 def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
     """Optimise each component of a graph by one of METHODS, or a back end FILE.py:CLASS of one's own.
 
-    Vertices of FIX lines stay; a component without one holds its first vertex. Raises DataError where the equations
-    have no finite solution.
+    Vertices and landmarks of FIX lines stay; a component with neither such a vertex nor two such landmarks holds its
+    first vertex. Raises DataError where the equations have no finite solution.
     """
     start = placed_poses(graph)
     component = components_of(graph)
@@ -70,6 +74,7 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
     landmarks_m = graph.landmarks_m.copy()
     reasons: dict[int, str] = {}
     opponents: dict[int, tuple[int, float]] = {}
+    hanging: dict[int, int] = {}
     trust = []
     config = PoseGraphConfig(robust="plain" if robust == "none" else robust, iterations_max=ITERATIONS_MAX)
     for number in range(int(component.max(initial=-1)) + 1):
@@ -80,9 +85,11 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
         part = Graph(place[graph.edges[edges]], graph.measured[edges], graph.information[edges],
                      ~graph.is_odometry[edges])  # fmt: skip
         held = place[graph.held[component[graph.held] == number]]
-        held = held if len(held) else np.zeros(1, np.int64)
-        result = _solve(part, start[members], config, int(held[0]))
         sightings = np.flatnonzero(component[graph.sightings[:, 0]] == number)
+        fixed = np.intersect1d(graph.held_landmarks, graph.sightings[sightings, 1])
+        if not len(held) and len(fixed) < LANDMARKS_MIN:
+            held = np.zeros(1, np.int64)
+        result = _solve(part, start[members], config, int(held[0]) if len(held) else 0)
         if len(sightings) or len(held) > 1:
             fitted, seen = _with_landmarks(
                 graph, part, start[members], result, held, place, sightings, robust == "none"
@@ -98,7 +105,15 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
         poses[members], accepted[edges] = result.poses, result.accepted
         reasons |= {int(edges[one.edge]): one.reason for one in result.rejections}
         opponents |= {int(edges[e]): (int(edges[by]), chi) for e, (by, chi) in _opponents(part, start[members], result)}
-        trust.append(trust_in(part, result, robust))
+        used = np.flatnonzero(result.accepted)
+        is_told = _sighting_errors(graph, poses, landmarks_m)[sightings] <= SIGHTING_GATE
+        witnesses = _witnesses(graph, place, sightings[is_told], held)
+        alone = hanging_parts(len(members), part.edges[used], part.is_closure[used], witnesses)
+        hanging |= {int(edges[used[e]]): behind for e, behind in alone.items()}
+        joined = np.concatenate([part.edges[used], witnesses])
+        checked = np.delete(joined, list(alone), axis=0)
+        apart = [poses_apart(len(members), pairs) for pairs in (checked, joined)]
+        trust.append(trust_in(part, result, robust, *apart))
     return OptimisedGraph(
         poses=poses,
         start=start,
@@ -109,6 +124,7 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
         sighting_errors=_sighting_errors(graph, poses, landmarks_m),
         reasons=reasons,
         opponents=opponents,
+        hanging=hanging,
         trust=tuple(trust),
     )
 
@@ -158,7 +174,8 @@ def _with_landmarks(
     edges = np.concatenate([used.edges, np.column_stack([by, count + number.ravel()])])
     measured = np.concatenate([used.measured, np.column_stack([seen_m, np.zeros(len(seen_m))])])
     weights = np.concatenate([used.information, information])
-    equations = NormalEquations(edges, measured, weights, count + len(landmarks), held)
+    fixed = np.concatenate([held, count + np.flatnonzero(np.isin(landmarks, graph.held_landmarks))])
+    equations = NormalEquations(edges, measured, weights, count + len(landmarks), fixed)
     is_sighting = np.arange(len(edges)) >= len(used.edges)
 
     def whole(poses: Array) -> Array:
@@ -180,6 +197,17 @@ def _with_landmarks(
 
         fitted = equations.minimise(fitted, scaled, ITERATIONS_MAX)
     return fitted[:count], {int(k): fitted[count + m, :2] for m, k in enumerate(landmarks)}
+
+
+def _witnesses(graph: PlanarGraph, place: Array, sightings: Array, held: Array) -> Array:
+    """(w, 2) poses of a component, one after the other, that see the same landmark or are held; all held landmarks
+    count as one with the held poses."""
+    of = graph.sightings[sightings, 1]
+    mark = np.concatenate([np.where(np.isin(of, graph.held_landmarks), -1, of), np.full(len(held), -1)])
+    pose = np.concatenate([place[graph.sightings[sightings, 0]], held])
+    order = np.lexsort((pose, mark))
+    is_same = mark[order][1:] == mark[order][:-1]
+    return np.column_stack([pose[order][:-1], pose[order][1:]])[is_same]
 
 
 def _sighting_errors(graph: PlanarGraph, poses: Array, landmarks_m: Array) -> Array:
