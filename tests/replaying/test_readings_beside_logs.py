@@ -1,9 +1,14 @@
 """What recognises places in laser logs, with and without WiFi and signs beside them."""
 
+import dataclasses
+
+import numpy as np
+
 from twc_env.__main__ import main
 from twc_env.commands.replay import SCANS_ALONE
+from twc_env.datasets.logs.scan_log import read_any_log
 from twc_env.datasets.sample import sample_files
-from twc_env.replaying.inputs import Asked, read_input
+from twc_env.replaying.inputs import Asked, input_of, read_input
 
 
 def test_places_are_recognised_by_the_readings_that_there_are():
@@ -15,6 +20,16 @@ def test_places_are_recognised_by_the_readings_that_there_are():
     ]
     assert [each.place_recognition.recogniser for each in found] == ["lidar", "fused", "wifi", "fused"]
     assert [each.merging.wifi_check for each in found] == [False, False, True, True]
+
+
+def test_robots_of_logs_of_one_time_are_looked_for_in_each_others_scans():
+    logs = [read_any_log(log) for log in sample_files().logs]
+    later = dataclasses.replace(logs[1], times_s=logs[1].times_s + 1e4)
+    since_begin = [dataclasses.replace(log, times_s=log.times_s - log.times_s[0]) for log in logs]
+    found = [input_of(each, [np.zeros(3)] * len(each), Asked()).config.slam for each in
+             (logs, [logs[0], later], since_begin, logs[:1])]  # fmt: skip
+    assert [slam.keyframe.mask_teammates for slam in found] == [True, False, False, False]
+    assert not found[1].merging.mutual_observations_check
 
 
 def test_a_map_of_several_robots_by_scans_alone_is_told(capsys):

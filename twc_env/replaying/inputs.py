@@ -37,6 +37,9 @@ GYRO_SETTINGS = {
     "slam.odometry_filter.gyro_bias_walk_rad_s": 1e-4,
 }
 """Settings of laser logs with a gyro, whose turn is otherwise that of odometry."""
+UNIX_TIME_MIN_S = 1e8
+"""Logs that begin later tell unix time, of one clock for all: those that overlap were recorded together, and their
+robots see each other, or should."""
 STANDING_S = 1.0
 """With a gyro, scans that are used are at most this far apart, so that its bias is seen while the robot stands."""
 
@@ -141,7 +144,8 @@ def input_of(
         notes.append(f"{sum(map(len, paths))} scans are used; {dropped} more, hardly apart from these, are not needed")
     lidar = scan_log.SETTINGS["lidar"] | {"beam_count": beams}
     begun_s = [float(log.times_s[0]) for log in logs]
-    steps, is_together = _steps(paths, begun_s, all(shared for _, _, shared in told))
+    share_clock = all(shared for _, _, shared in told) or min(begun_s) > UNIX_TIME_MIN_S
+    steps, is_together = _steps(paths, begun_s, share_clock)
     config = from_dict(scan_log.SETTINGS | {"lidar": lidar, "robots": len(logs), "max_cycles": len(steps)})
     if any(wifi):
         config = override(config, WIFI_SETTINGS)
@@ -149,6 +153,8 @@ def input_of(
         config = override(config, SIGNS_SETTINGS)
     if all(log.turned_rad is not None for log in logs):
         config = override(config, GYRO_SETTINGS)
+    if is_together and share_clock and len(logs) > 1:
+        config = override(config, {"slam.keyframe.mask_teammates": True})
     if not is_together:
         config = override(config, {"slam.merging.mutual_observations_check": False})
         notes.append("the robots were recorded at different times: they are not looked for in each other's scans")
