@@ -185,11 +185,10 @@ class Drivers:
 
     def goal_in(self, robot: int, belief: Belief) -> Array:
         """(2,) the last goal of a robot in its present map, which may have jumped since its last time step."""
-        own = self._state[robot]
-        goal_m: Array = own[_GOAL_X : _GOAL_Y + 1].copy()
-        if not self.is_of(robot, belief):
-            goal_m = transform_points(compose(belief.pose_map_robot, inverse(own[_X : _HEADING + 1])), goal_m[None])[0]
-        return goal_m
+        goal_m: Array = self._state[robot, _GOAL_X : _GOAL_Y + 1]
+        if self.is_of(robot, belief):
+            return goal_m.copy()
+        return transform_points(self._jump(robot, belief.pose_map_robot), goal_m[None])[0]
 
     def is_of(self, robot: int, belief: Belief) -> bool:
         """Whether a robot has the map still in which its goal is."""
@@ -302,11 +301,15 @@ class Drivers:
         """Transform the goal if the map frame jumped, and drop the path."""
         own = self._state[robot]
         if (own[_VERSION], own[_TEAMMATES]) != ids:
-            jump = compose(pose, inverse(own[_X : _HEADING + 1]))
+            jump = self._jump(robot, pose)
             for first in (_GOAL_X, _ANCHOR_X):
                 own[first : first + 2] = transform_points(jump, own[None, first : first + 2])[0]
             own[_CORNERS] = 0
             own[_VERSION], own[_TEAMMATES] = ids
+
+    def _jump(self, robot: int, pose: Array) -> Array:
+        """(3,) the pose of the map of a robot's last time step in its present one, where its pose is (3,)."""
+        return compose(pose, inverse(self._state[robot, _X : _HEADING + 1]))
 
     def _plan(self, robot: int, belief: Belief, terrain_of: Callable[[Belief, float], Terrain]) -> bool:
         """Find a path; False if there is none."""

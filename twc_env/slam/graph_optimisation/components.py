@@ -11,6 +11,7 @@ from numpy.typing import NDArray as Array
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from twc_env.records.geometry import compose_one
 from twc_env.records.planar_graph import PlanarGraph
 
 Motion = tuple[float, float, float]
@@ -51,7 +52,7 @@ def placed_poses(graph: PlanarGraph) -> Array:
                 at = waiting.popleft()
                 for to, motion, is_along in ways[at]:
                     if not is_placed[to] and is_along:
-                        poses[to], is_placed[to] = _after(poses[at], motion), True
+                        poses[to], is_placed[to] = compose_one(poses[at], motion), True
                         waiting.append(to)
                     elif not is_placed[to]:
                         later.append((at, to, motion))
@@ -60,18 +61,12 @@ def placed_poses(graph: PlanarGraph) -> Array:
             if not later:
                 break
             at, to, motion = later.popleft()
-            poses[to], is_placed[to] = _after(poses[at], motion), True
+            poses[to], is_placed[to] = compose_one(poses[at], motion), True
             waiting.append(to)
         if not is_placed[seed]:
             poses[seed], is_placed[seed] = (0.0, 0.0, 0.0), True
             waiting.append(seed)
     return np.array(poses)
-
-
-def _after(pose: Motion, motion: Motion) -> Motion:
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    heading = math.remainder(pose[2] + motion[2], 2 * math.pi)
-    return pose[0] + c * motion[0] - s * motion[1], pose[1] + s * motion[0] + c * motion[1], heading
 
 
 def _back(motion: Motion) -> Motion:

@@ -106,7 +106,7 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
         reasons |= {int(edges[one.edge]): one.reason for one in result.rejections}
         opponents |= {int(edges[e]): (int(edges[by]), chi) for e, (by, chi) in _opponents(part, start[members], result)}
         used = np.flatnonzero(result.accepted)
-        is_told = _sighting_errors(graph, poses, landmarks_m)[sightings] <= SIGHTING_GATE
+        is_told = _sighting_errors(graph, sightings, poses, landmarks_m) <= SIGHTING_GATE
         witnesses = _witnesses(graph, place, sightings[is_told], held)
         alone = hanging_parts(len(members), part.edges[used], part.is_closure[used], witnesses)
         hanging |= {int(edges[used[e]]): behind for e, behind in alone.items()}
@@ -121,7 +121,7 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
         component=component,
         accepted=accepted,
         squared_errors=pose_graph.squared_errors(poses, graph.edges, graph.measured, graph.information),
-        sighting_errors=_sighting_errors(graph, poses, landmarks_m),
+        sighting_errors=_sighting_errors(graph, np.arange(len(graph.sightings)), poses, landmarks_m),
         reasons=reasons,
         opponents=opponents,
         hanging=hanging,
@@ -210,14 +210,16 @@ def _witnesses(graph: PlanarGraph, place: Array, sightings: Array, held: Array) 
     return np.column_stack([pose[order][:-1], pose[order][1:]])[is_same]
 
 
-def _sighting_errors(graph: PlanarGraph, poses: Array, landmarks_m: Array) -> Array:
-    if not len(graph.sightings):
+def _sighting_errors(graph: PlanarGraph, chosen: Array, poses: Array, landmarks_m: Array) -> Array:
+    """Squared errors of the chosen sightings (k,)."""
+    if not len(chosen):
         return np.zeros(0)
-    pose = poses[graph.sightings[:, 0]]
+    (by, of), seen_m, information = graph.sightings[chosen].T, graph.seen_m[chosen], graph.seen_information[chosen]
+    pose = poses[by]
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    away = landmarks_m[graph.sightings[:, 1]] - pose[:, :2]
-    error = np.column_stack([c * away[:, 0] + s * away[:, 1], -s * away[:, 0] + c * away[:, 1]]) - graph.seen_m
-    return np.asarray(np.einsum("si,sij,sj->s", error, graph.seen_information, error))
+    away = landmarks_m[of] - pose[:, :2]
+    error = np.column_stack([c * away[:, 0] + s * away[:, 1], -s * away[:, 0] + c * away[:, 1]]) - seen_m
+    return np.asarray(np.einsum("si,sij,sj->s", error, information, error))
 
 
 def _opponents(graph: Graph, start: Array, result: BackendResult) -> list[tuple[int, tuple[int, float]]]:
