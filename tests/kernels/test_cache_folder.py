@@ -206,6 +206,27 @@ def test_a_process_killed_while_it_compiles_leaves_nothing_in_the_way(folder):
     assert time.monotonic() - begun < 60.0
 
 
+def test_a_kill_costs_no_kernel_that_was_compiled_before(folder):
+    """While `both` is compiled, `doubled` is, and then `other`, whose begin is the end of the process."""
+    cache = folder / "cache"
+    more = "\n\n@kernel\ndef other(x):\n    return x + 1\n\n\n@kernel\ndef both(x):\n    return doubled(x) + other(x)\n"
+    (folder / "kernels.py").write_text(KERNELS + more)
+    killed = (
+        "import os\nfrom numba.core import event\nclass Kill(event.Listener):\n"
+        "    def on_start(self, event):\n"
+        "        if event.data['dispatcher'].py_func.__name__ == 'other':\n            os._exit(9)\n"
+        "    def on_end(self, event):\n        pass\n"
+        "import kernels\nevent.register('numba:compile', Kill())\nkernels.both(3)\n"
+    )
+    process = begin(folder, killed, NUMBA_CACHE_DIR=str(cache))
+    process.communicate()
+    assert process.returncode == 9
+    process = begin(folder, CALL.replace("total(3, 2) == 14", "doubled(3) == 6").replace(".total", ".doubled"),
+                    NUMBA_CACHE_DIR=str(cache))  # fmt: skip
+    text, errors = process.communicate()
+    assert process.returncode == 0 and text.split()[0] == "1" and not errors
+
+
 def test_folders_that_nobody_used_for_long_are_deleted(tmp_path):
     mine, old, recent, other = (tmp_path / f"{name}" for name in ("twc_env-1", "twc_env-2", "twc_env-3", "other"))
     for each in (mine, old, recent, other):

@@ -38,7 +38,7 @@ class OneProcess(event.Listener):
         self._threads, self._depth = threading.RLock(), 0
         self._lock: FileLock | None = None
         self.compiled_modules: set[str] = set()
-        """Modules with kernels compiled since the lock was taken."""
+        """Modules with kernels compiled since the lock was taken, whose checksums are still to be written."""
 
     def on_start(self, event: Any) -> None:
         """Called by numba before it takes its lock, which may be nested."""
@@ -53,24 +53,29 @@ class OneProcess(event.Listener):
         """Called by numba after it has released its lock."""
         self._depth -= 1
         if self._depth == 0 and self._lock is not None:
-            while self.compiled_modules:
-                write_checksums(self.compiled_modules.pop())
+            self.write_checksums()
             self._lock.release()
         self._threads.release()
 
+    def write_checksums(self) -> None:
+        """Of all modules that have new files. A kill before it costs the kernels of these modules."""
+        while self.compiled_modules:
+            write_checksums(self.compiled_modules.pop())
+
 
 class CompiledModules(event.Listener):
-    """Tells `OneProcess` the modules of what is compiled."""
+    """Tells `OneProcess` the modules of what is compiled, and has it write checksums between two kernels."""
 
     def __init__(self, process: OneProcess) -> None:
         self._process = process
 
     def on_start(self, event: Any) -> None:
-        """Called by numba at the start of a compilation."""
-        self._process.compiled_modules.add(event.data["dispatcher"].py_func.__module__ or "")
+        """Called by numba at the start of a compilation: what was compiled before it is on disk by now."""
+        self._process.write_checksums()
 
     def on_end(self, event: Any) -> None:
-        """Called by numba at the end of a compilation."""
+        """Called by numba at the end of a compilation, before it writes the result to disk."""
+        self._process.compiled_modules.add(event.data["dispatcher"].py_func.__module__ or "")
 
 
 class Announcer(event.Listener):

@@ -1,4 +1,4 @@
-"""Tables of text (CSV) whose columns are found by name, also in tables of other programs: numbers, times, robots."""
+"""Tables of text (CSV) whose columns are found by name, also in tables of other programs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import io
 import math
 import re
 from collections.abc import Callable, Collection, Sequence
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +22,7 @@ from twc_env.datasets.logs.column_units import (
     time_unit,
 )
 from twc_env.datasets.logs.text_file import read_text
+from twc_env.datasets.logs.written_times import is_time_of_day, written_times_s
 from twc_env.errors import DataError
 
 _NAMES = {
@@ -43,13 +43,7 @@ _SEPARATORS = ";\t|,"
 _NUMBER = re.compile(r"([+-]?[\d.,]+(?:e[+-]?\d+)?)\s*(dbm|m|rad|deg|°)", re.IGNORECASE)
 """A number with its unit in the cell."""
 _MAC = re.compile(r"[0-9a-fA-F]{2}([:-])(?:[0-9a-fA-F]{2}\1){4}[0-9a-fA-F]{2}")
-_DATE = re.compile(
-    r"(\d{1,2})([./-])(\d{1,2})\2(\d{4})[ T,]+(\d{1,2}):(\d\d)(?::(\d\d(?:[.,]\d+)?))?(?: ?([AaPp])[Mm])?"
-)
-"""Date with the year last, and time of day."""
-_TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(?!\d)")
 _ROWS_MAX = 20_000_000
-_MONTHS = 12
 
 
 class TextTable:
@@ -221,12 +215,9 @@ class TextTable:
         """Times of the rows [s], on the clock of the log."""
         cells = self.column("time")
         if cells and not _is_number(cells[0].replace(",", ".")):
-            is_day_first = self._is_day_first(cells, span)
-            rows = zip(cells, self._numbers, strict=True)
-            moments = [self._clock(cell, number, is_day_first) for cell, number in rows]
-            if any(moment.tzinfo is None for moment in moments):
+            times_s, has_zones = written_times_s(cells, self._numbers, span.units.get("date"), self._path)
+            if not has_zones:
                 self.notes.append(f"{self._path}: times without a time zone are taken for UTC")
-            times_s = np.array([(m if m.tzinfo else m.replace(tzinfo=UTC)).timestamp() for m in moments])
             remedy = "put both on one clock, or name the time zone, as in 2026-05-01T12:00:00+02:00"
         else:
             times_s, unit = self.in_unit("time", "time", span, lambda values: time_unit(values, span))
@@ -242,43 +233,10 @@ class TextTable:
             )
         return times_s
 
-    def _is_day_first(self, cells: Sequence[str], span: Span) -> bool | None:
-        """Whether dates such as 01/05/2026 begin with the day; None if there are none. With points they do, unless the
-        user says otherwise."""
-        dates = [match for match in (_DATE.fullmatch(cell.strip()) for cell in cells) if match]
-        if not dates:
-            return None
-        told = span.units.get("date")
-        if told is None and dates[0][2] == ".":
-            return True
-        can = {
-            "dmy": all(int(date[3]) <= _MONTHS for date in dates),
-            "mdy": all(int(date[1]) <= _MONTHS for date in dates),
-        }
-        if told is None and all(can.values()):
-            shown = dates[0][0]
-            raise DataError(
-                f"{self._path}: the date {shown!r} can be day or month first; give --units date=dmy or --units date=mdy"
-            )
-        return told == "dmy" if told else can["dmy"]
-
     def name_left_out(self, times_s: Array, span: Span) -> None:
         """Note how many rows are before or after the log."""
         if odd := int((~is_within(times_s, span)).sum()):
             self.notes.append(f"{self._path}: {odd} readings before or after the log left out")
-
-    def _clock(self, cell: str, row: int, is_day_first: bool | None) -> datetime:
-        """Time of ISO 8601 text, or of a date with the year last."""
-        date = _DATE.fullmatch(cell.strip())
-        try:
-            if date and is_day_first is not None:
-                return _moment(date, is_day_first)
-            return datetime.fromisoformat(cell.strip().replace("/", "-"))
-        except (ValueError, OverflowError) as error:
-            needed = "a column date beside it" if _TIME_OF_DAY.match(cell.strip()) else "seconds"
-            raise DataError(
-                f"{self._path}, row {row}: {cell[:40]!r} is no time; give {needed}, or 2026-05-01T12:00:00.5Z"
-            ) from error
 
     def robots(self, span: Span) -> Array:
         """(rows,) number of the robot of each row."""
@@ -319,7 +277,7 @@ def _with_dates(rows: list[list[str]]) -> list[list[str]]:
     at = None if day is None else _column_of(rows[0], "time", {day})
     if day is None or at is None or len(rows) < 2 or max(day, at) >= len(rows[1]):
         return rows
-    if ":" in rows[1][day] or not _TIME_OF_DAY.match(rows[1][at].strip()):
+    if ":" in rows[1][day] or not is_time_of_day(rows[1][at]):
         return rows
     joined = [[*rows[0][:at], "time", *rows[0][at + 1 :]]]
     for row in rows[1:]:
@@ -352,15 +310,6 @@ def _names_time(line: str) -> bool:
     """Whether a line may be a header with a time; one with numbers, as in "every 5 sec", is none."""
     words = _words(line)
     return not any(map(_is_number, words)) and any(name_and_unit(word)[0] in _NAMES["time"] for word in words)
-
-
-def _moment(date: re.Match[str], is_day_first: bool) -> datetime:
-    """Time of a match of `_DATE`."""
-    first, _, second, year, hour, minute, seconds, half = date.groups()
-    day, month = (first, second) if is_day_first else (second, first)
-    hours = int(hour) % 12 + 12 * (half in "Pp") if half else int(hour)
-    whole = datetime(int(year), int(month), int(day), hours, int(minute))
-    return whole + timedelta(seconds=float((seconds or "0").replace(",", ".")))
 
 
 def _moments(first_s: float, last_s: float) -> str:
