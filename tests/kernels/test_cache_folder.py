@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from twc_env.kernels import cache_folder as places
+from twc_env.running.file_lock import FileLock
 
 ROOT = Path(__file__).parents[2]
 KERNELS = """from twc_env.kernels.compiled import kernel
@@ -180,6 +181,34 @@ def test_without_a_home_kernels_are_compiled_all_the_same(folder, environment):
     hits, kept, used, _ = said(begin(folder, **(environment or {"XDG_CACHE_HOME": str(place)})))
     assert hits == 0
     assert kept == (not environment) and used.exists() == kept
+
+
+@pytest.mark.parametrize("is_named", [False, True])
+def test_a_user_without_a_home_and_without_an_entry_compiles_all_the_same(folder, is_named):
+    """As in a container that is started with a number of a user: `pwd` does not know it."""
+    nameless = (
+        "import os, pwd\n"
+        "def unknown(uid):\n    raise KeyError(uid)\n"
+        "pwd.getpwuid = unknown\nassert os.path.expanduser('~') == '~'\n"
+    )
+    where = {"NUMBA_CACHE_DIR": str(folder / "named")} if is_named else {}
+    hits, kept, used, _ = said(begin(folder, nameless + CALL, **where))
+    assert (hits, kept) == (0, is_named)
+    assert used.exists() == is_named
+
+
+def test_a_process_that_is_stopped_while_it_compiles_is_waited_for_once(folder):
+    cache = folder / "cache"
+    said(begin(folder, NUMBA_CACHE_DIR=str(cache)))
+    (used,) = cache.iterdir()
+    impatient = "from twc_env.kernels import compilation\ncompilation.SILENT_S, compilation.WAIT_MAX_S = 1.0, 2.0\n"
+    more = "kernels.doubled(3), kernels.total(3.5, 2)\n"
+    with FileLock(used / "compiling.lock").held(1.0):
+        process = begin(folder, impatient + CALL + more, NUMBA_CACHE_DIR=str(cache))
+        text, errors = process.communicate()
+    assert process.returncode == 0, errors
+    assert errors.count("waiting for another process") == 1 and "is it stopped?" in errors
+    assert text.split()[0] == "1"
 
 
 def test_of_processes_that_start_together_one_compiles_and_none_fails(folder):

@@ -51,7 +51,9 @@ def cache_folder() -> Path:
     somebody else has compiled), the process works on a copy; if it cannot be made at all, in an empty folder. Both are
     temporary and deleted at the end of the process.
     """
-    for base in filter(None, (numba.config.CACHE_DIR, _user_folder())):
+    for base in (numba.config.CACHE_DIR, _user_folder()):
+        if not base:
+            continue
         folder = Path(base, _NAME + version_digest())
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -181,8 +183,11 @@ def _content(value: Any) -> str | None:
 
 
 def _user_folder() -> Path | None:
-    folder = platformdirs.user_cache_path("twc_env", appauthor=False)
-    return folder / "kernels" if folder.is_absolute() else None  # without a home it begins with ~
+    try:
+        folder = platformdirs.user_cache_path("twc_env", appauthor=False)
+    except (RuntimeError, KeyError):  # there is no home, and no entry of this user from which it would be known
+        return None
+    return folder / "kernels" if folder.is_absolute() else None  # older versions of platformdirs give a path with ~
 
 
 def _temporary_folder(filled: Path | None = None) -> Path:

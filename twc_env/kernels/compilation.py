@@ -21,8 +21,8 @@ from twc_env.kernels.cache_folder import cache_folder, check_folders, is_empty, 
 from twc_env.running.file_lock import FileLock
 
 _LOG = logging.getLogger("twc_env")
-WAIT_MAX_S = 300.0
-"""Longest wait for another process that compiles; then this one compiles too."""
+SILENT_S, WAIT_MAX_S = 5.0, 300.0
+"""Wait for another process that compiles until this one says so, and the longest one; then this one compiles too."""
 FIRST_STEP, EPISODE = 180, 300
 """Functions compiled until the first step of the default environment, and by `twc-env warm-up`: lengths of the bars."""
 
@@ -37,6 +37,8 @@ class OneProcess(event.Listener):
     def __init__(self) -> None:
         self._threads, self._depth = threading.RLock(), 0
         self._lock: FileLock | None = None
+        self._waits = True
+        """Whether it waits for others: not again for one that has not ended in time."""
         self.compiled_modules: set[str] = set()
         """Modules with kernels compiled since the lock was taken, whose checksums are still to be written."""
 
@@ -46,8 +48,16 @@ class OneProcess(event.Listener):
         self._depth += 1
         if self._depth == 1:
             self._lock = FileLock(cache_folder() / "compiling.lock")
-            self._lock.await_it(WAIT_MAX_S)
+            self._await(self._lock)
             check_folders()
+
+    def _await(self, lock: FileLock) -> None:
+        is_taken = lock.await_it(SILENT_S if self._waits else 0.0)
+        if is_taken is False and self._waits:
+            _LOG.warning("waiting for another process that compiles kernels, %.0f s at most", WAIT_MAX_S)
+            self._waits = lock.await_it(WAIT_MAX_S - SILENT_S) is not False
+            if not self._waits:
+                _LOG.warning("it has not ended (is it stopped?): this process compiles for itself what it needs")
 
     def on_end(self, event: Any) -> None:
         """Called by numba after it has released its lock."""
