@@ -20,6 +20,7 @@ from twc_env.config import (
     override,
     radio_preset,
     to_dict,
+    world_of,
     world_preset,
 )
 from twc_env.errors import ConfigError, did_you_mean, one_of
@@ -83,13 +84,17 @@ def test_an_invalid_setting_is_rejected_in_one_line_with_its_name(values, messag
     assert "\n" not in str(caught.value)
 
 
+BESIDE = {"failure.robots": {"robots": 64}, "failure.link_begin_step": {"failure.link_end_step": 10_000_000}}
+"""What else must be set so that a setting can have its greatest value."""
+
+
 @pytest.mark.parametrize(("key", "minimum", "maximum", "is_integer"), numeric_fields(), ids=lambda value: str(value))
 def test_each_number_accepts_its_limits_and_rejects_values_beyond(key, minimum, maximum, is_integer):
-    step = 1 if is_integer else 1e-3
+    step, config = 1 if is_integer else 1e-3, override(EnvConfig(), BESIDE.get(key, {}))
     for limit, beyond in ((minimum, minimum - step), (maximum, maximum + max(step, abs(maximum) * 1e-9))):
-        override(EnvConfig(), {key: int(limit) if is_integer else float(limit)})
+        override(config, {key: int(limit) if is_integer else float(limit)})
         with pytest.raises(ConfigError, match=key.split(".")[-1]):
-            override(EnvConfig(), {key: int(beyond) if is_integer else float(beyond)})
+            override(config, {key: int(beyond) if is_integer else float(beyond)})
 
 
 def test_a_direct_constructor_checks_its_range_too():
@@ -196,8 +201,9 @@ def test_override_does_not_change_the_original():
 def test_the_digest_changes_exactly_when_a_value_does(field, share):
     key, minimum, maximum, is_integer = field
     value = minimum + share * (maximum - minimum)
-    changed = override(EnvConfig(), {key: round(value) if is_integer else value})
-    assert (digest(changed) == digest(EnvConfig())) == (changed == EnvConfig())
+    usual = override(EnvConfig(), BESIDE.get(key, {}))
+    changed = override(usual, {key: round(value) if is_integer else value})
+    assert (digest(changed) == digest(usual)) == (changed == usual)
 
 
 def test_a_config_cannot_be_edited():
@@ -316,9 +322,48 @@ def test_other_settings_and_another_radio_go_before_those_of_the_world():
     assert config == from_dict({"world": "mall", "people": {"count": 3}, "radio": {"preset": "radio-indoor"}})
 
 
+@pytest.mark.parametrize("before", [name for name in WORLD_PRESETS if name != "clean"])
+@pytest.mark.parametrize("after", WORLD_PRESETS)
+def test_another_world_leaves_nothing_of_the_one_before(before, after):
+    own = {"robots": 2, "lidar.beam_count": 90}
+    config = override(EnvConfig(), {"world": before, **own})
+    assert world_of(config) == before
+    assert override(config, {"world": after}) == override(EnvConfig(), {"world": after, **own})
+
+
+def test_another_world_keeps_what_somebody_else_has_set():
+    own = {"people.count": 7, "slam.place_recognition.recogniser": "fused"}
+    assert override(override(EnvConfig(), own), {"world": "clean"}) == override(EnvConfig(), own)
+    in_ward = override(EnvConfig(), {"world": "ward", "people.count": 7})
+    assert world_of(in_ward) == "ward" and override(in_ward, {"world": "clean"}).people.count == 7
+    assert world_of(EnvConfig()) == "clean"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"lidar.range_min_m": 3.0, "lidar.range_max_m": 2.0}, "the scanner would see nothing"),
+        ({"failure.robots": 3, "robots": 2}, r"failure\.robots is 3, and robots is 2"),
+        ({"failure.link_begin_step": 100, "failure.link_end_step": 50}, "set a later end"),
+        ({"robot": "handheld", "team": "twc-slam"}, "give one of them"),
+        ({"team": ""}, "turtlebots, or robots such as 'handheld, wheeled', of wheeled"),
+        ({"robot": [{"people.count": 3}]}, "set it for the team"),
+    ],
+)
+def test_settings_that_contradict_each_other_are_refused(settings, message):
+    with pytest.raises(ConfigError, match=message):
+        override(EnvConfig(), settings)
+    if "." not in "".join(settings):
+        with pytest.raises(ConfigError, match=message):
+            from_dict(settings)
+
+
 def test_an_unknown_world_is_refused_with_the_known_ones():
     with pytest.raises(ConfigError, match=r"world must be one of clean, office, .*did you mean 'ward'"):
         override(EnvConfig(), {"world": "wardd"})
+    with pytest.raises(ConfigError) as error:
+        override(EnvConfig(), {"world": "Mall"})
+    assert str(error.value).count("warehouse") == 1
 
 
 def test_a_setting_that_is_gone_is_read_at_its_last_value_only():

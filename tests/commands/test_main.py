@@ -29,6 +29,16 @@ def test_bench_writes_one_flat_object_with_both_speeds(tmp_path, capsys):
     assert "slam_env_steps_per_s" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("setting", "robots", "beams"), [("team=handheld,wheeled", 2, 180), ("lidar.preset=lms-200", 3, 181)]
+)
+def test_bench_plays_the_team_and_the_scanner_of_its_settings(setting, robots, beams, tmp_path):
+    path = tmp_path / "bench.json"
+    assert main(["bench", "--steps", "5", "--episodes", "1", "--set", setting, "--json", str(path)]) == 0
+    figures = json.loads(path.read_text())
+    assert (figures["robots"], figures["beams"]) == (robots, beams)
+
+
 def test_bench_measures_one_thing_at_a_time(capsys):
     with pytest.raises(SystemExit):
         main(["bench", "--parts", "--peers"])

@@ -1,13 +1,15 @@
 """`twc-env settings` prints a config file that describes every setting."""
 
 import dataclasses
+import json
 
 import pytest
 
 from twc_env import TASKS
 from twc_env.__main__ import main
-from twc_env.config import EnvConfig, load, override
+from twc_env.config import WORLD_PRESETS, EnvConfig, load, override
 from twc_env.config.manual import as_toml
+from twc_env.config.robot_presets import ROBOT_PRESETS, TEAM_PRESETS
 from twc_env.errors import ConfigError
 from twc_env.tasks import task_config
 
@@ -68,3 +70,20 @@ def test_a_changed_setting_can_be_read_back(tmp_path):
     config = override(EnvConfig(), {"map": 'odd "name" with \\ in it', "radio.preset": "lte"})
     (tmp_path / "settings.toml").write_text(as_toml(config))
     assert load(tmp_path / "settings.toml") == config
+
+
+def test_presets_are_explained_in_comments_that_are_no_settings(tmp_path, capsys):
+    assert main(["settings", "world", "team", "robot", "lidar"]) == 0
+    text = capsys.readouterr().out
+    for name, preset in (WORLD_PRESETS | ROBOT_PRESETS).items():
+        assert f"# {name}" in text
+        for key, value in preset.items():
+            assert f"#         {key} = {json.dumps(value)}" in text or f"#     {key} = {json.dumps(value)}" in text
+    assert all(f"# {name}: {', '.join(robots)}" in text for name, robots in TEAM_PRESETS.items())
+    (tmp_path / "a.toml").write_text(text)
+    assert load(tmp_path / "a.toml") == EnvConfig()
+
+
+def test_a_settings_file_says_which_world_it_is_of(capsys):
+    assert main(["settings", "--set", "world=ward", "--set", "people.count=3"]) == 0
+    assert "most of those here are of 'ward'" in capsys.readouterr().out

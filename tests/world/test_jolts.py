@@ -30,6 +30,27 @@ def test_bumps_come_at_their_rate_and_turn_the_robot_to_both_sides():
     assert not errors[:, :2].any()
 
 
+@pytest.mark.parametrize(("bumps_per_m", "way_m"), [(10.0, 0.11), (1.0, 1.0), (5.0, 0.5)])
+def test_robots_that_bump_in_every_step_bump_in_every_step(bumps_per_m, way_m):
+    assert driven(200, way_m, bumps_per_m=bumps_per_m)[:, 2].astype(bool).mean() > 0.95
+
+
+def test_long_steps_slip_too():
+    assert np.count_nonzero(driven(400, 1.03, threshold_slip_m=0.05)[:, 0]) > 150  # 412 m
+
+
+def test_a_carried_robot_neither_bumps_nor_slips_on_the_way():
+    jolts = Jolts([OdometryConfig(bumps_per_m=10.0, threshold_slip_m=0.05)] * 2, DOORWAY, 0)
+    errors = []
+    for x in (-2.0, 2.0, 2.5):
+        odometry = np.zeros((2, 3))
+        jolts.apply(np.array([[x, 0.0, 0.0]] * 2), odometry)
+        errors.append(odometry.any(axis=1).tolist())
+        if x < 0.0:
+            jolts.carried(0)
+    assert errors == [[False, False], [False, True], [True, True]]
+
+
 def test_wheels_slip_in_doorways_only():
     errors = driven(threshold_slip_m=0.05)
     slips = np.flatnonzero(errors[:, 0])

@@ -1,6 +1,7 @@
 import numpy as np
 
 from twc_env.config import EnvConfig, override
+from twc_env.exploration.environment import ExplorationEnv
 from twc_env.maps import load_map
 from twc_env.world.world import World
 
@@ -42,6 +43,22 @@ def test_robots_are_carried_at_the_rate_given_at_the_same_times_for_the_same_see
     count = np.count_nonzero(jumps_m(poses) > 0.5)
     assert 8 <= count <= 30  # 18 expected
     assert np.array_equal(poses[:100], played(99, kidnaps_per_min=6.0)[0])
+
+
+def test_nobody_carries_robots_that_are_off():
+    assert jumps_m(played(kidnap_step=5, robots=1, robots_step=3)[0]).max() == 0.0
+    late = jumps_m(played(100, kidnaps_per_min=60.0, start_spread_s=8.0)[0]) > 0.5
+    assert not late[:78, 2].any() and not late[:38, 1].any() and late[:38, 0].any() and late[80:, 2].any()
+
+
+def test_the_path_of_a_team_is_what_it_drove():
+    settings = {"robots": 2, "max_cycles": 100, "failure.kidnaps_per_min": 30.0, "slam.mode": "off"}
+    env = ExplorationEnv(config={"map": "twin-01", **settings})
+    env.reset(seed=0)
+    while env.agents:
+        env.step({agent: np.zeros(2, np.float32) for agent in env.agents})
+    assert env.result()["path_length_m"] == 0.0 and env.result()["odometry_ate_m"] > 1.0
+    env.close()
 
 
 def test_nobody_is_carried_by_default():

@@ -33,8 +33,8 @@ def add_arguments(speed: argparse.ArgumentParser) -> None:
         "  twc-env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer"
     )
     speed.add_argument("--map", default="twin-01", help="bundled name, generated name or file")
-    speed.add_argument("--robots", type=count, default=3, help="number of robots")
-    speed.add_argument("--beams", type=count, default=180, help="beams per scan")
+    speed.add_argument("--robots", type=count, help="number of robots (default: 3, or those of --set team=...)")
+    speed.add_argument("--beams", type=count, help="beams per scan (default: 180, or those of --set lidar.preset=...)")
     speed.add_argument("--steps", type=count, default=1500, help="steps per episode")
     speed.add_argument(
         "--episodes", type=count, default=3, help="episodes, with seeds 0, 1, ...; with --training: updates"
@@ -84,8 +84,9 @@ def _bench(options: argparse.Namespace) -> None:
     from twc_env.bench.rates import bench
     from twc_env.config import EnvConfig, override
 
-    settings = {"map": options.map, "robots": options.robots, "lidar.beam_count": options.beams}
-    config = override(EnvConfig(), {**settings, "max_cycles": options.steps, **assignments(options.set)})
+    told = {"robots": options.robots, "lidar.beam_count": options.beams}
+    settings = {"map": options.map, "max_cycles": options.steps} | {k: v for k, v in told.items() if v is not None}
+    config = override(EnvConfig(), {**settings, **assignments(options.set)})
     if options.parts:
         _bench_parts(config, options)
         return

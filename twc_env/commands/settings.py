@@ -19,9 +19,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.epilog = (
         "examples:\n  twc-env settings lidar slam.keyframe\n"
+        "  twc-env settings world     what worlds there are, and what each sets\n"
         "  twc-env settings --config twc/ExploreHard-v0 --out hard.toml"
     )
-    parser.add_argument("sections", nargs="*", metavar="SECTION", help="print only these, e.g. radio or slam.merging")
+    parser.add_argument(
+        "sections",
+        nargs="*",
+        metavar="SECTION",
+        help="print only these, e.g. radio or slam.merging; world, team and robot explain presets",
+    )
     add_config(parser)
     add_set(parser)
     parser.add_argument("--out", type=Path, metavar="FILE.toml", help="write them to a file instead")

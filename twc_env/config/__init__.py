@@ -34,6 +34,7 @@ from twc_env.config.values import (
     override,
     radio_preset,
     to_dict,
+    world_of,
     world_preset,
 )
 from twc_env.config.world import (
@@ -99,5 +100,6 @@ __all__ = [
     "robot_configs",
     "shared_config",
     "to_dict",
+    "world_of",
     "world_preset",
 ]

@@ -144,6 +144,10 @@ class EnvConfig(Checked):
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
+        if self.failure.robots > self.robots:
+            raise ConfigError(
+                f"failure.robots is {self.failure.robots}, and robots is {self.robots}: set fewer to fail"
+            )
         if not self.robot:
             object.__setattr__(self, "robot", ())
             return

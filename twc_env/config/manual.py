@@ -8,12 +8,15 @@ import inspect
 import json
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from operator import attrgetter
 from typing import Any
 
 from twc_env.config.checks import choices_of, sections_of
 from twc_env.config.environment import EnvConfig
+from twc_env.config.robot_presets import ROBOT_PRESETS, TEAM_PRESETS
+from twc_env.config.values import world_of
+from twc_env.config.world_presets import WORLD_PLACES, WORLD_PRESETS
 from twc_env.errors import ConfigError, did_you_mean
 
 _WIDTH = 118
@@ -22,16 +25,61 @@ _WIDTH = 118
 def as_toml(config: EnvConfig, sections: Sequence[str] = ()) -> str:
     """The settings as TOML for `load`; values that differ from their default are marked.
 
-    sections: dotted names of the sections to show, such as "slam.merging" (default: all). Raises ConfigError for an
-    unknown section.
+    sections: dotted names of the sections to show, such as "slam.merging" (default: all), or of PRESETS, which are
+    explained in comments. Raises ConfigError for an unknown section.
     """
     names = [name for name, _ in sections_of(EnvConfig)]  # "" for EnvConfig itself
     for name in sections:
-        if name not in names:
-            hint = did_you_mean(name, names) or f"; sections are {', '.join(names[1:])}"
+        if name not in names and name not in PRESETS:
+            hint = did_you_mean(name, [*names, *PRESETS])
+            hint = hint or f"; sections are {', '.join(names[1:])}, and presets of {', '.join(PRESETS)}"
             raise ConfigError(f"there is no section {name!r} among the settings{hint}")
     chosen = [name for name in names if not sections or any(f"{name}.".startswith(f"{part}.") for part in sections)]
-    return "\n\n".join(_text(name, _section(config, name), _section(EnvConfig(), name)) for name in chosen) + "\n"
+    texts = [] if sections else [_commented([*_worlds(config), "`twc-env settings world` tells what each sets."])]
+    texts += [_commented(PRESETS[name](config)) for name in sections if name in PRESETS]
+    texts += [_text(name, _section(config, name), _section(EnvConfig(), name)) for name in chosen]
+    return "\n\n".join(texts) + "\n"
+
+
+def _commented(lines: Sequence[str]) -> str:
+    return "\n".join(
+        "\n".join(textwrap.wrap(line, _WIDTH, initial_indent="# ", subsequent_indent="#     ")) for line in lines
+    )
+
+
+def _worlds(config: EnvConfig, told: Callable[[str], list[str]] = lambda name: []) -> list[str]:
+    """Lines on the worlds, each followed by what is `told` of it."""
+    lines = [
+        'A world composes effects of reality: world = "NAME" in a file, --set world=NAME in a command. It is none of '
+        f"the settings but sets those that it names; most of those here are of {world_of(config)!r}."
+    ]
+    for name, place in WORLD_PLACES.items():
+        lines += [f"{name}: {place}", *told(name)]
+    return lines
+
+
+def _settings_of(preset: Mapping[str, Any]) -> list[str]:
+    return [f"    {key} = {json.dumps(value)}" for key, value in preset.items()]
+
+
+def _world(config: EnvConfig) -> list[str]:
+    return _worlds(config, lambda name: _settings_of(WORLD_PRESETS[name]))
+
+
+def _robots(_: EnvConfig) -> list[str]:
+    lines = ["Presets of single robots, for the setting robot, as in --set 'robot=handheld, wheeled'; what each sets:"]
+    for name, preset in ROBOT_PRESETS.items():
+        lines += [name, *_settings_of(preset)]
+    return lines
+
+
+def _teams(_: EnvConfig) -> list[str]:
+    lines = [f"--set team=NAME, or robots by name: {', '.join(ROBOT_PRESETS)} (`twc-env settings robot`)"]
+    return lines + [f"{name}: {', '.join(robots)}" for name, robots in TEAM_PRESETS.items()]
+
+
+PRESETS: dict[str, Callable[[EnvConfig], list[str]]] = {"world": _world, "robot": _robots, "team": _teams}
+"""Short forms of several settings, and the lines that explain each."""
 
 
 def _section(config: EnvConfig, name: str) -> Any:

@@ -31,7 +31,7 @@ _NAMES: dict[str, tuple[type, tuple[str, ...]]] = {
             "robot_radius_m",
         ),
     ),
-    "odometry": (OdometryConfig, ("platform", "drift")),
+    "odometry": (OdometryConfig, ("platform", "drift", "bumps_per_m", "threshold_slip_m")),
     "lidar": (LidarConfig, tuple(field.name for field in dataclasses.fields(LidarConfig))),
     "radio": (
         RadioConfig,
@@ -80,7 +80,10 @@ def team_of(team: Any) -> tuple[Overrides, ...]:
         team = list(TEAM_PRESETS[team])
     names = _read(team) if isinstance(team, str) else team
     if not isinstance(names, Sequence) or not names:
-        raise ConfigError(f"team must be one of {', '.join(TEAM_PRESETS)}, or a list of robots; got {team!r}")
+        raise ConfigError(
+            f"team must be {', '.join(TEAM_PRESETS)}, or robots such as 'handheld, wheeled', of "
+            f"{', '.join(ROBOT_PRESETS)}; got {team!r}"
+        )
     if isinstance(team, str) and len(names) == 1 and names[0] not in ROBOT_PRESETS:
         known = [*TEAM_PRESETS, *ROBOT_PRESETS]
         raise ConfigError(
@@ -147,7 +150,10 @@ def _typed(where: str, key: str, value: Any) -> Any:
         names = [name for name in ROBOT_SETTINGS if name.endswith(f".{key}")]
         hint = f"; did you mean {' or '.join(names)}?" if names else did_you_mean(key, ROBOT_SETTINGS)
         listed = "; ".join(f"{section}: {', '.join(names)}" for section, (_, names) in _NAMES.items())
-        raise ConfigError(f"{where} cannot differ between robots{hint}: possible are preset, lidar.preset; {listed}")
+        raise ConfigError(
+            f"{where} cannot differ between robots{hint}: set it for the team; possible are preset, lidar.preset; "
+            f"{listed}"
+        )
     section, _, name = key.rpartition(".")
     default = getattr(_NAMES[section][0](), name)
     value = plain_value(value)

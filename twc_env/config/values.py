@@ -21,7 +21,7 @@ from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.robots import overrides_of, team_of
 from twc_env.config.world import LidarConfig, RadioConfig
 from twc_env.config.world_presets import WORLD_PRESETS
-from twc_env.errors import ConfigError, one_of
+from twc_env.errors import ConfigError, did_you_mean, one_of
 from twc_env.records.class_file import is_in_file
 from twc_env.records.json_values import table_of
 from twc_env.records.whole_file import file_path
@@ -53,7 +53,7 @@ def _preset(section: type, name: str):
     where, known = _PRESETS[section]
     if not isinstance(name, str) or name not in known:
         names = ", ".join(known)
-        raise ConfigError(f"{where}.preset must be one of {names}; got {name!r}{_near(name, known)}")
+        raise ConfigError(f"{where}.preset must be one of {names}; got {name!r}{did_you_mean(name, known)}")
     return from_dict(known[name], section, where)
 
 
@@ -61,7 +61,7 @@ def world_preset(name: str) -> EnvConfig:
     """The default settings with the effects of reality in one type of place. Raises ConfigError for an unknown name."""
     if not isinstance(name, str) or name not in WORLD_PRESETS:
         known = ", ".join(WORLD_PRESETS)
-        raise ConfigError(f"world must be one of {known}; got {name!r}{_near(name, WORLD_PRESETS)}")
+        raise ConfigError(f"world must be one of {known}; got {name!r}{did_you_mean(name, WORLD_PRESETS)}")
     return override(EnvConfig(), WORLD_PRESETS[name])
 
 
@@ -118,6 +118,8 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
         raise ConfigError(f"{where or 'a config'} must be a table of settings; got {values!r}")
     types = _types_of(cls)
     arguments: dict = {}
+    if cls is EnvConfig and "robot" in values and "team" in values:
+        raise ConfigError("robot and team both say which robots there are: give one of them")
     if cls is EnvConfig and ("robot" in values or "team" in values):
         values = _with_robots(values, values)
     if cls is EnvConfig and "world" in values:
@@ -218,9 +220,10 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
     other settings of their section as they are.
 
     Strings are converted to the type of the field, as for command lines. `world` (`world_preset`) is applied first: it
-    changes the settings of its effects only; `team` (`robots.team_of`) is short for `robot` and their number, and of a
-    mixed team fewer `robots` are its first ones; then `radio.preset` and `lidar.preset`, which leave nothing of what
-    the world says about their section; then the others.
+    changes the settings of its effects, and those of the world that the config has (`world_of`), only; `team`
+    (`robots.team_of`) is short for `robot` and their number, and of a mixed team fewer `robots` are its first ones;
+    then `radio.preset` and `lidar.preset`, which leave nothing of what the world says about their section; then the
+    others.
     Raises ConfigError for an unknown key or an invalid value.
     """
     if not isinstance(assignments, Mapping) or not all(isinstance(key, str) for key in assignments):
@@ -231,9 +234,12 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
     if "world" in assignments:
         name = str(assignments.pop("world"))
         world_preset(name)  # refuses unknown names
+        values = _left(values, _world_in(values))
         replaced = tuple(f"{where}." for where, _ in _PRESETS.values() if f"{where}.preset" in assignments)
         effects = {k: v for k, v in WORLD_PRESETS[name].items() if not (replaced and k.startswith(replaced))}
         assignments = effects | assignments
+    if "robot" in assignments and "team" in assignments:
+        raise ConfigError("robot and team both say which robots there are: give one of them")
     if "robot" in assignments or "team" in assignments:
         values = _with_robots(values, assignments)
         assignments = {key: value for key, value in assignments.items() if key not in ("robot", "team")}
@@ -267,6 +273,43 @@ def dotted_keys(settings: Mapping, prefix: str = "") -> dict[str, object]:
         is_nested = isinstance(value, Mapping) and value
         flat |= dotted_keys(value, f"{prefix}{key}.") if is_nested else {f"{prefix}{key}": value}
     return flat
+
+
+def world_of(config: EnvConfig) -> str:
+    """The world more than half of whose settings the config has; "clean" if there is none."""
+    return _world_in(to_dict(config))
+
+
+def _world_in(values: Mapping[str, Any]) -> str:
+    shares = {
+        name: sum(_has(values, key, value) for key, value in preset.items()) / len(preset)
+        for name, preset in WORLD_PRESETS.items()
+        if preset
+    }
+    best = max(shares, key=lambda name: shares[name])
+    return best if shares[best] > _MOST else "clean"
+
+
+_MOST = 0.5
+
+
+def _has(values: Mapping[str, Any], key: str, value: object) -> bool:
+    """Whether values have a setting of a world."""
+    if key.endswith(".preset"):
+        (section,) = (each for each, (where, _) in _PRESETS.items() if key == f"{where}.preset")
+        return values[key.removesuffix(".preset")] == dataclasses.asdict(_preset(section, str(value)))
+    return reduce(dict.__getitem__, key.split("."), dict(values)) == value
+
+
+def _left(values: dict, world: str) -> dict:
+    """The values without what they have of a world; other settings stay."""
+    usual = to_dict(EnvConfig())
+    for key, value in WORLD_PRESETS[world].items():
+        if _has(values, key, value):
+            *sections, name = key.removesuffix(".preset").split(".")
+            node, other = (reduce(dict.__getitem__, sections, each) for each in (values, usual))
+            node[name] = other[name]
+    return values
 
 
 def _value(kind: type, value, where: str):

@@ -176,6 +176,11 @@ class LidarConfig(Checked):
             raise ConfigError(
                 "lidar.is_rolling is true and lidar.rate_hz 0: set the scans per second, in which a mirror turns once"
             )
+        if self.range_min_m >= self.range_max_m:
+            raise ConfigError(
+                f"lidar.range_min_m is {self.range_min_m:g} and lidar.range_max_m {self.range_max_m:g}: the scanner "
+                "would see nothing; the greatest range must be the longer one"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -366,3 +371,11 @@ class FailureConfig(Checked):
     """Step before which the last robot is lifted and put down elsewhere, unseen by its odometry (0: never)."""
     kidnaps_per_min: float = number(0.0, 0.0, 60.0, is_later=True)
     """Rate at which the same happens to each robot, at random times."""
+
+    def __post_init__(self) -> None:
+        Checked.__post_init__(self)
+        if self.link_end_step < self.link_begin_step:
+            raise ConfigError(
+                f"failure.link_begin_step is {self.link_begin_step} and failure.link_end_step {self.link_end_step}: "
+                "the link must be back after it was lost; set a later end"
+            )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 WORLD_PRESETS: dict[str, dict[str, object]] = {
     "clean": {},
-    # Many sit, some walk; door plates repeat; partitions of glass; every second doorway has a door that moves.
     "office": {
         "people.count": 12,
         "people.walking_share": 0.4,
@@ -18,8 +17,6 @@ WORLD_PRESETS: dict[str, dict[str, object]] = {
         "clutter.hidden_share": 0.1,
         "odometry.threshold_slip_m": 0.01,
     },
-    # A crowd that walks, shop windows, stands that are moved, and radio as measured in a mall: its receivers differ by
-    # more than the fixed similarities of TWC-SLAM's Algorithm 1 allow; `fused` learns by how much.
     "mall": {
         "people.count": 30,
         "people.walking_share": 0.8,
@@ -32,8 +29,6 @@ WORLD_PRESETS: dict[str, dict[str, object]] = {
         "clutter.furniture": 15,
         "clutter.moves_per_min": 0.1,
     },
-    # People who walk and lie or sit in equal parts, doors that they open, beds and trolleys that they push; staff lift
-    # a robot out of their way every twenty minutes.
     "ward": {
         "people.count": 20,
         "people.walking_share": 0.5,
@@ -46,8 +41,6 @@ WORLD_PRESETS: dict[str, dict[str, object]] = {
         "clutter.moves_per_min": 0.2,
         "odometry.threshold_slip_m": 0.01,
     },
-    # Few people, rows of shelves with repeated labels, pallets that scanners do not see, and robots that slip in turns
-    # and drive over rubbish.
     "warehouse": {
         "people.count": 4,
         "people.walking_share": 1.0,
@@ -62,3 +55,16 @@ WORLD_PRESETS: dict[str, dict[str, object]] = {
     },
 }
 """Settings, by dotted name, that differ from the defaults."""
+WORLD_PLACES = {
+    "clean": "ideal scanners, and nothing moves but the robots",
+    "office": "many sit, some walk; door plates repeat; partitions of glass, where a plan has them; every second "
+    "doorway has a door that moves",
+    "mall": "a crowd that walks, shop windows, where a plan has them, stands that are moved, and radio as measured in "
+    "a mall: receivers differ by more than the fixed similarities of TWC-SLAM's Algorithm 1 allow; `fused` learns by "
+    "how much",
+    "ward": "people who walk and lie or sit in equal parts, doors that they open, beds and trolleys that they push; "
+    "staff lift a robot out of their way every twenty minutes",
+    "warehouse": "few people, rows of shelves with repeated labels, pallets that scanners do not see, and robots that "
+    "slip in turns and drive over rubbish",
+}
+"""What each is like."""

@@ -113,13 +113,15 @@ def end_point_error_m(estimated: ArrayLike, true: ArrayLike) -> float:
     return float(np.hypot(*(end_estimated - end_true)[:2]))
 
 
-def path_length_m(poses: ArrayLike) -> float:
-    """Length of the path through (t, 2) or (t, 3) poses. Raises DataError for other shapes."""
+def path_length_m(poses: ArrayLike, step_max_m: float = np.inf) -> float:
+    """Length of the path through (t, 2) or (t, 3) poses; longer steps than `step_max_m` are none of it: the robot was
+    carried. Raises DataError for other shapes."""
     path = real_array(poses, "poses")
     if path.ndim != 2 or path.shape[1] not in (2, 3):
         raise DataError(f"a path has positions (steps, 2) or poses (steps, 3); got {path.shape}")
     steps_m = np.diff(path[:, :2], axis=0)
-    return float(np.sum(np.hypot(steps_m[:, 0], steps_m[:, 1])))
+    lengths_m = np.hypot(steps_m[:, 0], steps_m[:, 1])
+    return float(np.sum(lengths_m[lengths_m <= step_max_m]))
 
 
 def stuck_share(true_poses: ArrayLike, window: int, radius_m: float, is_commanded: ArrayLike | None = None) -> float:

@@ -30,6 +30,11 @@ class Jolts:
         self._streams = [random_stream(seed, "jolts", robot) for robot in range(len(own))]
         self._before: Array | None = None
 
+    def carried(self, robot: int) -> None:
+        """A robot was lifted and put down elsewhere: its wheels did not touch the floor on the way."""
+        if self._before is not None:
+            self._before[robot] = math.nan
+
     def apply(self, poses: Array, odometry: Array) -> None:
         """Add the errors to odometry (n, 3) of the way to the true poses (n, 3), in each step once."""
         before, self._before = self._before, poses[:, :2].copy()
@@ -38,11 +43,13 @@ class Jolts:
         for robot, stream in enumerate(self._streams):
             way_m = math.dist(before[robot], poses[robot, :2])
             chance, side, slip = stream.random(), stream.random() - 0.5, stream.standard_normal()
-            is_at_sill = self._slips_m[robot] > 0.0 and way_m < 1.0 and self._crosses(before[robot], poses[robot, :2])
+            if math.isnan(way_m):
+                continue
+            is_at_sill = self._slips_m[robot] > 0.0 and self._crosses(before[robot], poses[robot, :2])
             if is_at_sill:
                 forward = math.copysign(1.0, odometry[robot, 0])
                 odometry[robot, 0] += forward * self._slips_m[robot] * abs(slip)
-            if is_at_sill or chance < self._bumps_per_m[robot] * way_m < 1.0:
+            if is_at_sill or chance < self._bumps_per_m[robot] * way_m:
                 odometry[robot, 2] += math.copysign(BUMP_RAD, side)
 
     def _crosses(self, begin: Array, end: Array) -> bool:

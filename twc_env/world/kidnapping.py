@@ -11,6 +11,7 @@ from numpy.typing import NDArray as Array
 from twc_env.config import FailureConfig
 from twc_env.records.random_streams import random_stream
 from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.failures import Failures
 from twc_env.world.starts import start_places
 
 _AWAY_M = 3.0
@@ -20,11 +21,12 @@ _APART_M = 1.0
 
 
 class Kidnapping:
-    """The kidnappings of one episode, at most one of each robot per step."""
+    """The kidnappings of one episode, at most one of each robot per step; nobody lifts a robot that is off."""
 
     def __init__(self, config: FailureConfig, home: Floorplan, robots: int, time_step_s: float, seed: int):
         self._step, self._last_robot = config.kidnap_step, robots - 1
         self._chance = config.kidnaps_per_min * time_step_s / 60.0
+        self._failures = Failures(config, robots, time_step_s)
         self.is_nothing = not self._step and not self._chance
         """Whether no robot is ever carried."""
         self._random = random_stream(seed, "kidnap")
@@ -43,6 +45,7 @@ class Kidnapping:
         drawn = self._random.random(len(poses)) < self._chance if self._chance else np.zeros(len(poses), bool)
         if step == self._step > 0:
             drawn[self._last_robot] = True
+        drawn &= self._failures.is_alive(step)
         if not drawn.any() or not len(self._places):
             return []
         now, moved = poses.copy(), []

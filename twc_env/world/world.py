@@ -289,6 +289,8 @@ class World:
         for robot, pose in self._kidnapping.carried(self._step, dynamics.poses, people_m):
             dynamics.put(robot, pose)
             self._sensed_poses[robot] = dynamics.poses[robot]
+            if self._odometry.jolts is not None:
+                self._odometry.jolts.carried(robot)
 
     def _obstructions(self) -> Array:
         """(k, 5) those of people, doors and furniture; of one kind alone the array that it updates itself."""

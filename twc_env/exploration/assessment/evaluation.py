@@ -13,7 +13,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env import metrics
 from twc_env._version import __version__
-from twc_env.config import EnvConfig, shared_config
+from twc_env.config import EnvConfig, robot_configs, shared_config
 from twc_env.config import digest as config_digest
 from twc_env.errors import did_you_mean
 from twc_env.exploration.assessment import result_table
@@ -31,6 +31,8 @@ from twc_env.world.building.floorplan import Floorplan
 
 STUCK_WINDOW_S = 10.0
 STUCK_RADIUS_M = 0.3
+CARRIED = 2.0
+"""Steps longer than so many times the longest that a robot can drive: somebody carried it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -174,6 +176,7 @@ def numbers(
     true, estimated, alignment, reckoned = paths
     score = _score(best.grid, best.pose_building_map, cells)
     robots = range(true.shape[1])
+    strides_m = [CARRIED * own.dynamics.speed_max_m_s * own.dynamics.time_step_s for own in robot_configs(config)]
     taken, scans = _taken(engine, len(robots))
     # The map drawn at the dead-reckoned poses, whose relative start poses are the true ones, after one alignment.
     by_odometry = _score(_drawn_at(reckoned, taken, scans, config), metrics.lay_map(reckoned, true), cells)
@@ -196,7 +199,7 @@ def numbers(
         "odometry_map_iou": by_odometry.map_iou,
         "odometry_wall_iou": by_odometry.wall_iou,
         "bytes_sent": int(sum(engine.bytes_sent.values())),
-        "path_length_m": float(sum(metrics.path_length_m(true[:, r]) for r in robots)),
+        "path_length_m": float(sum(metrics.path_length_m(true[:, r], strides_m[r]) for r in robots)),
         "collisions": record.contact_count,
         **({} if record.people_collisions is None else {"people_collisions": record.people_collisions}),
         "stuck_share": metrics.stuck_share(
