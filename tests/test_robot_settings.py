@@ -65,7 +65,10 @@ def test_a_list_says_how_many_robots_there_are_unless_their_number_contradicts_i
     [
         ("legged, wheled", r"robot\[1\]\.preset must be one of .*; got 'wheled'; did you mean 'wheeled'\?"),
         ([{"dynamics.time_step_s": 0.1}], r"robot\[0\]\.dynamics\.time_step_s cannot differ between robots.*speed_max"),
-        ([{"map": "twin-02"}], r"robot\[0\]\.map cannot differ between robots: set it for the team; possible are preset, lidar\.preset"),
+        (
+            [{"map": "twin-02"}],
+            r"robot\[0\]\.map cannot differ between robots: set it for the team; possible are preset, lidar\.preset",
+        ),
         ([{"drift": 1.0}], r"robot\[0\]\.drift cannot differ between robots; did you mean odometry\.drift\?"),
         ([{"lidar.preset": "utm"}], r"robot\[0\]\.lidar\.preset must be one of ideal, .*; got 'utm'"),
         ([{"odometry.drift": "far"}], r"robot\[0\]\.odometry\.drift must be a number; got 'far'"),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import twc_env
+from tests.soak.observation_check import BLOCKS, EFFECTS, random_actions
 from twc_env.config import EnvConfig, digest, override
 
 STEPS = 100
@@ -51,6 +52,29 @@ def test_observations_do_not_depend_on_where_the_building_stands(explore, log):
     for a, b in zip(log.observations, moved.observations, strict=True):
         for agent in a:
             assert all(np.array_equal(a[agent][key], b[agent][key]) for key in a[agent])
+
+
+@pytest.mark.parametrize("kind", ["velocity", "waypoint", "frontier"])
+def test_with_every_effect_observations_do_not_depend_on_where_the_building_stands(kind):
+    """All blocks of a mixed team, with lost frames, unlike clocks, late scans, bumps, and robots that are carried."""
+    settings = {f"observation.{name}": True for name in BLOCKS} | EFFECTS | PEOPLE
+    settings |= {"action.kind": kind, "action.decision_max_s": 1.0}
+    plan = twc_env.load_map("twin-01")
+    here, there = (
+        twc_env.parallel_env(floorplan=floorplan, max_cycles=STEPS, config=settings)
+        for floorplan in (plan, plan.moved(MOTION))
+    )
+    random, steps = np.random.default_rng(0), 0
+    (seen, infos), (moved, _) = (env.reset(seed=3, options={"starts": "map"}) for env in (here, there))
+    while here.agents:
+        for agent, blocks in seen.items():
+            assert all(np.array_equal(blocks[name], moved[agent][name]) for name in blocks), (steps, agent)
+        actions, steps = random_actions(here, infos, random), steps + 1
+        (seen, _, _, _, infos), (moved, *_) = here.step(actions), there.step(actions)
+    assert steps == STEPS if kind == "velocity" else steps >= STEPS / 10
+    assert np.abs(here.state() - there.state()).max() > 30
+    here.close()
+    there.close()
 
 
 @pytest.mark.parametrize("scanner", ["ideal", "lms-200", "rplidar-a1"])

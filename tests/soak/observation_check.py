@@ -16,14 +16,28 @@ from twc_env.records.random_streams import random_stream
 BLOCKS = ("lidar", "map", "overview", "pose", "wifi", "signs", "team", "frontiers")
 EPISODE_STEPS = 500
 ACTIONS = (
-    ("velocity", "synchronous"),
-    ("waypoint", "synchronous"),
-    ("waypoint", "asynchronous"),
-    ("frontier", "synchronous"),
-    ("frontier", "asynchronous"),
-    ("frontier", "in-turn"),
+    ("velocity", "synchronous", False),
+    ("waypoint", "synchronous", True),
+    ("waypoint", "asynchronous", False),
+    ("frontier", "synchronous", True),
+    ("frontier", "asynchronous", False),
+    ("frontier", "in-turn", True),
 )
-"""Every kind and timing of action."""
+"""Every kind and timing of action, and whether with all effects of reality."""
+EFFECTS = {
+    "world": "ward",
+    "team": ["wheeled", "handheld", {"preset": "turtlebot-burger", "lidar.delay_s": 0.05}],
+    "odometry.bumps_per_m": 0.5,
+    "odometry.variation": 1.0,
+    "radio.power_change_std_db": 5.0,
+    "link.topology": "peer",
+    "failure.kidnaps_per_min": 2.0,
+    "failure.frame_loss_probability": 0.2,
+    "failure.clock_offset_std_s": 100.0,
+    "failure.clock_skew_std_ppm": 50.0,
+    "failure.start_spread_s": 5.0,
+}
+"""Of the world, of a mixed team, of its clocks and frames."""
 _SETTINGS = {
     **{f"observation.{name}": True for name in BLOCKS},
     "slam.k_visibility.enabled": True,
@@ -50,12 +64,11 @@ def check_observations(
 ) -> ObservationReport:
     """Run `steps` random steps, divided among the kinds of action, with all blocks on, in changing buildings."""
     result = ObservationReport()
-    for number, (kind, timing) in enumerate(ACTIONS):
+    for number, (kind, timing, is_hard) in enumerate(ACTIONS):
         share = steps // len(ACTIONS) + (number < steps % len(ACTIONS))
-        config = override(EnvConfig(), {**_SETTINGS, "action.kind": kind, "action.timing": timing})
-        _check_kind(
-            ExplorationEnv(config=config), share, seed, f"{kind}, {timing}", result, lambda: report(result.steps, steps)
-        )
+        settings = {**_SETTINGS, "action.kind": kind, "action.timing": timing, **(EFFECTS if is_hard else {})}
+        env = ExplorationEnv(config=override(EnvConfig(), settings))
+        _check_kind(env, share, seed, f"{kind}, {timing}", result, lambda: report(result.steps, steps))
     return result
 
 
@@ -102,9 +115,9 @@ def _look(env: ExplorationEnv, before: dict, now: dict, what: str, result: Obser
     changed = set()
     arrays = [(agent, name, block) for agent, observation in now.items() for name, block in observation.items()]
     old = [block for observation in before.values() for block in observation.values()]
-    space = env.observation_space(env.possible_agents[0])  # the same for all agents
-    assert isinstance(space, spaces.Dict)
     for number, (agent, name, block) in enumerate(arrays):
+        space = env.observation_space(agent)
+        assert isinstance(space, spaces.Dict)
         result.blocks += 1
         if not space[name].contains(block):
             _note(result, f"{name} left its space ({what})")

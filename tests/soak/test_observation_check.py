@@ -7,7 +7,7 @@ from twc_env.exploration.environment import ExplorationEnv
 
 
 def test_every_block_stays_in_its_space_changes_and_shares_no_memory(monkeypatch):
-    monkeypatch.setattr(observation_check, "ACTIONS", (ACTIONS[0], ACTIONS[4]))
+    monkeypatch.setattr(observation_check, "ACTIONS", (ACTIONS[0], ACTIONS[3]))
     report = check_observations(300)
     assert report.faults == []
     assert report.steps == 300
