@@ -303,6 +303,21 @@ def test_a_full_disk_is_an_error_of_one_line_for_every_output(tmp_path):
         assert last == "error: cannot write: No space left on device; make room, or choose another place"
 
 
+@pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
+@pytest.mark.parametrize("buffering", ["", "1"])
+def test_output_that_a_disk_takes_in_part_only_is_an_error(tmp_path, buffering):
+    import resource
+
+    command = [sys.executable, "-m", "twc_env", "settings"]
+    with (tmp_path / "out").open("w") as out:
+        done = subprocess.run(
+            command, stdout=out, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONUNBUFFERED": buffering},
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),
+        )  # fmt: skip
+    assert (tmp_path / "out").stat().st_size == 4096
+    assert done.returncode == 2 and done.stderr.startswith("error: cannot write: ")
+
+
 def test_characters_that_the_terminal_cannot_show_are_escaped(tmp_path):
     plan = json.loads((bundled_folder() / "twin-01.json").read_text())
     (tmp_path / "plan.json").write_text(json.dumps({**plan, "name": "Büro 階"}))

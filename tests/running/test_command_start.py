@@ -158,6 +158,14 @@ def test_an_interrupt_comes_until_it_is_received():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_an_error_that_comes_of_a_dropped_interrupt_is_an_interruption(name, status):
+    """Numba's compiler, interrupted in a callback of LLVM, goes on without a result."""
+    done = after_a_lost_signal(name, "raise RuntimeError('no compiled object yet')", again_s=0.3)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{status}\nmore work\n", "interrupted\n")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_an_interrupt_is_not_lost_while_python_tells_of_the_one_it_dropped():
     slow = (  # as on a machine that other programs keep busy
         "start = threading.Thread.start\ndef slow(thread):\n    start(thread)\n    time.sleep(0.5)\n"

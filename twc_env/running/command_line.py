@@ -19,8 +19,10 @@ from twc_env.running.command_start import (
     interrupted_status,
     is_interruption,
     is_loading,
+    no_more_signals,
 )
 from twc_env.running.terminal import end_line, logging_to_terminal
+from twc_env.running.unbuffered_output import whole_output
 from twc_env.running.user_code import told_of_user_code
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
@@ -66,6 +68,7 @@ def exit_status(command: Callable[[], int | None], remark: str = "interrupted", 
         return 2
     except (KeyboardInterrupt, Exception) as error:
         if is_interruption(error):
+            no_more_signals()
             sys.stderr.write(f"{remark}\n")
             return interrupted_status()
         told = told_of_user_code(error)
@@ -103,7 +106,7 @@ def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None
         return options.run(options)
 
     is_verbose = getattr(options, "verbose", False)
-    with logging_to_terminal(getattr(options, "quiet", False), is_verbose):
+    with whole_output(), logging_to_terminal(getattr(options, "quiet", False), is_verbose):
         return exit_status(command, getattr(options, "when_interrupted", "interrupted"), is_verbose)
 
 

@@ -20,6 +20,8 @@ _AGAIN_S = 0.02
 """After so long a signal is raised again whose exception was lost, until it is received."""
 _received: list[tuple[int, float]] = []
 """The signal that has interrupted the present command, and when."""
+_lost: list[int] = []
+"""The signal whose exception was dropped, until it has come once more."""
 _ended = threading.Event()
 """Set when the present command has ended."""
 _usual_hooks: list[Callable[[Any], object]] = []
@@ -41,6 +43,7 @@ def begin_work() -> None:
     Where Python drops exceptions (finalisers, callbacks from C, such as LLVM's), the signal comes once more."""
     global _ended
     _received.clear()
+    _lost.clear()
     _ended = threading.Event()  # threads of an earlier command keep theirs
     if threading.current_thread() is not threading.main_thread():
         return
@@ -51,6 +54,11 @@ def begin_work() -> None:
         signal.signal(signal.SIGINT, _interrupt)
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, _interrupt)
+
+
+def no_more_signals() -> None:
+    """The command has ended by a signal: one that was to come once more does not."""
+    _ended.set()
 
 
 def end_work() -> None:
@@ -65,12 +73,13 @@ def end_work() -> None:
 
 def interrupted_status() -> int:
     """Exit status of a command that was interrupted: 143 by SIGTERM, 130 by Ctrl-C."""
-    return 128 + (_received[0][0] if _received else signal.SIGINT)
+    return 128 + (_received[0][0] if _received else _lost[0] if _lost else signal.SIGINT)
 
 
 def is_interruption(error: BaseException) -> bool:
-    """Whether an error is a signal's KeyboardInterrupt, which compiled code may turn into a SystemError."""
-    return isinstance(error, KeyboardInterrupt) or (isinstance(error, SystemError) and bool(_received))
+    """Whether an error is a signal's KeyboardInterrupt, which compiled code may turn into a SystemError, or what came
+    of its loss: a compiler that was interrupted in a callback has no result."""
+    return isinstance(error, KeyboardInterrupt) or (isinstance(error, SystemError) and bool(_received)) or bool(_lost)
 
 
 class Interruption:
@@ -99,9 +108,10 @@ def is_loading() -> bool:
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     if not _received:
-        if _is_told_of_loss(frame):
+        if _is_told_of_loss(frame) or (_lost and _ended.is_set()):
             return
         _received.append((number, time.monotonic()))
+        _lost.clear()
         raise KeyboardInterrupt
     if number == signal.SIGINT and time.monotonic() - _received[0][1] >= _TWICE_S:
         os.write(2, b"\ninterrupted again: ended at once\n")
@@ -120,6 +130,7 @@ def _raise_again(lost: Any) -> None:
         _usual_hooks[-1](lost)
         return
     number, _ = _received.pop()
+    _lost.append(number)
     threading.Thread(target=_signal_again, args=(number, _ended), daemon=True).start()
 
 
