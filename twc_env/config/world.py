@@ -20,7 +20,8 @@ time and give it nothing: neighbouring beams of finer scanners hit the same wall
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildingConfig(Checked):
-    """How many of the map's signs and access points are kept: controls the difficulty of place recognition.
+    """How many of the map's signs and access points are kept, which controls the difficulty of place recognition; and
+    glass.
 
     What is kept keeps its place, access points also their addresses, power and shadowing. Only the errors of single
     readings and scans are sampled anew, as they are drawn sign after sign and address after address."""
@@ -29,6 +30,9 @@ class BuildingConfig(Checked):
     sign_duplication: float = number(0.0, 0.0, 1.0)
     """Share of the signs whose text duplicates that of a few others."""
     access_point_share: float = number(1.0, 0.0, 1.0)
+    glass_share: float = number(0.0, 0.0, 1.0, is_later=True)
+    """Share of the walls with floor on both sides that are glass, beside those that the map says are. They weaken
+    signals as before; `lidar.glass_return_probability` says how many beams they return."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

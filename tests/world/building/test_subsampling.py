@@ -51,8 +51,36 @@ def test_duplication_gives_many_signs_one_text_and_moves_none():
         assert np.array_equal(sign.position_m, old.position_m)
 
 
+def test_glass_is_among_the_walls_with_floor_on_both_sides():
+    plan = subsampled(PLAN, BuildingConfig(glass_share=0.5))
+    glass = np.array([name == "glass" for name in plan.wall_materials])
+    everywhere = np.array(
+        [name == "glass" for name in subsampled(PLAN, BuildingConfig(glass_share=1.0)).wall_materials]
+    )
+    outline = ((PLAN.walls_m == PLAN.bounds_m[:2]) | (PLAN.walls_m == PLAN.bounds_m[2:])).all(axis=1).any(axis=1)
+    assert not everywhere[outline].any() and everywhere.sum() > 10
+    assert 0.3 < glass.sum() / everywhere.sum() < 0.7 and not glass[~everywhere].any()
+    assert np.array_equal(plan.wall_loss_db, PLAN.wall_loss_db) and plan.origin == PLAN.origin
+
+
+def test_materials_that_the_plan_names_stay():
+    named = replace(PLAN, wall_materials=("brick",) * len(PLAN.walls_m))
+    assert set(subsampled(named, BuildingConfig(glass_share=1.0)).wall_materials) == {"brick"}
+
+
+def test_beams_pass_partitions_of_glass():
+    def free(share):
+        settings = {"map": "twin-02", "building.glass_share": share, "lidar.glass_return_probability": 0.0}
+        env = twc_env.parallel_env(config={"robots": 1, "slam.mode": "off", **settings})
+        seen, _ = env.reset(seed=0, options={"starts": "map"})
+        env.close()
+        return seen["robot_0"]["lidar"].mean()
+
+    assert free(1.0) > free(0.0) + 0.05
+
+
 def test_subsampling_depends_on_the_plan_only():
-    config = BuildingConfig(sign_share=0.6, sign_duplication=0.5, access_point_share=0.5)
+    config = BuildingConfig(sign_share=0.6, sign_duplication=0.5, access_point_share=0.5, glass_share=0.4)
     first, again = subsampled(PLAN, config), subsampled(PLAN, config)
     moved = subsampled(PLAN.moved(np.array([30.0, -4.0, 1.0])), config)
     assert first.digest == again.digest == moved.digest

@@ -48,6 +48,7 @@ EFFECTS: dict[str, dict] = {
     "carried once": {"failure.kidnap_step": 300},
     "carried often": {"failure.kidnaps_per_min": 1.0},
     "noisy scanner": {"lidar.range_noise_std_m": 0.03, "lidar.dropout_probability": 0.1, "lidar.beam_count": 90},
+    "glass": {"building.glass_share": 0.3, "lidar.glass_return_probability": 0.3},
     "skid-steer": {"odometry.platform": "skid-steer"},
     "varying odometry": {"odometry.variation": 1.0},
     "repeated signs": {"building.sign_duplication": 0.5},
