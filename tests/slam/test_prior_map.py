@@ -194,18 +194,33 @@ def test_a_robot_that_is_lost_again_searches_from_every_keyframe_and_does_not_do
     assert len(searches) == 20 and localiser.map_scale == 1.0
 
 
-def in_a_room(config):
-    """A localiser in an empty room of 8 x 5 m."""
-    level = np.full((51, 81), -50, np.int16)
+@pytest.mark.parametrize(("length_m", "is_lost"), [(8.0, False), (40.0, True)])
+def test_a_lost_robot_is_not_found_by_walls_that_do_not_tell_how_far_along_them_it_is(config, length_m, is_lost):
+    """It is taken to be 0.5 m too far: in a room the ends of the walls mend that, in a corridor all scans fit there."""
+    localiser = in_a_room(config, length_m)
+    localiser.pose_map_odom = np.array([0.5 * length_m - 1.5, 2.0, 0.0])
+    for step in range(20):
+        x_m = 0.2 * step
+        ranges_m = scan_in_room(0.5 * length_m - 2.0 + x_m, length_m)
+        localiser.update(np.array([x_m, 0.0, 0.0]), ranges_m, [], 0.1 * step)
+    assert localiser.is_lost == is_lost and localiser.fit > 0.9
+
+
+def in_a_room(config, length_m=8.0):
+    """A localiser in an empty room, 5 m wide."""
+    level = np.full((51, round(10.0 * length_m) + 1), -50, np.int16)
     level[[0, -1]] = level[:, [0, -1]] = 50
     return Localiser(config, Walls.of(LastingMap.of_grid(GridMap(level, np.array([-0.05, -0.05]), 0.1), 120, 10.0)))
 
 
-def scan_in_room(x_m):
-    """Ranges at (x_m, 2) of that room."""
+def scan_in_room(x_m, length_m=8.0):
+    """Ranges at (x_m, 2) of that room; 10 m where nothing is nearer."""
     angles = 2 * np.pi * np.arange(120) / 120 + 1e-9
-    along_m = [np.where(np.cos(angles) > 0, 8.0 - x_m, -x_m) / np.cos(angles), np.where(np.sin(angles) > 0, 3.0, -2.0)]
-    return np.minimum(along_m[0], along_m[1] / np.sin(angles))
+    along_m = [
+        np.where(np.cos(angles) > 0, length_m - x_m, -x_m) / np.cos(angles),
+        np.where(np.sin(angles) > 0, 3.0, -2.0),
+    ]
+    return np.minimum(np.minimum(along_m[0], along_m[1] / np.sin(angles)), 10.0)
 
 
 def test_a_map_without_walls_is_refused(config):

@@ -4,8 +4,8 @@ While it is lost, guesses come from places of the map that look like the robot's
 recogniser of the settings); where the map or the robot has neither signs nor radio, also from a search of the robot's
 recent scans over the whole map (`global_matching`). A pose is tried if guesses from several places agree, and no others
 agree half as often: rooms look alike. From then on each scan is matched to the walls, starting from odometry. The robot
-is no longer lost after `SURE_M` of path along which all scans fit well, and lost again when they fit too badly for
-longer than `PATIENCE_S` or `PATIENCE_M`.
+is no longer lost after `SURE_M` of path along which all scans fit well, and better than somewhat further along the
+walls, and lost again when they fit too badly for longer than `PATIENCE_S` or `PATIENCE_M`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from twc_env.slam.matching.global_matching import (
     possible_places,
     turn_along_walls,
 )
-from twc_env.slam.matching.point_matching import match_to_tree
+from twc_env.slam.matching.point_matching import GATE_LAST_M, match_to_tree
 from twc_env.slam.matching.scan_matching import scan_points
 from twc_env.slam.places.place_recognition import make_recogniser
 from twc_env.slam.saved_maps.wall_axes import wall_axes
@@ -58,6 +58,8 @@ GATE_M = 0.6
 MOVED_MAX_M, MOVED_MAX_RAD = 0.3, 0.1
 """A match further from odometry's prediction is not believed, but for the first of a streak while the robot is lost:
 outside the map, a scan also fits turned or shifted walls."""
+BESIDE_M = (0.6, 0.9, 1.2)
+"""While it is lost, a match does not count that fits no better than it would so far along the walls."""
 GAIN = 0.5
 """Of the way from odometry's prediction to the match, so much is gone: half, as both err."""
 ROBOT, PLACES = 0, 1
@@ -217,7 +219,8 @@ class Localiser:
         is_near = math.hypot(moved[0], moved[1]) <= MOVED_MAX_M and abs(moved[2]) <= MOVED_MAX_RAD
         is_near = is_near or (self.is_lost and self._streak[0] == 0)
         self.fit = match.inlier_ratio - self._through(match.pose, points)
-        if not is_near or self.fit < (FOUND_MIN if self.is_lost else TRACKED_MIN):
+        is_believed = is_near and self.fit >= (FOUND_MIN if self.is_lost else TRACKED_MIN)
+        if not is_believed or (self.is_lost and self._fits_beside(match.pose, points)):
             self._streak = 0, 0.0
             return
         scans, begun_m = self._streak
@@ -234,6 +237,19 @@ class Localiser:
         at = transform_points(pose, (points / length_m[:, None])[:, None] * along_m[:, None])
         is_met = (self._walls.grid.level_at(at) > 0) & (along_m < length_m[:, None] - THROUGH_M)
         return float(is_met.any(axis=1).mean())
+
+    def _fits_beside(self, pose: Array, points: Array) -> bool:
+        """Whether points (n, 2) fit as well somewhat further along the walls, as in a corridor that shows its sides
+        alone."""
+        for turn_rad in (0.0, 0.5 * math.pi):
+            along_rad = self._walls.window.walls[0] + turn_rad
+            way_m = np.array([math.cos(along_rad), math.sin(along_rad), 0.0])
+            for shift_m in (*BESIDE_M, *(-shift_m for shift_m in BESIDE_M)):
+                beside = pose + shift_m * way_m
+                away_m, _ = self._walls.tree.query(transform_points(beside, points), distance_upper_bound=GATE_LAST_M)
+                if np.isfinite(away_m).mean() - self._through(beside, points) >= self.fit:
+                    return True
+        return False
 
     def _recognised(self, keyframe: Keyframe) -> list[tuple[int, Array]]:
         """Weights and poses (3,) of a keyframe in the map, by places of the map that look like it."""
