@@ -18,7 +18,7 @@ from numba.core import event
 from tqdm import tqdm
 
 from twc_env.kernels.cache_folder import cache_folder, check_folders, is_empty, is_kept, write_checksums
-from twc_env.running.file_lock import FileLock
+from twc_env.processes.file_lock import FileLock
 
 _LOG = logging.getLogger("twc_env")
 SILENT_S, WAIT_MAX_S = 5.0, 300.0

@@ -7,10 +7,10 @@ import pytest
 from tests.slam.saved_maps.cuts import cut_building, irregular_building
 from twc_env.errors import MapError
 from twc_env.maps import load_map
+from twc_env.offline.map_merge import read_saved_maps
 from twc_env.records.geometry import between, compose, inverse
 from twc_env.reproduce.maps.map_cuts import overlapping_parts, saved_parts, twice
 from twc_env.reproduce.maps.saved_maps import error_of
-from twc_env.running.map_merge import read_saved_maps
 from twc_env.slam.saved_maps.map_joining import Pair, join_maps, joined
 from twc_env.slam.saved_maps.merged_grid import merged_grid
 from twc_env.slam.saved_maps.placement import Agreement, Placement, agreement_at, judged, place
