@@ -4,7 +4,7 @@
     py make.py test       install torch too and run all tests
     py make.py docs       build the documentation site into build/site; with --repository OWNER/NAME, where the
                           project lies on GitHub, notebooks get links to Colab
-    py make.py check      format, lint, types, import arrows
+    py make.py check      format, lint, types, import arrows and costs
     py make.py test-bounds       the engine's tests with bounds checks of compiled code (slow)
     py make.py soak       hours: 1,000,000 steps, malformed input of every kind; counts in runs/soak
     py make.py train-benchmarl   MAPPO of BenchMARL on a task, in .venv-benchmarl
@@ -43,7 +43,7 @@ TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
             ["-m", "ruff", "format", "--check", "."],
             ["-m", "ruff", "check", "."],
             ["-m", "mypy"],
-            ["-m", "pytest", "-q", "tests/test_architecture.py"],
+            ["-m", "pytest", "-q", "tests/test_architecture.py", "tests/test_import.py"],
         ],
     ),
     "test": (".venv/installed-test", TEST, [["-m", "pytest", "-q"]]),
@@ -64,7 +64,17 @@ TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
     ),
 }
 """Target -> the mark that it is installed, what pip installs, and the commands of Python to run."""
-ENVIRONMENT = {"test-bounds": {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": ".numba_bounds"}}
+OPTIONAL = {
+    ".venv/installed-test": [
+        ([*PINS, "-e", ".[viz,ros,docs]"], "rosbags or mkdocs-material"),
+        ([*PINS, "-e", ".[torchrl,rerun]", "sb3-contrib"], "TorchRL, Rerun or sb3-contrib"),
+    ],
+}
+"""Mark -> what pip may also install, and its name in words: where it is not to be had, its tests are skipped."""
+ENVIRONMENT = {
+    "test-bounds": {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": ".numba_bounds"},
+    "docs": {"NO_MKDOCS_2_WARNING": "1"},
+}
 
 
 def main(arguments: list[str]) -> int:
@@ -87,13 +97,21 @@ def main(arguments: list[str]) -> int:
     pins = [ROOT / "pyproject.toml", ROOT / "constraints.txt"]
     if not done.exists() or done.stat().st_mtime < max(pin.stat().st_mtime for pin in pins):
         print(f"installing into {done.parent.name} (a minute or more)", flush=True)
-        if status := run(python, ["-m", "pip", "install", "-qq", "--disable-pip-version-check", *packages]):
+        if status := install(python, packages):
             return status
+        for others, names in OPTIONAL.get(mark, []):
+            if install(python, others):
+                print(f"{names} is not to be had here: their tests are skipped", flush=True)
         done.touch()
     for command in commands:
         if status := run(python, command):
             return status
     return 0
+
+
+def install(python: Path, packages: list[str]) -> int:
+    """The exit status of pip, which shows its errors, but not its warnings about the machine's own settings of pip."""
+    return run(python, ["-m", "pip", "install", "-qq", "--disable-pip-version-check", *packages])
 
 
 def run(python: Path, arguments: list[str]) -> int:

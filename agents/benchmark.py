@@ -18,11 +18,11 @@ from twc_env.config import digest
 from twc_env.errors import UNFIT
 from twc_env.pictures.curves import draw_coverage, sampled
 from twc_env.pictures.replay_page import read_trace
+from twc_env.processes.worker_processes import in_processes
 from twc_env.records.json_values import write_json
 from twc_env.records.seal import is_unbroken
 from twc_env.records.text_tables import aligned_text, csv_text, flat, latex_table
 from twc_env.records.whole_file import write_text
-from twc_env.running.worker_processes import in_processes
 
 from .explore import explore, origin_of, write_run
 

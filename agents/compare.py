@@ -14,11 +14,11 @@ from numpy.typing import NDArray as Array
 import twc_env
 from twc_env.config import EnvConfig, override, to_dict
 from twc_env.pictures.curves import draw_coverage, sampled
+from twc_env.processes.worker_processes import in_processes
 from twc_env.records.json_values import write_json
 from twc_env.records.text_tables import aligned_text, csv_text, latex_table
 from twc_env.records.whole_file import write_text
 from twc_env.running.finished_parts import FinishedParts
-from twc_env.running.worker_processes import in_processes
 
 from .explore import commanded, commanded_stuck_share, origin_of
 from .policy import LEARNED, begin, is_finished, make_policy

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba.core.event import TimingListener, install_listener
 
 import twc_env
 from twc_env import DataError, EnvConfig, EpisodeResult, EpisodeTrace, load_map
@@ -24,6 +22,7 @@ from twc_env.pictures.video import film_name
 from twc_env.records.class_file import digest_of, is_in_file
 from twc_env.records.json_values import plain, write_json
 from twc_env.records.messages import Contacts, SensorFrame
+from twc_env.running.clock import Clock
 from twc_env.running.command_start import Interruption
 from twc_env.running.finished_parts import code_digest
 from twc_env.running.output_folder import alone_in
@@ -42,8 +41,6 @@ _WRITTEN = (
     "replay.rrd", "figures.csv", "figures.tex", ".part-*",
 )  # fmt: skip
 """Files of a run folder besides the report."""
-COMPILER_EVENT = "numba:compiler_lock"
-"""Kernels are compiled at first use, once per installation; this time is excluded from the speed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,19 +81,18 @@ def explore(
     begin(policy, agent, env, seed)
     frames, contacts, trace, commands = [env.frames], [env.contacts], EpisodeTrace(env), []
     thought_s, env_s, counted, step = 0.0, 0.0, 0, 0
-    compiling = TimingListener()
-    with Interruption() as interruption, install_listener(COMPILER_EVENT, compiling):
+    with Interruption() as interruption, Clock() as clock:
         while env.agents:
-            start = _clock_s(compiling)
+            start = clock.now_s()
             beliefs = {name: env.belief(name) for name in env.agents}
-            believed = _clock_s(compiling)
+            believed = clock.now_s()
             actions = policy.act(beliefs)
             is_over = is_finished(policy, beliefs)
-            thought = _clock_s(compiling)
+            thought = clock.now_s()
             if is_over:
                 break
             rewards = env.step(actions)[1]
-            stepped = _clock_s(compiling)
+            stepped = clock.now_s()
             commands.append(commanded(actions, env.possible_agents))
             frames.append(env.frames)
             contacts.append(env.contacts)
@@ -151,11 +147,6 @@ def origin_of(config: EnvConfig, agent: str) -> dict[str, str]:
         "map_digest": load_map(config.map).digest,
         **own,
     }
-
-
-def _clock_s(compiling: TimingListener) -> float:
-    """A clock that excludes the time in which kernels are compiled or loaded."""
-    return time.perf_counter() - (compiling.duration if compiling.done else 0.0)
 
 
 def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:

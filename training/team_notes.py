@@ -38,7 +38,7 @@ class TeamNotes:
         self._goals_m = np.full((teams * robots, 2), np.nan)
         """In the map frame of the robot."""
         self._group_sizes = np.zeros(teams * robots)
-        others = [[mate for mate in range(robots) if mate != robot] for robot in range(robots)]
+        others = [[other for other in range(robots) if other != robot] for robot in range(robots)]
         self._others = np.array(others, int).reshape(robots, robots - 1)
 
     @staticmethod

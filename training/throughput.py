@@ -9,7 +9,7 @@ import torch
 from twc_env.training.mappo import Learner, Rollouts, Settings
 from twc_env.training.run_folder import Task
 
-from twc_env.running.process_memory import peak_mb
+from twc_env.processes.process_memory import peak_mb
 
 
 def throughput(task: Task, updates: int, settings: Settings, ray: str | None = None) -> dict[str, float]:

@@ -8,7 +8,7 @@ import pytest
 from tests.slam.saved_maps.cuts import saved_cut
 from twc_env.__main__ import main
 from twc_env.datasets.buildings.ros_map import read_ros_cells
-from twc_env.running.map_merge import read_saved_maps
+from twc_env.offline.map_merge import read_saved_maps
 
 
 @pytest.fixture(scope="module")

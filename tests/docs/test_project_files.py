@@ -1,5 +1,6 @@
 """Files by which others cite, build and join the project: they can be read, and say what is so."""
 
+import json
 import re
 import subprocess
 import sys
@@ -73,19 +74,24 @@ def test_the_image_runs_the_command_as_a_user_without_rights_and_with_compiled_k
 
 
 def test_without_make_the_same_targets_are_built_with_the_same_extras():
-    code = "import make, json; print(json.dumps(make.TARGETS))"
+    code = "import make, json; print(json.dumps([make.TARGETS, make.OPTIONAL]))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True)
+    targets, optional = json.loads(done.stdout)
     makefile = re.sub(r"\\\n\s*", "", (ROOT / "Makefile").read_text())
     make_pins = ("-c", "constraints.txt")
-    for target, (mark, packages, commands) in eval(done.stdout).items():
+    for target, (mark, packages, commands) in targets.items():
         rule = re.search(rf"^{re.escape(mark)}:.*?(?=^\S)", makefile, re.DOTALL | re.MULTILINE)
         assert rule is not None and re.search(rf"^{target}: .*{re.escape(mark)}", makefile, re.MULTILINE)
         assert all(package in rule[0] for package in packages if package not in make_pins), target
         recipe = re.search(rf"^{target}:.*?(?=^\S)", makefile[rule.end() :], re.DOTALL | re.MULTILINE)
         assert recipe is not None
-        for command in commands:
-            words = " ".join(command[2:] if command[1] == "twc_env" else command)
-            assert words in recipe[0], words
+        ours = [" ".join(command[2:] if command[1] == "twc_env" else command) for command in commands]
+        theirs = re.findall(r"^\t(?:\w+=\S+ )*(?:\$\(PY\)|\.venv\S*/bin/\S+) (.+)$", recipe[0], re.MULTILINE)
+        assert [re.sub(r" +", " ", words) for words in theirs] == ours
+        tried = re.findall(r"\$\(INSTALL\) (.+?) \|\| echo \"(.+?)\"", rule[0])
+        others = [(" ".join(packages[2:]), names) for packages, names in optional.get(mark, [])]
+        assert [words.replace("'", "") for words, _ in tried] == [words for words, _ in others]
+        assert all(said.startswith(names) for (_, said), (_, names) in zip(tried, others, strict=True))
 
 
 def test_without_make_the_repository_of_the_docs_is_an_option():

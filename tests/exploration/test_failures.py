@@ -11,7 +11,7 @@ from twc_env.__main__ import main
 from twc_env.config import FailureConfig
 from twc_env.records.geometry import between, compose
 from twc_env.records.messages import Contacts, SensorFrame
-from twc_env.world.failures import Failures, FrameLoss
+from twc_env.world.motion.failures import Failures, FrameLoss
 
 STOP = 30
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from twc_env.kernels import cache_folder as places
-from twc_env.running.file_lock import FileLock
+from twc_env.processes.file_lock import FileLock
 
 ROOT = Path(__file__).parents[2]
 KERNELS = """from twc_env.kernels.compiled import kernel

@@ -8,10 +8,18 @@ from twc_env.running.moved_modules import MOVED
 
 
 @pytest.mark.parametrize("old", MOVED)
-def test_an_import_of_a_moved_module_names_the_new_one_which_exists(old):
+def test_either_import_of_a_moved_module_names_the_new_one_which_exists(old):
     with pytest.raises(ModuleNotFoundError, match=f"^twc_env.{old} is now twc_env.{MOVED[old]}$"):
         importlib.import_module(f"twc_env.{old}")
+    package, _, name = f"twc_env.{old}".rpartition(".")
+    with pytest.raises(ModuleNotFoundError, match=f"^twc_env.{old} is now twc_env.{MOVED[old]}$"):
+        exec(f"from {package} import {name}")
     assert importlib.util.find_spec(f"twc_env.{MOVED[old]}") is not None
+
+
+def test_a_module_that_never_was_is_an_import_error_as_everywhere():
+    with pytest.raises(ImportError, match="cannot import name 'nothing'"):
+        exec("from twc_env.slam import nothing")
 
 
 def test_the_old_name_of_the_teammates_of_a_belief_names_the_new_one():

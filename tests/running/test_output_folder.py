@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from twc_env.errors import DataError
-from twc_env.running.file_lock import FileLock
+from twc_env.processes.file_lock import FileLock
 from twc_env.running.output_folder import alone_in, make_folder
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no file locks there")

@@ -17,7 +17,7 @@ from typing import Any
 
 from twc_env.errors import TwcError
 from twc_env.kernels.cache_folder import cache_folder
-from twc_env.running.process_memory import peak_mb
+from twc_env.processes.process_memory import peak_mb
 
 SECONDS_MAX = 2.0
 """Limit of CPU time of one attempt, or, if it exceeds that, of its repetition; exceeding it, or the next two, is

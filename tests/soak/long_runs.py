@@ -24,7 +24,7 @@ from twc_env.config.lidar_presets import LIDAR_PRESETS
 from twc_env.datasets.lasting_maps import save_map
 from twc_env.errors import ConfigError
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.running.process_memory import resident_mb
+from twc_env.processes.process_memory import resident_mb
 from twc_env.tasks import TASKS, task_config
 from twc_env.vector.teams import VectorTeams
 

@@ -83,7 +83,7 @@ def test_progress_is_logged_once_per_minute(monkeypatch, capsys):
 PARENT = """
 import sys, time
 from twc_env.vector.teams import VectorTeams
-from twc_env.running.worker_processes import in_processes
+from twc_env.processes.worker_processes import in_processes
 
 if __name__ == "__main__":
     if sys.argv[1] == "teams":

@@ -10,12 +10,12 @@ from twc_env.errors import ActionError, ConfigError, MapError, TwcError
 from twc_env.maps import load_map
 from twc_env.records.geometry import between, compose
 from twc_env.world.building.floorplan import AccessPoint, Floorplan
+from twc_env.world.motion.starts import START_CLEARANCE_M, START_SPACING_M
 from twc_env.world.sensors.lidar import Lidar
 from twc_env.world.sensors.odometry import Odometry
 from twc_env.world.sensors.radio import RadioModel
 from twc_env.world.sensors.reception import WifiReceiver
 from twc_env.world.sensors.signs import SignCamera
-from twc_env.world.starts import START_CLEARANCE_M, START_SPACING_M
 from twc_env.world.world import World
 
 TINY = Floorplan(

@@ -13,7 +13,7 @@ import numpy as np
 from twc_env.bench.rates import wander
 from twc_env.config import EnvConfig
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.running.process_memory import resident_mb
+from twc_env.processes.process_memory import resident_mb
 
 PARTS = 10
 

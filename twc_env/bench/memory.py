@@ -12,7 +12,7 @@ import numpy as np
 
 from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.running.process_memory import resident_mb
+from twc_env.processes.process_memory import resident_mb
 from twc_env.tasks import task_config
 
 CHOICES: dict[str, object] = {

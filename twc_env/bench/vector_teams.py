@@ -27,8 +27,8 @@ from twc_env.bench.gymnasium_teams import GymnasiumTeams
 from twc_env.bench.rates import record_actions
 from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
-from twc_env.running.process_memory import proportional_mb
-from twc_env.running.threads import single_threaded
+from twc_env.processes.process_memory import proportional_mb
+from twc_env.processes.threads import single_threaded
 from twc_env.vector.teams import VectorTeams
 
 Report = Callable[[str], None]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from twc_env.commands.train import learning_libraries
 from twc_env.records.json_values import write_json
+from twc_env.running.learning_libraries import learning_libraries
 from twc_env.running.options import add_json, add_ray, add_set, assignments, count, natural
 from twc_env.running.terminal import aligned, tell, terminal_width
 from twc_env.tasks import SUITES

@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twc_env.commands.train import SEEDS, learning_libraries
+from twc_env.commands.train import SEEDS
 from twc_env.errors import DataError
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
 from twc_env.records.text_tables import aligned_text
+from twc_env.running.learning_libraries import learning_libraries
 from twc_env.running.options import (
     add_allow_code,
     add_json,

@@ -118,7 +118,7 @@ def _add_merge(merge: argparse.ArgumentParser) -> None:
 
 
 def _merge(options: argparse.Namespace) -> int:
-    from twc_env.running.map_merge import merge_files
+    from twc_env.offline.map_merge import merge_files
 
     text, is_merged = merge_files(options.maps, options.resolution, options.out, options.json)
     print(text)

@@ -42,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _optimise(options: argparse.Namespace) -> int:
     from twc_env.datasets.logs.pose_graph_file import read_pose_graph
+    from twc_env.offline.graph_report import component_rows, notes, summary, write_results
     from twc_env.records.class_file import is_in_file
-    from twc_env.running.graph_report import component_rows, notes, summary, write_results
     from twc_env.slam.graph_optimisation.whole_graph import METHODS, optimise_graph
 
     if options.robust not in METHODS and not is_in_file(options.robust):

@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 import ast
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import fields, replace
 from importlib import import_module
 from importlib.util import find_spec
@@ -16,6 +14,7 @@ from typing import Any
 from twc_env.errors import DataError
 from twc_env.records.json_values import check_folder
 from twc_env.running.argument_parser import add_verbosity
+from twc_env.running.learning_libraries import learning_libraries
 from twc_env.running.options import add_folder, add_ray, add_set, assignments, count, natural, number
 
 MODULES = {"mappo": "mappo", "es": "evolution", "ppo": "ppo"}
@@ -33,17 +32,6 @@ The first hour:
   twc-env train mappo --task ExploreQuick-v1 --ray auto --out runs/far    # on all machines of a Ray cluster
 docs/learning.md has the rest.
 """
-
-
-@contextmanager
-def learning_libraries() -> Iterator[None]:
-    """Turns a missing library of the extra `train` into an error of one line."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] not in ("torch", "stable_baselines3", "tqdm", "safetensors"):
-            raise
-        raise DataError(f"training needs {error.name}; install it with: pip install 'twc_env[train]'") from None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -27,10 +27,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(_arguments: argparse.Namespace) -> None:
     from twc_env.exploration.warm_up import compile_all
     from twc_env.kernels.cache_folder import cache_folder, is_kept
+    from twc_env.kernels.compile_events import ARE_KNOWN
 
     begin_s = time.perf_counter()
     count = compile_all() + compile_for_commands()
     done = f"{count} functions compiled" if count else "nothing to compile: all kernels were there"
+    if not ARE_KNOWN:
+        done = "all kernels are there; this numba does not tell how many it compiled"
     kept = f"kept in {cache_folder()}" if is_kept() else "NOT kept: no folder can be written, set NUMBA_CACHE_DIR"
     print(f"{done} ({time.perf_counter() - begin_s:.0f} s); {kept}")
 

@@ -22,8 +22,8 @@ from twc_env.records.random_streams import random_stream
 from twc_env.records.team_messages import TeamFrames
 from twc_env.slam.modes import Engine, make_engine
 from twc_env.world.building.floorplan import Floorplan
-from twc_env.world.failures import Failures, FrameLoss, OwnClocks, silenced
 from twc_env.world.link import Link
+from twc_env.world.motion.failures import Failures, FrameLoss, OwnClocks, silenced
 from twc_env.world.world import World
 
 _NOT_EVALUATED: tuple[object, list[map_scores.GroupScore]] = None, []

@@ -9,15 +9,19 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig, robot_configs
+from twc_env.exploration.assessment.episode_record import EpisodeRecord
 from twc_env.exploration.assessment.map_scores import GroupScore
 from twc_env.exploration.drawing.frame import framed, legend_of
 from twc_env.exploration.drawing.layers import Layers, layered
-from twc_env.exploration.drawing.rendering import ClosureLine, SignalLayer, scene_of
+from twc_env.exploration.drawing.rendering import ClosureLine, Scene, SignalLayer
 from twc_env.exploration.drawing.window import Window
 from twc_env.exploration.episode import Episode
-from twc_env.records.geometry import transform_points
+from twc_env.records.geometry import compose, transform_points
+from twc_env.slam.modes import Engine
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.sensors.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
+
+TRAIL_STEPS = 150
 
 
 class Viewer:
@@ -116,3 +120,40 @@ class SeenClosures:
             ends_m = np.array([place_m(*candidate.target), place_m(*candidate.source)])
             lines.append(ClosureLine(ends_m, closure.status == "accepted", (step - since) * time_step_s))
         return tuple(lines)
+
+
+def scene_of(
+    floorplan: Floorplan,
+    engine: Engine,
+    record: EpisodeRecord,
+    scores: Sequence[GroupScore],
+    closures: tuple[ClosureLine, ...] = (),
+    signal: SignalLayer | None = None,
+    robot_radii_m: tuple[float, ...] = (),
+    **others: Array,
+) -> Scene:
+    """The present state of an episode; each group's map is aligned with the building by one rigid motion.
+
+    others: `people_m` and `things_m`, as of `Scene`.
+    """
+    cells = floorplan.cells()
+    true = record.true_poses
+    estimated = np.full((true.shape[1], 3), np.nan)
+    for score in scores:
+        for robot in score.view.viewers:
+            estimated[robot] = compose(score.pose_building_map, engine.pose_map_robot(robot))
+    return Scene(
+        walls=cells.wall,
+        origin_m=cells.origin_m,
+        resolution_m=cells.resolution_m,
+        grids=tuple(v.grid for v in scores),
+        pose_building_map=np.array([v.pose_building_map for v in scores]),
+        true_poses=true[-1],
+        estimated_poses=estimated,
+        groups=tuple(v.robots for v in scores),
+        trails_m=tuple(true[-TRAIL_STEPS:, robot, :2] for robot in range(true.shape[1])),
+        closures=closures,
+        signal=signal,
+        robot_radii_m=robot_radii_m,
+        **others,
+    )

@@ -1,7 +1,6 @@
 """What happens while kernels are compiled: one process at a time, without garbage collection, and the user sees it.
 
-Numba reports its work as events (`numba.core.event`): taking its lock before it looks for a function on disk, and the
-compilation of each function.
+Numba tells of both where it knows events (`compile_events`); if not, kernels are compiled without all of this.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ import time
 from functools import cache
 from typing import Any
 
-from numba.core import event
 from tqdm import tqdm
 
 from twc_env.kernels.cache_folder import cache_folder, check_folders, is_empty, is_kept, write_checksums
-from twc_env.running.file_lock import FileLock
+from twc_env.kernels.compile_events import COMPILATION, LOCK, Listener, register
+from twc_env.processes.file_lock import FileLock
 
 _LOG = logging.getLogger("twc_env")
 SILENT_S, WAIT_MAX_S = 5.0, 300.0
@@ -27,7 +26,7 @@ FIRST_STEP, EPISODE = 180, 300
 """Functions compiled until the first step of the default environment, and by `twc-env warm-up`: lengths of the bars."""
 
 
-class OneProcess(event.Listener):
+class OneProcess(Listener):
     """Holds a lock file while this process looks for a kernel on disk and, if it is not there, compiles it.
 
     So of several processes that start together one compiles each kernel, and the others wait and read it. The lock ends
@@ -73,7 +72,7 @@ class OneProcess(event.Listener):
             write_checksums(self.compiled_modules.pop())
 
 
-class CompiledModules(event.Listener):
+class CompiledModules(Listener):
     """Tells `OneProcess` the modules of what is compiled, and has it write checksums between two kernels."""
 
     def __init__(self, process: OneProcess) -> None:
@@ -88,7 +87,7 @@ class CompiledModules(event.Listener):
         self._process.compiled_modules.add(event.data["dispatcher"].py_func.__module__ or "")
 
 
-class Announcer(event.Listener):
+class Announcer(Listener):
     """Says at the first compilation of a kernel of this package that it takes a while, and shows a bar on a terminal.
 
     Kernels that are read from disk are no compilation. Garbage collection is off meanwhile: numba creates many small
@@ -151,7 +150,7 @@ def _of_later_starts() -> str:
 def announcer() -> Announcer:
     """From now on the first compilation of this process is announced."""
     found = Announcer()
-    event.register("numba:compile", found)
+    register(COMPILATION, found)
     return found
 
 
@@ -159,5 +158,5 @@ def announcer() -> Announcer:
 def one_process_compiles() -> None:
     """From now on this process and others compile in turn."""
     process = OneProcess()
-    event.register("numba:compiler_lock", process)
-    event.register("numba:compile", CompiledModules(process))
+    register(LOCK, process)
+    register(COMPILATION, CompiledModules(process))

@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 
 from twc_env.errors import ConfigError, DataError, one_of
 from twc_env.pictures.style import style
+from twc_env.processes.worker_processes import in_processes
 from twc_env.records.json_values import TERMINAL, check_folder, plain, write_json
 from twc_env.running.command_start import is_interruption
 from twc_env.running.finished_parts import FinishedParts
 from twc_env.running.options import parse_seeds
 from twc_env.running.terminal import aligned, end_line, show_line, tell, terminal_width
-from twc_env.running.worker_processes import in_processes
 
 
 class Table(NamedTuple):

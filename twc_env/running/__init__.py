@@ -1,1 +1,1 @@
-"""Running commands: arguments, progress, interruptions, worker processes, locks, finished parts."""
+"""Running commands: arguments, progress, interruptions, output folders, finished parts, Ray."""

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from twc_env.errors import DataError
-from twc_env.running.file_lock import FileLock
+from twc_env.processes.file_lock import FileLock
 
 
 def make_folder(folder: Path) -> None:

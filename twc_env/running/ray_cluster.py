@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from twc_env.errors import DataError
-from twc_env.running.worker_processes import in_processes
+from twc_env.processes.worker_processes import in_processes
 
 AUTO = "auto"
 RETRIES = 5

@@ -8,10 +8,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from twc_env.commands.train import learning_libraries
 from twc_env.config import EnvConfig, override
 from twc_env.errors import DataError
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.running.learning_libraries import learning_libraries
 from twc_env.running.terminal import tell
 from twc_env.suite.entries import Entry
 

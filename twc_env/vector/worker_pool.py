@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 from twc_env.errors import TwcError, WorkerError
 from twc_env.exploration.assessment.rewards import TERMS
-from twc_env.running.threads import single_threaded
-from twc_env.running.worker_processes import deaf_to_interrupts, end_with_parent
+from twc_env.processes.threads import single_threaded
+from twc_env.processes.worker_processes import deaf_to_interrupts, end_with_parent
 from twc_env.vector.environment_group import EnvironmentGroup, Infos
 from twc_env.vector.shared_arrays import FLAT, SharedArrays, write_observations
 

@@ -24,9 +24,10 @@ from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.floorplan_check import validate
 from twc_env.world.clutter.clutter import Clutter
 from twc_env.world.clutter.doorways import doorways_of
-from twc_env.world.dynamics import Dynamics, advance
-from twc_env.world.jolts import Jolts
-from twc_env.world.kidnapping import Kidnapping
+from twc_env.world.motion.dynamics import Dynamics, advance
+from twc_env.world.motion.jolts import Jolts
+from twc_env.world.motion.kidnapping import Kidnapping
+from twc_env.world.motion.starts import start_poses
 from twc_env.world.people.crowd import Crowd
 from twc_env.world.sensors.lidar import Lidar, glass_walls, sweep
 from twc_env.world.sensors.noise import STEPS
@@ -36,7 +37,6 @@ from twc_env.world.sensors.reception import WifiReceiver, WifiReceivers, hear
 from twc_env.world.sensors.scanners import MixedScanners, Scanners, needs_scanners
 from twc_env.world.sensors.sign_cameras import SignCameras
 from twc_env.world.sensors.signs import look
-from twc_env.world.starts import start_poses
 
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
 _TYPES = _FLOAT, _FLOAT, _FLOAT, _FLOAT, _INT, _FLOAT, _INT
@@ -81,7 +81,7 @@ class World:
         self.clutter: Clutter | None = None
         """Doors and furniture off the plan; None if there are none."""
         self._bodies = np.zeros((0, 5))
-        """(k, 5) people, doors and boxes in the way of signals, as of `people.sight.lose_in_bodies`."""
+        """(k, 5) people, doors and boxes in the way of signals, as of `sensors.mean_rssi.lose_in_bodies`."""
         self._step = 0
         # All computations are in the home frame, so that moving the building does not even change the rounding.
         self._home = plan.home

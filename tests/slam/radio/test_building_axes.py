@@ -57,7 +57,9 @@ def fitted_to(path):
     segments exactly on an axis would decide."""
     places, axes = path[apart(path, LENGTH_M), :2], BuildingAxes()
     for _ in range(100):
-        axes = dataclasses.replace(axes.fitted(places), std_rad=max(axes.deviation_rad(places), np.radians(1.0)))
+        deviation, probability, _ = axes._fit_axis(places)
+        rms_rad = np.sqrt((probability * deviation**2).sum() / max(probability.sum(), 1e-12))
+        axes = dataclasses.replace(axes.fitted(places), std_rad=max(float(rms_rad), np.radians(1.0)))
     return axes.share, float(np.degrees(axes.std_rad))
 
 

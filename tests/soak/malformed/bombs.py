@@ -24,10 +24,10 @@ from twc_env.datasets.logs.frame_log import read_frame_log
 from twc_env.datasets.logs.pose_graph_file import read_pose_graph
 from twc_env.datasets.ros.bag_writer import RobotRecording, write_recording
 from twc_env.maps import load_map
+from twc_env.offline.map_merge import read_saved_maps
 from twc_env.records.scanner import Scanner
 from twc_env.replaying.inputs import Asked, read_input
 from twc_env.replaying.run import run
-from twc_env.running.map_merge import read_saved_maps
 
 HUGE = 1_500_000_000
 """Bytes of a bomb, unpacked."""

@@ -14,8 +14,8 @@ from tests.soak.attempts import Attempt, workplace
 from tests.soak.malformed.mutations import OF_JSON, OF_TEXT, mutated
 from twc_env.datasets.buildings.map_export import export_map
 from twc_env.maps import load_map
+from twc_env.offline.map_merge import read_saved_maps
 from twc_env.records.random_streams import random_stream
-from twc_env.running.map_merge import read_saved_maps
 from twc_env.world.building.floorplan_file import write_floorplan
 from twc_env.world.building.generate import generate
 

@@ -8,7 +8,7 @@ import pytest
 from twc_env.config import EnvConfig, override
 from twc_env.maps import load_map
 from twc_env.records.messages import UNSEEN_M
-from twc_env.world.people.sight import lose_in_bodies, shorten
+from twc_env.world.people.sight import shorten
 from twc_env.world.world import World
 
 BEAMS, RANGE_MAX_M = 360, 10.0
@@ -45,19 +45,6 @@ def test_noise_is_drawn_for_hit_beams_only_and_nothing_happens_without_enough_of
     assert done and used == np.count_nonzero(ranges < RANGE_MAX_M) and ranges[0] == pytest.approx(1.95)
     ranges, done, used = seen((2.0, 0.0, 0.06), numbers=BEAMS - 1)
     assert not done and (ranges == RANGE_MAX_M).all()
-
-
-def test_signals_lose_in_bodies_only_in_the_line_of_sight():
-    boxes = np.array(
-        [[4.0, 4.0, 4.0, 0.0], [0.0, 0.0, 0.0, 4.0], [0.0, 3.0, 0.0, 0.0]]
-    )  # in sight, above, wall, beside
-    losses, crossed = np.zeros((1, 4)), np.array([0, 0, 1, 0])
-    bodies = np.array([[x, y, 0.2, 7.0, 0.0] for x, y in ((1.0, 0.1), (2.0, 0.0), (5.0, 0.0), (-1.0, 0.0))])
-    lose_in_bodies(0.0, 0.0, boxes, crossed, bodies, losses)
-    assert losses.tolist() == [[14.0, 0.0, 0.0, 0.0]]
-    bodies[0, 4] = np.inf  # a door weakens signals behind walls as well
-    lose_in_bodies(0.0, 0.0, boxes, crossed, bodies, losses)
-    assert losses.tolist() == [[28.0, 0.0, 7.0, 0.0]]
 
 
 def world_with(kind: str) -> World:

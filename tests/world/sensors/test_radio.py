@@ -6,6 +6,7 @@ import pytest
 from twc_env.config import HighBandConfig, RadioConfig
 from twc_env.maps import load_map
 from twc_env.world.building.floorplan import AccessPoint, Floorplan
+from twc_env.world.sensors.mean_rssi import lose_in_bodies
 from twc_env.world.sensors.radio import HIGH_BAND, LOW_BAND, RadioModel
 from twc_env.world.sensors.reception import WifiReceiver
 
@@ -327,3 +328,16 @@ def test_access_points_change_their_power_every_minute_alike_for_all_robots():
     changed = np.array([first[mac] - later[mac] for mac in common])
     assert 3.0 < changed.std() < 12.0
     assert not receivers[0].is_plain
+
+
+def test_signals_lose_in_bodies_only_in_the_line_of_sight():
+    boxes = np.array(
+        [[4.0, 4.0, 4.0, 0.0], [0.0, 0.0, 0.0, 4.0], [0.0, 3.0, 0.0, 0.0]]
+    )  # in sight, above, wall, beside
+    losses, crossed = np.zeros((1, 4)), np.array([0, 0, 1, 0])
+    bodies = np.array([[x, y, 0.2, 7.0, 0.0] for x, y in ((1.0, 0.1), (2.0, 0.0), (5.0, 0.0), (-1.0, 0.0))])
+    lose_in_bodies(0.0, 0.0, boxes, crossed, bodies, losses)
+    assert losses.tolist() == [[14.0, 0.0, 0.0, 0.0]]
+    bodies[0, 4] = np.inf  # a door weakens signals behind walls as well
+    lose_in_bodies(0.0, 0.0, boxes, crossed, bodies, losses)
+    assert losses.tolist() == [[28.0, 0.0, 7.0, 0.0]]

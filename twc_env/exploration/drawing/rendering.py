@@ -9,22 +9,17 @@ RSSI of the strongest access point, from dark violet (weak) to yellow (strong).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.exploration.assessment.episode_record import EpisodeRecord
-from twc_env.exploration.assessment.map_scores import GroupScore
 from twc_env.exploration.drawing import palette
 from twc_env.exploration.drawing.primitives import draw_line, draw_path, draw_ring, draw_strokes
 from twc_env.exploration.drawing.smooth_map import BORDER, KNOWN_LEVEL, known_field, wall_strokes
 from twc_env.kernels.compiled import kernel
-from twc_env.records.geometry import compose, inverse, transform_points
+from twc_env.records.geometry import inverse, transform_points
 from twc_env.records.messages import GridMap
-from twc_env.slam.modes import Engine
-from twc_env.world.building.floorplan import Floorplan
 
 WIDTH_MAX_PX, HEIGHT_MAX_PX = 960, 820
 PIXELS_PER_METRE_MAX = 36.0
@@ -34,7 +29,6 @@ COLOURS = np.array([palette.rgb(colour) for colour in palette.ROBOTS], np.uint8)
 _UNKNOWN, _TRUE_WALL, _FLOOR, _WALL = map(
     palette.rgb, (palette.UNKNOWN, palette.TRUE_WALL, palette.FLOOR, palette.WALL)
 )
-TRAIL_STEPS = 150
 CLOSURE = palette.rgb(palette.CLOSURE)
 PERSON, PERSON_RADIUS_M = palette.rgb(palette.PERSON), 0.2
 _ROBOT_RADIUS_M = 0.2
@@ -156,43 +150,6 @@ def _paint_signal(image, left, top, metres, share, layer_x, layer_y, cell):
             for k in range(3):
                 colour = _SIGNAL[k0, k] + (at - k0) * (_SIGNAL[k0 + 1, k] - _SIGNAL[k0, k])
                 image[v, u, k] += SIGNAL_OPACITY * (colour - image[v, u, k])
-
-
-def scene_of(
-    floorplan: Floorplan,
-    engine: Engine,
-    record: EpisodeRecord,
-    scores: Sequence[GroupScore],
-    closures: tuple[ClosureLine, ...] = (),
-    signal: SignalLayer | None = None,
-    robot_radii_m: tuple[float, ...] = (),
-    **others: Array,
-) -> Scene:
-    """The present state of an episode; each group's map is aligned with the building by one rigid motion.
-
-    others: `people_m` and `things_m`, as of `Scene`.
-    """
-    cells = floorplan.cells()
-    true = record.true_poses
-    estimated = np.full((true.shape[1], 3), np.nan)
-    for score in scores:
-        for robot in score.view.viewers:
-            estimated[robot] = compose(score.pose_building_map, engine.pose_map_robot(robot))
-    return Scene(
-        walls=cells.wall,
-        origin_m=cells.origin_m,
-        resolution_m=cells.resolution_m,
-        grids=tuple(v.grid for v in scores),
-        pose_building_map=np.array([v.pose_building_map for v in scores]),
-        true_poses=true[-1],
-        estimated_poses=estimated,
-        groups=tuple(v.robots for v in scores),
-        trails_m=tuple(true[-TRAIL_STEPS:, robot, :2] for robot in range(true.shape[1])),
-        closures=closures,
-        signal=signal,
-        robot_radii_m=robot_radii_m,
-        **others,
-    )
 
 
 def view_of(scene: Scene) -> tuple[tuple[int, int], tuple[float, float, float]]:

@@ -26,10 +26,10 @@ from typing import NamedTuple
 import numpy as np
 
 from twc_env.errors import DataError
+from twc_env.offline.map_merge import read_saved_maps
 from twc_env.records.geometry import between, compose
 from twc_env.reproduce.maps.map_cuts import Cut, overlap_of, overlapping_parts, saved_parts, twice
 from twc_env.reproduce.runner import Runner, data_folder
-from twc_env.running.map_merge import read_saved_maps
 from twc_env.running.options import count, natural
 from twc_env.slam.saved_maps.placement import OTHER_M, OTHER_RAD, agreement_at, place, ranked_placements
 from twc_env.slam.saved_maps.saved_map import SavedMap, cell_of, compared

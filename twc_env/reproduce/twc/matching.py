@@ -30,8 +30,8 @@ from twc_env.slam.matching.loop_verification import WIDE_WINDOW_M, LoopVerifier
 from twc_env.slam.matching.point_matching import match_points
 from twc_env.slam.matching.scan_matching import LineField, scan_points
 from twc_env.slam.matching.target_walls import FIELD_CELL_M, REFINE_ITERATIONS, REFINE_REACH_M
+from twc_env.world.motion.starts import start_places
 from twc_env.world.sensors.lidar import Lidar
-from twc_env.world.starts import start_places
 
 CHOOSES = ("buildings",)
 APART_M = 1.5

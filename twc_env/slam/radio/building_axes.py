@@ -41,11 +41,6 @@ class BuildingAxes:
             axes = replace(axes, share=float(axes._fit_axis(positions)[1].mean()))
         return axes
 
-    def deviation_rad(self, positions: Array) -> float:
-        """RMS deviation [rad] of segments from the axis they follow; positions (n, 2) at least `LENGTH_M` apart."""
-        deviation, probability, _ = self._fit_axis(positions)
-        return float(np.sqrt((probability * deviation**2).sum() / max(probability.sum(), 1e-12)))
-
     def cost(self, positions: Array) -> float:
         """Negative log-likelihood ratio of positions (n, 2) [m] under the fitted axes against uniform directions; below
         0 where the path follows the axes."""

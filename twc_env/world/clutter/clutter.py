@@ -80,7 +80,7 @@ class Clutter:
         self._tall = np.array([k for k, kind in enumerate(self._kinds) if kind.is_tall and not self._is_low[k]], int)
         discs = _LEAF_DISCS * len(leaves) + len(self._tall)
         self.obstructions = np.tile([0.0, 0.0, 0.0, config.loss_db, math.inf], (discs, 1))
-        """(k, 5) what hides signs and weakens signals, as of `people.sight.lose_in_bodies`; updated in place."""
+        """(k, 5) what hides signs and weakens signals, as of `sensors.mean_rssi.lose_in_bodies`; updated in place."""
         for piece in range(len(self._kinds)):
             self._put(piece)
         self._show_leaves()

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from twc_env.kernels.compiled import borrowing_kernel
-from twc_env.world.dynamics import accelerated
+from twc_env.world.motion.dynamics import accelerated
 
 HINGE_X, HINGE_Y, CLOSED_RAD, SIDE, LENGTH, ANGLE, GOAL, LEFT_S = range(8)
 """Columns of a door: hinge, direction of the closed leaf, side to which it opens (1: counter-clockwise), length of the

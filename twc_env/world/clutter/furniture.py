@@ -10,7 +10,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.wall_index import wall_beside
-from twc_env.world.starts import start_places
+from twc_env.world.motion.starts import start_places
 
 PASSAGE_M = 0.8
 """Robots can pass between a piece and walls, doors and other pieces."""

@@ -14,6 +14,7 @@ from twc_env.kernels.compiled import BindsAnew, Lent, bound
 from twc_env.records.random_streams import random_stream
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.clutter.doorways import EGRESS_M, doorways_of
+from twc_env.world.motion.starts import start_places
 from twc_env.world.people.destinations import destinations_of
 from twc_env.world.people.sight import shorten
 from twc_env.world.people.walking import (
@@ -38,7 +39,6 @@ from twc_env.world.people.walking import (
     walk,
 )
 from twc_env.world.sensors.noise import NormalPools
-from twc_env.world.starts import start_places
 
 HIDING_RADIUS_M = BODY_RADIUS_M
 """Half width of what a body hides from cameras and radio."""
@@ -99,7 +99,7 @@ class Crowd(BindsAnew):
         self.obstructions = np.column_stack([
             self.hiding, np.tile([config.body_loss_db, 0.0], (len(upright), 1))
         ])[: len(upright) if config.body_loss_db else 0]  # fmt: skip
-        """The same as of `sight.lose_in_bodies`, if they weaken signals."""
+        """The same as of `sensors.mean_rssi.lose_in_bodies`, if they weaken signals."""
         self.is_touched = np.zeros(len(robots), np.bool_)
         """(robots,) whether each robot touches a person."""
         self.collisions = np.zeros(len(robots), np.int64)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.kernels.compiled import kernel
 from twc_env.world.building.floorplan import Floorplan
-from twc_env.world.starts import start_places
+from twc_env.world.motion.starts import start_places
 
 _COUNT = 16
 """Places per building."""

@@ -1,4 +1,4 @@
-"""What sensors notice of people: beams that end at legs, signs behind bodies, radio signals through them."""
+"""What scanners notice of people: beams that end at legs."""
 
 from __future__ import annotations
 
@@ -49,25 +49,3 @@ def shorten(discs, poses, directions, range_max, range_std, noise, used, end, ra
                     ranges[i, b] = max(min(reach, ranges[i, b]), _RANGE_MIN_M)
         used[i] += hits
     return True
-
-
-@borrowing_kernel
-def lose_in_bodies(x, y, boxes, crossed, bodies, losses):
-    """Add the losses of bodies (k, 5) in the line of sight from (x, y) to losses (bands, sources).
-
-    A body: x, y, radius, loss [dB], and the most walls between behind which it still counts. boxes (>= 3, sources): x,
-    y and height of the sources; those on other storeys do not change. crossed (sources,): walls between.
-    """
-    for a in range(crossed.shape[0]):
-        if boxes[2, a] > 0.0:
-            continue
-        dx, dy = boxes[0, a] - x, boxes[1, a] - y
-        distance2 = max(dx * dx + dy * dy, 1e-12)
-        for k in range(bodies.shape[0]):
-            if crossed[a] > bodies[k, 4]:
-                continue
-            ox, oy, radius = bodies[k, 0] - x, bodies[k, 1] - y, bodies[k, 2]
-            share = (ox * dx + oy * dy) / distance2
-            if 0.0 < share < 1.0 and (ox - share * dx) ** 2 + (oy - share * dy) ** 2 < radius * radius:
-                for band in range(losses.shape[0]):
-                    losses[band, a] += bodies[k, 3]

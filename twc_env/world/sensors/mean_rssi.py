@@ -1,4 +1,4 @@
-"""Mean RSSI of all transmitters at a position: path loss, walls, ceilings and shadowing, before fading and noise."""
+"""Mean RSSI of transmitters at a position: path loss, walls, bodies, ceilings, shadowing; before fading and noise."""
 
 from __future__ import annotations
 
@@ -50,3 +50,25 @@ def _shadowing(x, y, pose_home_building, boxes, waves, shadowing):
             shadowing[a] += z * (1.0 - q * (1 / 6 - q * (1 / 120 - q * (1 / 5040 - tail))))
     for a in range(waves.shape[2]):
         shadowing[a] *= boxes[3, a] * np.sqrt(2.0 / waves.shape[1])
+
+
+@borrowing_kernel
+def lose_in_bodies(x, y, boxes, crossed, bodies, losses):
+    """Add the losses of bodies (k, 5) in the line of sight from (x, y) to losses (bands, sources).
+
+    A body: x, y, radius, loss [dB], and the most walls between behind which it still counts. boxes (>= 3, sources): x,
+    y and height of the sources; those on other storeys do not change. crossed (sources,): walls between.
+    """
+    for a in range(crossed.shape[0]):
+        if boxes[2, a] > 0.0:
+            continue
+        dx, dy = boxes[0, a] - x, boxes[1, a] - y
+        distance2 = max(dx * dx + dy * dy, 1e-12)
+        for k in range(bodies.shape[0]):
+            if crossed[a] > bodies[k, 4]:
+                continue
+            ox, oy, radius = bodies[k, 0] - x, bodies[k, 1] - y, bodies[k, 2]
+            share = (ox * dx + oy * dy) / distance2
+            if 0.0 < share < 1.0 and (ox - share * dx) ** 2 + (oy - share * dy) ** 2 < radius * radius:
+                for band in range(losses.shape[0]):
+                    losses[band, a] += bodies[k, 3]

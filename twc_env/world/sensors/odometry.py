@@ -11,7 +11,7 @@ from numpy.typing import NDArray as Array
 from twc_env.config import OdometryConfig
 from twc_env.kernels.compiled import borrowing_kernel
 from twc_env.records.random_streams import random_stream
-from twc_env.world.jolts import Jolts
+from twc_env.world.motion.jolts import Jolts
 from twc_env.world.sensors.noise import StepNoise
 
 

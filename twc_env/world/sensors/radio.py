@@ -23,8 +23,7 @@ from twc_env.world.building.crossing_table import CrossingTable
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.materials import MATERIALS
 from twc_env.world.building.wall_index import WallIndex
-from twc_env.world.people.sight import lose_in_bodies
-from twc_env.world.sensors.mean_rssi import mean_rssi
+from twc_env.world.sensors.mean_rssi import lose_in_bodies, mean_rssi
 
 LOW_BAND, HIGH_BAND, CELL_BAND = 0, 1, 2
 """2.4 GHz, 5 GHz, LTE."""

@@ -12,8 +12,7 @@ from twc_env.kernels.compiled import borrowing_kernel
 from twc_env.records.messages import WifiScan
 from twc_env.records.random_streams import random_stream
 from twc_env.world.building.crossing_table import crossed_at
-from twc_env.world.people.sight import lose_in_bodies
-from twc_env.world.sensors.mean_rssi import mean_rssi
+from twc_env.world.sensors.mean_rssi import lose_in_bodies, mean_rssi
 from twc_env.world.sensors.noise import StepNoise, StepQueue
 from twc_env.world.sensors.radio import RadioModel
 

@@ -5,7 +5,7 @@ import pytest
 
 from twc_env.config import EnvConfig, OdometryConfig, override
 from twc_env.maps import load_map
-from twc_env.world.jolts import BUMP_RAD, Jolts
+from twc_env.world.motion.jolts import BUMP_RAD, Jolts
 from twc_env.world.world import World
 
 DOORWAY = np.array([[0.0, -0.5, 0.0, 0.5]])

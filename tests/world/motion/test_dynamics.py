@@ -5,7 +5,7 @@ import pytest
 
 from twc_env.config import DynamicsConfig
 from twc_env.world.building.wall_index import index_walls
-from twc_env.world.dynamics import Dynamics
+from twc_env.world.motion.dynamics import Dynamics
 
 ROOM = np.array([[[0, 0], [6, 0]], [[6, 0], [6, 6]], [[6, 6], [0, 6]], [[0, 6], [0, 0]]], float)
 
@@ -113,7 +113,7 @@ def test_a_blocked_robot_regains_speed_only_by_accelerating():
 
 
 def test_a_copy_continues_identically_though_its_rigid_body_world_was_rebuilt(monkeypatch):
-    monkeypatch.setattr("twc_env.world.dynamics._LOG_MAX", 60)
+    monkeypatch.setattr("twc_env.world.motion.dynamics._LOG_MAX", 60)
     random = np.random.default_rng(5)
     first = robots_in(DynamicsConfig(), ROOM, [[1, 1, 0.0], [1.6, 1, 1.0], [1, 1.7, 2.0]])
     for step in range(100):

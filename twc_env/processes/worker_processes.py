@@ -13,7 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from twc_env.errors import DataError
-from twc_env.running.threads import single_threaded
+from twc_env.processes.threads import single_threaded
 
 
 def in_processes(work: Callable[[Any], Any], parts: Sequence, count: int) -> Iterator[tuple[int, Any]]:

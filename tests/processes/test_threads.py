@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from twc_env.running.threads import THREADS, single_threaded
+from twc_env.processes.threads import THREADS, single_threaded
 
 
 @pytest.mark.parametrize("before", [None, "4"])

@@ -11,8 +11,8 @@ from numpy.typing import NDArray as Array
 from twc_env.config import FailureConfig
 from twc_env.records.random_streams import random_stream
 from twc_env.world.building.floorplan import Floorplan
-from twc_env.world.failures import Failures
-from twc_env.world.starts import start_places
+from twc_env.world.motion.failures import Failures
+from twc_env.world.motion.starts import start_places
 
 _AWAY_M = 3.0
 """Least distance of the new place to the old one, if the building has such a place ..."""

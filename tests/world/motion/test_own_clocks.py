@@ -5,7 +5,7 @@ import pytest
 
 from twc_env.config import FailureConfig
 from twc_env.records.messages import SensorFrame
-from twc_env.world.failures import OwnClocks
+from twc_env.world.motion.failures import OwnClocks
 
 
 def test_times_have_an_offset_and_a_rate_for_each_robot():

@@ -7,12 +7,12 @@ import time
 import pytest
 
 from twc_env.errors import DataError
-from twc_env.running.worker_processes import in_processes
+from twc_env.processes.worker_processes import in_processes
 
 SCRIPT = """
 import sys, time
 from pathlib import Path
-from twc_env.running.worker_processes import in_processes
+from twc_env.processes.worker_processes import in_processes
 
 def work(part):
     Path(part).touch()
