@@ -399,7 +399,7 @@ def _write_page(page, path: Path, done: Replay, figures: dict) -> None:
     subtitle = (
         f"{robots}, {len(times_s)} steps in {times_s[-1]:.0f} s, settings {figures['config_digest']}, version "
         f"{__version__}. White and black: estimated map (free, wall); maps that are not merged stand side by side. "
-        "Disc: estimated pose. A log holds no true poses."
+        "Ring: estimated pose. A log holds no true poses."
     )
     title, report = f"replay of {figures['log']}", {**figures, "table": _keyed(done)}
     page.write(path, done.engine, title, subtitle, report, times_s, _told(figures))

@@ -36,6 +36,7 @@ PALETTE = {
     "unknown": palette.UNKNOWN,
     "closure": palette.CLOSURE,
     "ink": palette.INK,
+    "any_robot": palette.ANY_ROBOT,
     "tint": palette.TINT,
 }
 """Colours of the page's script."""
@@ -87,8 +88,8 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
         "time_step_s": config.dynamics.time_step_s,
         "subtitle": f"{config.robots} robots, {len(trace['true_poses']) - 1} steps of "
         f"{config.dynamics.time_step_s:g} s, configuration {report['config_digest']}, version {report['version']}. "
-        "Grey: the true building. Black and white: the estimated map. Disc: where a robot is; ring: where it thinks "
-        "it is. Violet: loop closures; thick with crosses: accepted, but false.",
+        "Grey: the true building. Black and white: the estimated map. Disc: true pose; ring: estimated pose. "
+        "Violet: closures; thick with crosses: accepted, but false.",
         "colours": list(palette.ROBOTS),
         "palette": PALETTE,
         "figures": [[key, name, value_of(report[key], form)] for name, key, form in FIGURES if key in report],
