@@ -19,7 +19,7 @@ from numpy.typing import NDArray as Array
 from twc_env.config import EnvConfig, from_dict, robot_configs
 from twc_env.datasets.logs.arrays_file import read_arrays
 from twc_env.errors import UNFIT, DataError, TwcError
-from twc_env.exploration.assessment.result_table import FIGURES, remarks_of, value_of
+from twc_env.exploration.assessment.result_table import keyed_rows, remarks_of
 from twc_env.exploration.drawing import palette
 from twc_env.exploration.trace import FORMAT, TRACE_KEYS
 from twc_env.records.whole_file import whole_file
@@ -92,7 +92,7 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
         "Violet: closures; thick with crosses: accepted, but false.",
         "colours": list(palette.ROBOTS),
         "palette": PALETTE,
-        "figures": [[key, name, value_of(report[key], form)] for name, key, form in FIGURES if key in report],
+        "figures": [list(row) for row in keyed_rows(report)],
         "remarks": remarks_of(report),
         "bounds_m": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()],
         "walls_m": rounded(walls),
