@@ -1,8 +1,10 @@
 """Progress on terminals of any width and in logs, remarks with --quiet and --verbose."""
 
+import ast
 import logging
 import os
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -67,6 +69,15 @@ def test_a_bar_tells_how_long_it_will_take_at_the_present_rate(on_terminal, caps
     for done in range(1, 31):
         bar.show(done, "20 % mapped")
     assert "30/100 steps, 20 % mapped, 1:10 left at most" in capsys.readouterr().err
+
+
+def test_every_table_that_a_command_prints_is_folded_to_a_width():
+    root, unfolded = Path(terminal.__file__).parents[1], []
+    for path in (*root.glob("commands/*.py"), *root.glob("running/*.py"), *root.glob("reproduce/*.py")):
+        for call in ast.walk(ast.parse(path.read_text())):
+            if isinstance(call, ast.Call) and getattr(call.func, "id", "") in ("aligned", "aligned_text"):
+                unfolded += [f"{path.name}:{call.lineno}"] * (len(call.args) < 2)
+    assert unfolded == []
 
 
 def test_a_narrow_terminal_shows_a_bar_and_no_map(on_terminal, capsys, monkeypatch):

@@ -207,7 +207,7 @@ def _list_contents(options: argparse.Namespace) -> None:
         rows = list_topics(log, _asked(options, None).wishes) if is_bag(log) else list_robots(log)
         tables[str(log)] = rows
         if options.json != TERMINAL:
-            print(f"{log}\n{aligned(rows)}")
+            print(f"{log}\n{aligned(rows, terminal_width())}")
     write_json(options.json, tables)
 
 
