@@ -201,7 +201,7 @@ def write_tables(
     return paths
 
 
-def _curves_of(reports: Sequence[dict[str, Any]], folder: Path) -> tuple[list[list[float]], float]:
+def _curves_of(reports: Sequence[dict[str, Any]], folder: Path) -> tuple[list[list[float | None]], float]:
     """Coverage over time of the runs of one map, from their traces, and the longest time [s] of an episode."""
     curves, time_max_s = [], 0.0
     for report in reports:

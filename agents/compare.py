@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -47,8 +48,9 @@ class Outcome:
     wrong_merges: int
     stuck_share: float = 0.0
     """Share of the time in which a robot that was told to move stayed within 0.3 m for 10 s; maximum over robots."""
-    curve: tuple[float, ...] = ()
-    """Floor mapped correctly by the best correctly merged group: `SAMPLES` values over the longest time."""
+    curve: tuple[float | None, ...] = ()
+    """Floor mapped correctly by the best correctly merged group: `SAMPLES` values over the longest time; None before
+    it was first evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,13 +111,14 @@ def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
     env.close()
     curve = np.array(covered[1:] + covered[-1:] * (config.max_cycles - len(covered) + 1))
     reached = np.flatnonzero(curve >= GOAL)
+    first = min(config.reward.period_steps, len(covered) - 1)
     steps = int(reached[0]) + 1 if len(reached) else config.max_cycles
     return Outcome(
         steps * config.dynamics.time_step_s, bool(len(reached)), float(figures["coverage_correct"]),
         float(curve.mean()), float(figures["path_length_m"]), float(figures["team_ate_m"]),
         int(figures["merged_robots"]), int(figures["wrong_merges"]),
         commanded_stuck_share(result, commands),
-        tuple(sampled(np.arange(len(covered)), np.array(covered), config.max_cycles)),
+        tuple(sampled(np.arange(first, len(covered)), np.array(covered[first:]), config.max_cycles)),
     )  # fmt: skip
 
 
@@ -125,24 +128,42 @@ NUMBERS = tuple(key for key in Outcome.__slots__ if key != "curve")
 def rows_of(standings: Sequence[Standing]) -> list[list[str]]:
     """Titles, and one row of cells per agent: means over buildings (time also as interquartile mean, time stuck as
     maximum), and the gain over the first agent. A time to what was never reached is a dash."""
-    from scipy.stats import trim_mean  # slow to import
-
     goal = f"{100 * GOAL:.0f} %"
     rows = [[
         "agent", "reached", f"to {goal} s", "IQM s", "mean cov.", "final cov.", "path m", "ATE m", "wrong", "stuck",
         "sooner s (95 %)", "more mean cov. (95 %)",
     ]]  # fmt: skip
+    for s, of in zip(standings, means_of(standings), strict=True):
+        gains = ["", ""] if s is standings[0] else [_interval(s.sooner_s, ".1f"), _interval(s.more, ".3f")]
+        rows.append([
+            display_name(s.agent), f"{of['reached_share']:.0%}",
+            *("-" if time_s is None else f"{time_s:.1f}" for time_s in (of["goal_s"], of["goal_s_iqm"])),
+            f"{of['mean_coverage']:.3f}", f"{of['final_coverage']:.3f}", f"{of['path_m']:.0f}",
+            f"{of['team_ate_m']:.3f}", str(of["wrong_merges"]), f"{of['stuck_share_max']:.1%}", *gains,
+        ])  # fmt: skip
+    return rows
+
+
+def means_of(standings: Sequence[Standing]) -> list[dict[str, Any]]:
+    """One row of numbers per agent, as of `rows_of`; what is unknown, and the first agent's gain, is None."""
+    from scipy.stats import trim_mean  # slow to import
+
+    rows = []
     for s in standings:
         of = {key: np.array([getattr(o, key) for o in s.outcomes], float) for key in NUMBERS}
-        gains = ["", ""] if s is standings[0] else [_interval(s.sooner_s, ".1f"), _interval(s.more, ".3f")]
-        times_s = of["goal_s"].mean(), trim_mean(of["goal_s"], 0.25)
-        rows.append([
-            display_name(s.agent), f"{of['is_reached'].mean():.0%}",
-            *(f"{time_s:.1f}" if of["is_reached"].any() else "-" for time_s in times_s),
-            f"{of['coverage_mean'].mean():.3f}", f"{of['coverage'].mean():.3f}",
-            f"{of['path_m'].mean():.0f}", f"{of['team_ate_m'].mean():.3f}", str(int(of["wrong_merges"].sum())),
-            f"{of['stuck_share'].max():.1%}", *gains,
-        ])  # fmt: skip
+        is_reached, times_s = of["is_reached"].any(), of["goal_s"]
+        row: dict[str, Any] = {
+            "agent": display_name(s.agent), "episodes": len(s.outcomes), "reached_share": of["is_reached"].mean(),
+            "goal_s": times_s.mean() if is_reached else None,
+            "goal_s_iqm": trim_mean(times_s, 0.25) if is_reached else None,
+            "mean_coverage": of["coverage_mean"].mean(), "final_coverage": of["coverage"].mean(),
+            "path_m": of["path_m"].mean(), "team_ate_m": of["team_ate_m"].mean(),
+            "wrong_merges": int(of["wrong_merges"].sum()), "stuck_share_max": of["stuck_share"].max(),
+        }  # fmt: skip
+        for name, triple in (("sooner_s", s.sooner_s), ("more_coverage", s.more)):
+            gain = (None,) * 3 if s is standings[0] else triple
+            row |= {f"{name}_{part}": value for part, value in zip(("mean", "low", "high"), gain, strict=True)}
+        rows.append(row)
     return rows
 
 
@@ -158,12 +179,11 @@ def write_tables(
     folder: Path,
     pictures: tuple[str, float | None] | None,
 ) -> list[Path]:
-    """Write compare.json, episodes.csv, compare.csv, compare.tex, and coverage over time as a picture; returns their
-    paths.
+    """Write compare.json, episodes.csv, compare.csv (`means_of`), compare.tex (`rows_of`), and coverage over time as
+    a picture; returns their paths.
 
     pictures: format and dpi; None for no picture.
     """
-    titles, *rows = rows_of(standings)
     episodes = [
         {"agent": s.agent, "map": name, "seed": seed, **{key: getattr(o, key) for key in NUMBERS}}
         for s in standings
@@ -173,8 +193,8 @@ def write_tables(
     write_json(paths[0], as_json(standings))
     paths += [
         write_text(folder / "episodes.csv", csv_text(episodes)),
-        write_text(folder / "compare.csv", csv_text([dict(zip(titles, row, strict=True)) for row in rows])),
-        write_text(folder / "compare.tex", latex_table([titles, *rows])),
+        write_text(folder / "compare.csv", csv_text(means_of(standings))),
+        write_text(folder / "compare.tex", latex_table(rows_of(standings))),
     ]
     if pictures is not None and all(o.curve for s in standings for o in s.outcomes):
         curves = {display_name(s.agent): [o.curve for o in s.outcomes] for s in standings}

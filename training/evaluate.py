@@ -41,8 +41,8 @@ class Episode:
     steps."""
     merged_robots: int
     wrong_merges: int
-    curve: tuple[float, ...] = ()
-    """The same share over the longest time of an episode, `SAMPLES` values."""
+    curve: tuple[float | None, ...] = ()
+    """The same share over the longest time of an episode, `SAMPLES` values; None before it was first evaluated."""
 
 
 NUMBERS = tuple(key for key in Episode.__slots__ if key != "curve")
@@ -229,5 +229,6 @@ def _played(
         steps.append(elapsed)
         covered.append(reached)
     total += (budget - elapsed) * reached  # an episode that has ended early keeps its last value
-    curve = tuple(sampled(np.array(steps), np.array(covered), budget))
+    first = int(np.searchsorted(steps, min(task.config.reward.period_steps, elapsed)))
+    curve = tuple(sampled(np.array(steps[first:]), np.array(covered[first:]), budget))
     return Episode(info["coverage_correct"], total / budget, info["merged_robots"], info["wrong_merges"], curve)

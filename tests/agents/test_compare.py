@@ -1,5 +1,6 @@
 """Paired comparison of teams, with reuse of finished episodes."""
 
+import csv
 import json
 
 import pytest
@@ -48,6 +49,21 @@ def test_one_building_has_no_interval_and_a_goal_that_nobody_reached_no_time():
     assert compare.rows_of([first, compare._standing("voronoi", (outcome(50.0),), of(0.4))])[2][-2] == "-40.0"
 
 
+def test_the_table_of_means_is_numbers_in_columns_of_their_own(tmp_path):
+    lost = Outcome(6.0, False, 0.25, 0.125, 10.5, 0.05, 2, 1, 0.5)
+    plain = [compare._standing(agent, (lost,) * 2, (lost,) * 2) for agent in ("random", "voronoi")]
+    compare.write_tables(plain, ["test/0000", "test/0001"], SMALL, tmp_path, None)
+    first, second = csv.DictReader((tmp_path / "compare.csv").read_text().splitlines())
+    assert (first["agent"], second["agent"]) == ("random", "voronoi")
+    parts = [f"{name}_{part}" for name in ("sooner_s", "more_coverage") for part in ("mean", "low", "high")]
+    assert [first[key] for key in parts] == [""] * 6  # it is what the others are compared with
+    assert [second[key] for key in parts] == ["", "", "", "0.0", "0.0", "0.0"]
+    assert second["goal_s"] == second["goal_s_iqm"] == ""  # nobody reached it
+    assert all(float(value) >= 0 for key, value in second.items() if key != "agent" and value)
+    assert (second["reached_share"], second["stuck_share_max"], second["wrong_merges"]) == ("0.0", "0.5", "2")
+    assert "90 \\% s" in (tmp_path / "compare.tex").read_text()
+
+
 def test_episodes_of_other_code_are_run_again_and_reported(tmp_path, monkeypatch):
     calls, told = [], []
     monkeypatch.setattr(compare, "explore", lambda config, agent, seed: calls.append(agent) or outcome(50.0))
@@ -63,6 +79,7 @@ def test_coverage_over_time_is_the_sum_of_rewards():
     assert 0.0 < found.coverage_mean < found.coverage
     assert not found.is_reached
     assert found.goal_s == pytest.approx(6.0)
+    assert found.curve[16] is None and found.curve[17] > 0.0  # rewards are evaluated every ten of its 60 steps
 
 
 def test_actions_other_than_velocity_are_rejected_before_the_first_episode(tmp_path, capsys):

@@ -33,6 +33,15 @@ def test_list_describes_the_given_maps(capsys):
     assert "52 m2" in out and "gen:mall:300:1" in out and "twin-01" not in out
 
 
+def test_tables_of_maps_fold_at_a_narrow_terminal(monkeypatch, capsys):
+    monkeypatch.setattr("twc_env.commands.maps.terminal_width", lambda: 50)
+    for command in ("list", "check"):
+        assert run(command, "twin-01", "twin-02") == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert max(map(len, lines)) <= 50
+        assert sum("twin-02" in line for line in lines) == 2 and lines[-3].endswith("access points")
+
+
 def test_show_writes_a_picture_with_and_without_signal(tmp_path, capsys):
     image = pytest.importorskip("PIL.Image", reason="Pillow is an optional dependency")
     for options in ([], ["--no-signal"]):

@@ -249,6 +249,34 @@ def test_texts_of_signs_at_the_edges_stay_inside_the_picture(run, browser):
         assert not (left <= u <= right and top <= v <= bottom)
 
 
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_numbers_of_robots_are_inside_the_picture_and_on_no_other_robot(run, browser):
+    browser.get(write_page(run, run / "page.html").as_uri())
+    x0, y0, x1, y1 = browser.execute_script("return D.bounds_m")
+    width, height = browser.execute_script("return [stage.width, stage.height]")
+    corner, beside = [x1 + 0.8, y1 + 0.8, 0.0], 0.9  # of the picture; and a place for the number of the first robot
+    for first in ([x0, y0, 0.0], [(x0 + x1) / 2, (y0 + y1) / 2, 0.0], corner):
+        second = [first[0] + beside, first[1] + beside, 0.0] if first != corner else [x0, y1 + 0.8, 0.0]
+        places = browser.execute_script("return numberPlaces(arguments[0])", [first, second])
+        robots = browser.execute_script("return arguments[0].map(p => [sx(p[0]), sy(p[1])])", [first, second])
+        for u, v in places:
+            assert 0 < u < width and 0 < v < height
+            assert all(np.hypot(u - a, v - b) > 10 for a, b in robots)
+        assert np.hypot(*np.subtract(*places)) > 14
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_axes_of_counts_have_whole_numbers_and_end_at_the_number_of_robots(run, browser):
+    browser.get(write_page(run, run / "page.html").as_uri())
+    ticks = {
+        most: browser.execute_script("return ticksOf('closures_accepted', 0, arguments[0])", most) for most in (0, 3, 9)
+    }
+    assert ticks == {0: [0, 1], 3: [0, 2, 4], 9: [0, 5, 10]}
+    assert browser.execute_script("return ticksOf('merged_robots', 0, 2)") == [0, 1, 2]
+    merged = f"{data_of(run / 'page.html')['report']['merged_robots']} of 2"
+    assert ["merged_robots", "robots in one map", merged] in data_of(run / "page.html")["figures"]
+
+
 def test_the_recording_contains_every_step_and_the_figures_of_the_report(run, capsys):
     chunk = pytest.importorskip("rerun.chunk", reason="needs rerun-sdk (extra 'rerun')")
     assert main(["replay", str(run), "--rerun"]) == 0

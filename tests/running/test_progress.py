@@ -1,8 +1,10 @@
 """Progress on terminals of any width and in logs, remarks with --quiet and --verbose."""
 
+import ast
 import logging
 import os
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -11,19 +13,24 @@ from twc_env.kernels import compilation
 from twc_env.running import terminal
 from twc_env.running.terminal import Bar, bar_line, logging_to_terminal, show_line, tell
 
-TEXT = "900/2000 steps on twin-01, seed 0, 54.5 % mapped correctly, 0:12 left at most"
+TEXTS = [
+    "900/2000 steps on twin-01, seed 0, 54.5% mapped correctly, 0:12 left at most",
+    "900/2000 steps, 54.5% mapped correctly, 0:12 left", "900/2000 steps, 54.5% mapped, 0:12 left",
+    "900/2000, 0:12 left", "900/2000",
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("width", [1, 5, 20, 40, 60, 80, 100, 200])
-def test_a_bar_fits_a_terminal_of_any_width(width):
-    line = bar_line(0.45, TEXT, width)
+@pytest.mark.parametrize("width", [1, 5, 20, 30, 40, 50, 60, 80, 100, 200])
+def test_a_bar_fits_a_terminal_of_any_width_and_keeps_the_time_left(width):
+    line = bar_line(0.45, TEXTS, width)
     assert len(line) < max(width, 1) or (width == 1 and line == "")
-    if width >= 100:
-        assert line.endswith(TEXT) and line.count("#") == pytest.approx(
-            0.45 * (line.count("-") + line.count("#") - 1), abs=1
-        )
-    elif width >= 40:
-        assert line.startswith("900/2000 steps")
+    if width >= 30:
+        assert "900/2000" in line and line.endswith("0:12 left" if width < 100 else TEXTS[0])
+    if width >= 50:
+        assert "54.5% mapped" in line and ("seed" in line) == (width >= 100)
+    if width >= 60:
+        assert line.count("#") == pytest.approx(0.45 * (line.count("-") + line.count("#")), abs=1)
+        assert line.count("#") >= 3
 
 
 @pytest.fixture
@@ -62,6 +69,26 @@ def test_a_bar_tells_how_long_it_will_take_at_the_present_rate(on_terminal, caps
     for done in range(1, 31):
         bar.show(done, "20 % mapped")
     assert "30/100 steps, 20 % mapped, 1:10 left at most" in capsys.readouterr().err
+
+
+def test_every_table_that_a_command_prints_is_folded_to_a_width():
+    root, unfolded = Path(terminal.__file__).parents[1], []
+    for path in (*root.glob("commands/*.py"), *root.glob("running/*.py"), *root.glob("reproduce/*.py")):
+        for call in ast.walk(ast.parse(path.read_text())):
+            if isinstance(call, ast.Call) and getattr(call.func, "id", "") in ("aligned", "aligned_text"):
+                unfolded += [f"{path.name}:{call.lineno}"] * (len(call.args) < 2)
+    assert unfolded == []
+
+
+def test_a_narrow_terminal_shows_a_bar_and_no_map(on_terminal, capsys, monkeypatch):
+    on_terminal()
+    clock = iter([0.0, *(k / 32 for k in range(1, 40))])
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: next(clock))
+    bar = Bar(60, "steps", "on gen-office-800-7, seed 0")
+    for done in range(1, 31):
+        bar.show(done, "20.0% mapped correctly", "20.0% mapped")
+    last = capsys.readouterr().err.rpartition("\r")[2]
+    assert last.startswith("[####") and last.endswith("] 30/60 steps, 20.0% mapped correctly, 0:01 left")
 
 
 def test_a_first_count_that_waited_for_kernels_tells_nothing_about_the_time_left(on_terminal, capsys, monkeypatch):

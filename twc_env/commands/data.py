@@ -10,7 +10,7 @@ from pathlib import Path
 from twc_env.records.json_values import check_folder, write_json
 from twc_env.running.options import add_json, add_set, assignments, count, natural
 from twc_env.running.output_folder import make_folder
-from twc_env.running.terminal import aligned, end_line, show_line
+from twc_env.running.terminal import aligned, end_line, show_line, terminal_width
 
 KINDS = {"carmen": None, "ros1": ".bag", "mcap": ".mcap", "db3": ".db3"}
 """Kinds of simulated logs, and the suffix of bags."""
@@ -82,7 +82,7 @@ def _list(options: argparse.Namespace) -> None:
              "tables": ", ".join(each.tables)}
             for each in chosen
         ]  # fmt: skip
-        print(aligned(rows))
+        print(aligned(rows, terminal_width()))
         print("\nMB: unpacked. `twc-env data list NAME` tells source and files.")
     for each in chosen if options.sets else ():
         print(f"{each.name}: {each.about}\nlicence: {each.licence}\nsource: {each.source}\n")
@@ -90,7 +90,7 @@ def _list(options: argparse.Namespace) -> None:
             {"file": file.place, "bytes": file.bytes, "sha256": file.sha256[:16], "address": file.url or "by hand"}
             for file in each.files
         ]
-        print(aligned(rows) + "\n")
+        print(aligned(rows, terminal_width()) + "\n")
     write_json(options.json, [{**asdict(each), "bytes": each.bytes} for each in chosen])
 
 

@@ -133,7 +133,8 @@ def _evaluate_suite(options: argparse.Namespace) -> int:
     rows = rows_of_models(models, planned, values)
     write_json(options.json, rows)
     if options.json != TERMINAL:
-        print(aligned([{key: value for key, value in row.items() if key != "mean_coverage"} for row in rows]))
+        shown = [{key: value for key, value in row.items() if key != "mean_coverage"} for row in rows]
+        print(aligned(shown, terminal_width()))
         for row in rows:
             areas = ", ".join(f"{team} {area:.3f}" for team, area in row["mean_coverage"].items())
             print(f"{row['task']}: mean coverage: {areas}")

@@ -70,11 +70,12 @@ def _explore(options: argparse.Namespace) -> int:
     folder = options.out or _run_folder(config, options.agent, options.seed)
     check_folder(folder)
     film = picture.Film() if has_gif else None
-    bar = Bar(config.max_cycles, f"steps on {folder_name(config.map)}, seed {options.seed}", every=20)
-    run = explore(
-        config, options.agent, options.seed, film, lambda done, share: bar.show(done, f"{share:.1%} mapped correctly"),
-        options.save,
-    )  # fmt: skip
+    bar = Bar(config.max_cycles, "steps", f"on {folder_name(config.map)}, seed {options.seed}", every=20)
+
+    def watch(done: int, share: float) -> None:
+        bar.show(done, f"{share:.1%} mapped correctly", f"{share:.1%} mapped")
+
+    run = explore(config, options.agent, options.seed, film, watch, options.save)
     end_line()
     write_run(run, folder, picture_options(options) is not None, options.format, options.dpi)
     write_json(options.json, run.report)

@@ -6,14 +6,16 @@ import argparse
 import json
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twc_env.errors import MapError
 from twc_env.records.json_values import check_writable, write_json
+from twc_env.records.text_tables import aligned_text
 from twc_env.running.argument_parser import Fill
 from twc_env.running.options import add_folder, add_json, add_pictures, count, natural
+from twc_env.running.terminal import show_count, terminal_width
 
 if TYPE_CHECKING:
     from twc_env.world.building.floorplan import Floorplan
@@ -161,9 +163,7 @@ def _seed(parser: argparse.ArgumentParser) -> None:
 def _list(options: argparse.Namespace) -> None:
     from twc_env.maps import load_map, map_names
 
-    print(_HEAD)
-    for name in options.maps or map_names():
-        print(_row(load_map(name)))
+    print(_table([load_map(name) for name in options.maps or map_names()]))
     if not options.maps:
         from twc_env.world.building.layouts import KINDS
         from twc_env.world.building.splits import SPLITS
@@ -172,15 +172,15 @@ def _list(options: argparse.Namespace) -> None:
         print(f"\ngenerated: gen:KIND:AREA:SEED, with a KIND of {', '.join(KINDS)}\nsplits: {splits}")
 
 
-_HEAD = f"{'map':<20} {'size':>16} {'floor':>10} {'walls':>6} {'rooms':>6} {'signs':>6} {'access points':>14}"
-
-
-def _row(plan: Floorplan) -> str:
-    x0, y0, x1, y1 = plan.bounds_m
-    return (
-        f"{plan.name:<20} {f'{x1 - x0:.1f} x {y1 - y0:.1f} m':>16} {plan.floor_area_m2:>7,.0f} m2 "
-        f"{len(plan.walls_m):>6} {len(plan.rooms):>6} {len(plan.signs):>6} {len(plan.access_points):>14}"
-    )
+def _table(plans: Sequence[Floorplan], mark: str = "") -> str:
+    """Sizes and contents of maps, folded to the width of the terminal; mark: stands before each name."""
+    rows = [[f"{'':{len(mark)}}map", "size", "floor", "walls", "rooms", "signs", "access points"]]
+    for plan in plans:
+        x0, y0, x1, y1 = plan.bounds_m
+        counts = len(plan.walls_m), len(plan.rooms), len(plan.signs), len(plan.access_points)
+        size, floor = f"{x1 - x0:.1f} x {y1 - y0:.1f} m", f"{plan.floor_area_m2:,.0f} m2"
+        rows.append([f"{mark}{plan.name}", size, floor, *map(str, counts)])
+    return aligned_text(rows, terminal_width())
 
 
 def _show(options: argparse.Namespace) -> None:
@@ -193,7 +193,7 @@ def _show(options: argparse.Namespace) -> None:
     if not path.suffix:
         path = path.with_name(f"{path.name}.{options.format}")
     path = draw_plan(plan, path, not options.no_signal, options.dpi)
-    print(f"{_HEAD}\n{_row(plan)}\nwritten: {path}")
+    print(f"{_table([plan])}\nwritten: {path}")
 
 
 def _generate(options: argparse.Namespace) -> None:
@@ -249,7 +249,7 @@ def _write(plan: Floorplan, path: Path) -> None:
     if path.suffix != ".json":
         raise MapError(f"--out must end in .json; got {path.name}; use `maps export` for other formats")
     export_map(plan, path)
-    print(f"{_HEAD}\n{_row(plan)}\nwritten: {path}")
+    print(f"{_table([plan])}\nwritten: {path}")
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -266,24 +266,22 @@ def _check(options: argparse.Namespace) -> None:
         raise MapError("one check failed" if len(faults) == 1 else f"{len(faults)} checks failed")
 
 
-def _check_maps(names: Iterable[str], seed: int, findings: dict[str, object]) -> list[str]:
+def _check_maps(names: Sequence[str], seed: int, findings: dict[str, object]) -> list[str]:
     from twc_env.maps import load_map
     from twc_env.world.building.generate import check_reachable
 
     faults: list[str] = []
-    areas: dict[str, float] = {}
-    for name in names:
+    sound: dict[str, Floorplan] = {}
+    for done, name in enumerate(names, 1):
         try:
-            plan = check_reachable(load_map(name, seed))
+            sound[name] = check_reachable(load_map(name, seed))
         except MapError as error:
             faults.append(str(error))
-            _tell(faults[-1:])
-            continue
-        if not areas:
-            print(f"{'':5}  {_HEAD}")
-        areas[name] = round(plan.floor_area_m2, 2)
-        print(f"sound  {_row(plan)}")
-    findings["floor_m2"] = areas
+        show_count(done, len(names), " maps")
+    if sound:
+        print(_table(list(sound.values()), "sound  "))
+    _tell(faults)
+    findings["floor_m2"] = {name: round(plan.floor_area_m2, 2) for name, plan in sound.items()}
     return faults
 
 

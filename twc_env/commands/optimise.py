@@ -8,7 +8,7 @@ from pathlib import Path
 from twc_env.errors import ConfigError, DataError, one_of
 from twc_env.records.json_values import check_folder, write_json
 from twc_env.running.options import add_json
-from twc_env.running.terminal import aligned
+from twc_env.running.terminal import aligned, terminal_width
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +60,7 @@ def _optimise(options: argparse.Namespace) -> int:
         print(f"note: {remark}")
     result = optimise_graph(graph, options.robust)
     shown, left = component_rows(graph, result)
-    print(aligned(shown))
+    print(aligned(shown, terminal_width()))
     if left:
         print(f"and {left} more components, in --json")
     for note in notes(graph, result, options.out is not None):

@@ -207,7 +207,7 @@ def _list_contents(options: argparse.Namespace) -> None:
         rows = list_topics(log, _asked(options, None).wishes) if is_bag(log) else list_robots(log)
         tables[str(log)] = rows
         if options.json != TERMINAL:
-            print(f"{log}\n{aligned(rows)}")
+            print(f"{log}\n{aligned(rows, terminal_width())}")
     write_json(options.json, tables)
 
 
@@ -399,7 +399,7 @@ def _write_page(page, path: Path, done: Replay, figures: dict) -> None:
     subtitle = (
         f"{robots}, {len(times_s)} steps in {times_s[-1]:.0f} s, settings {figures['config_digest']}, version "
         f"{__version__}. White and black: estimated map (free, wall); maps that are not merged stand side by side. "
-        "Disc: estimated pose. A log holds no true poses."
+        "Ring: estimated pose. A log holds no true poses."
     )
     title, report = f"replay of {figures['log']}", {**figures, "table": _keyed(done)}
     page.write(path, done.engine, title, subtitle, report, times_s, _told(figures))

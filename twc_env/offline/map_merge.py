@@ -12,7 +12,7 @@ import numpy as np
 from twc_env.errors import MapError
 from twc_env.records.json_values import check_folder, write_json
 from twc_env.running.output_folder import make_folder
-from twc_env.running.terminal import aligned, show_count
+from twc_env.running.terminal import aligned, show_count, terminal_width
 from twc_env.slam.saved_maps.map_joining import Group, JoinedMaps, Pair, join_maps
 from twc_env.slam.saved_maps.saved_map import SavedMap
 
@@ -39,7 +39,7 @@ def merge_files(
     found = summary(names, maps, joined)
     write_json(out / "transforms.json", found)
     write_json(json, found)
-    lines = [aligned(_rows(maps, joined))]
+    lines = [aligned(_rows(maps, joined), terminal_width())]
     for pair in joined.pairs:
         if not pair.placement.is_believed:
             lines.append(f"{maps[pair.first].name} and {maps[pair.second].name} not merged: {pair.placement.reason}")

@@ -13,7 +13,8 @@ from numpy.typing import NDArray as Array
 from twc_env.errors import ConfigError, DataError
 from twc_env.exploration.drawing.episode_map import draw_smoothly
 from twc_env.exploration.drawing.labels import place_names
-from twc_env.exploration.drawing.palette import CLOSURE, FLOOR, INK, TRUE_TEXT, UNKNOWN, WALL, rgb, robot_colour
+from twc_env.exploration.drawing.palette import CLOSURE, FLOOR, TRUE_TEXT, UNKNOWN, WALL, rgb, robot_colour
+from twc_env.exploration.drawing.path_ends import end_entries, mark_ends
 from twc_env.pictures.style import legend_below, new_figure, save_figure, set_title, settle, style
 from twc_env.records.geometry import travelled_m
 from twc_env.records.messages import GridMap
@@ -75,8 +76,7 @@ def _figure(replay: Replay) -> Any:
         _draw_closures(axes, replay, group)
     handles = dict(sorted(handles.items())) | {
         "mapped walls": Line2D([], [], color=WALL, lw=2.6),
-        "start": Line2D([], [], ls="", marker="o", color=INK, mfc=FLOOR, ms=6),
-        "end": Line2D([], [], ls="", marker="o", color=INK, ms=6),
+        **{name: handle for handle, name in end_entries(is_true=False)},
     }
     accepted = sum(closure.status == "accepted" for closure in team.closures)
     if accepted:
@@ -105,8 +105,7 @@ def _draw_paths(axes: Any, replay: Replay, group: int) -> dict[str, Any]:
             colour, way = robot_colour(path.robot), path.estimated[:, :2]
             name = f"{path.name or f'robot {path.robot}'}, {travelled_m(path.estimated)[-1]:.0f} m"
             (lines[name],) = axes.plot(*way.T, color=colour, lw=1.2, zorder=3)
-            axes.plot(*way[0], "o", color=colour, mfc=FLOOR, ms=6, mew=1.4, zorder=4)
-            axes.plot(*way[-1], "o", color=colour, ms=7, mec=FLOOR, zorder=4)
+            mark_ends(axes, way, colour, is_true=False)
     return lines
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray as Array
 from twc_env.config import EnvConfig, from_dict, robot_configs
 from twc_env.datasets.logs.arrays_file import read_arrays
 from twc_env.errors import UNFIT, DataError, TwcError
-from twc_env.exploration.assessment.result_table import FIGURES, remarks_of, value_of
+from twc_env.exploration.assessment.result_table import keyed_rows, remarks_of
 from twc_env.exploration.drawing import palette
 from twc_env.exploration.trace import FORMAT, TRACE_KEYS
 from twc_env.records.whole_file import whole_file
@@ -36,6 +36,7 @@ PALETTE = {
     "unknown": palette.UNKNOWN,
     "closure": palette.CLOSURE,
     "ink": palette.INK,
+    "any_robot": palette.ANY_ROBOT,
     "tint": palette.TINT,
 }
 """Colours of the page's script."""
@@ -87,11 +88,11 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
         "time_step_s": config.dynamics.time_step_s,
         "subtitle": f"{config.robots} robots, {len(trace['true_poses']) - 1} steps of "
         f"{config.dynamics.time_step_s:g} s, configuration {report['config_digest']}, version {report['version']}. "
-        "Grey: the true building. Black and white: the estimated map. Disc: where a robot is; ring: where it thinks "
-        "it is. Violet: loop closures; thick with crosses: accepted, but false.",
+        "Grey: the true building. Black and white: the estimated map. Disc: true pose; ring: estimated pose. "
+        "Violet: closures; thick with crosses: accepted, but false.",
         "colours": list(palette.ROBOTS),
         "palette": PALETTE,
-        "figures": [[key, name, value_of(report[key], form)] for name, key, form in FIGURES if key in report],
+        "figures": [list(row) for row in keyed_rows(report)],
         "remarks": remarks_of(report),
         "bounds_m": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()],
         "walls_m": rounded(walls),

@@ -35,37 +35,53 @@ def show_count(done: int, total: int, what: str = "", every: int = 1) -> None:
 
 
 class Bar:
-    """Progress as a bar with the time left; it fits terminals of any width."""
+    """Progress as a bar with the time left; it fits terminals of any width.
 
-    def __init__(self, total: int, what: str, every: int = 1):
-        self._total, self._what, self._every = total, what, every
+    what: is counted. where: it happens; told if there is room.
+    """
+
+    def __init__(self, total: int, what: str, where: str = "", every: int = 1):
+        self._total, self._what, self._where, self._every = total, what, where, every
         self._latest: deque[tuple[int, float]] = deque([(0, time.monotonic())], maxlen=RATE_COUNT)
         """The last counts with their times [s], which give the rate: a slow beginning does not count for long."""
 
-    def show(self, done: int, more: str = "") -> None:
-        """Show the progress, whenever `done` is a multiple of `every`. more: what has been reached so far."""
+    def show(self, done: int, more: str = "", brief: str = "") -> None:
+        """Show the progress, whenever `done` is a multiple of `every`. more: what has been reached so far; brief: the
+        same, where there is little room."""
         if done % self._every == 0 or done == self._total:
             (first, since_s), now_s = self._latest[0], time.monotonic()
             self._latest.append((done, now_s))
-            left_s = (now_s - since_s) * (self._total - done) / max(done - first, 1)
-            text = f"{done}/{self._total} {self._what}{', ' * bool(more)}{more}"
+            left = f"{_clock((now_s - since_s) * (self._total - done) / max(done - first, 1))} left"
             if first == 0 and len(self._latest) == 2 and done <= COMPILING_SHARE * self._total:
                 self._latest.popleft()
-            else:
-                text += f", {_clock(left_s)} left at most"
+                left = ""
+            texts = self._texts(done, more, brief, left)
             width = _width_of(sys.stderr)
-            show_line(text if width is None else bar_line(done / self._total, text, width), done == self._total)
+            show_line(texts[0] if width is None else bar_line(done / self._total, texts, width), done == self._total)
+
+    def _texts(self, done: int, more: str, brief: str, left: str) -> list[str]:
+        """What may stand beside the bar, from all there is to say to the least."""
+        count, counted = f"{done}/{self._total}", f"{done}/{self._total} {self._what}"
+        at_most, where = f"{left} at most" * bool(left), f" {self._where}" * bool(self._where)
+        choices = (
+            (counted + where, more, at_most), (counted, more, left), (counted, brief or more, left), (count, left),
+            (count,),
+        )  # fmt: skip
+        return [", ".join(filter(None, parts)) for parts in choices]
 
 
-def bar_line(share: float, text: str, width: int) -> str:
-    """A bar and a text in at most `width` characters; without room for both, the text alone, cut at its last comma."""
-    room = width - len(text) - 4
-    if room >= BAR_LEAST:
-        full = round(min(room, BAR_MOST) * share)
-        return f"[{'#' * full}{'-' * (min(room, BAR_MOST) - full)}] {text}"
-    while len(text) > width - 1 and ", " in text:
-        text = text.rpartition(", ")[0]
-    return text[: max(width - 1, 0)]
+def bar_line(share: float, texts: Sequence[str], width: int) -> str:
+    """A bar and a text in at most `width` characters: the longest of the texts (all but the last two) with room for a
+    bar; if there is none, the longest that fits alone, or the shortest, cut.
+
+    texts: longest first.
+    """
+    for text in texts[:-2]:
+        room = width - len(text) - 4
+        if room >= BAR_LEAST:
+            full = round(min(room, BAR_MOST) * share)
+            return f"[{'#' * full}{'-' * (min(room, BAR_MOST) - full)}] {text}"
+    return next((text for text in texts if len(text) < width), texts[-1])[: max(width - 1, 0)]
 
 
 def _clock(seconds: float) -> str:

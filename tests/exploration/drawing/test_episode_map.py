@@ -2,16 +2,18 @@
 
 import dataclasses
 import itertools
+from importlib.resources import files
 
 import numpy as np
 import pytest
 
 import twc_env
 from twc_env.bench.rates import wander
-from twc_env.exploration.drawing import palette
+from twc_env.exploration.drawing import frame, palette
+from twc_env.exploration.drawing.rendering import Scene
 from twc_env.records.messages import GridMap
 
-pytest.importorskip("matplotlib", reason="needs the extra 'viz'")
+to_hex = pytest.importorskip("matplotlib.colors", reason="needs the extra 'viz'").to_hex
 
 
 def played(**settings):
@@ -83,6 +85,39 @@ def test_each_robot_is_one_entry_of_the_legend_with_both_of_its_paths(unmerged):
     assert [name for name in names if name.startswith("robot")] == [
         "robot 0: true (wide), estimated (thin)", *(f"robot {k}" for k in range(1, 8))
     ]  # fmt: skip
+
+
+CLOSURES = [
+    {"status": status, "correct": is_correct, "target_m": (1.0, 1.0), "source_m": (2.0, 1.0)}
+    for status, is_correct in (("accepted", True), ("accepted", False), ("rejected", True), ("pending", True))
+]
+
+
+def test_the_map_the_film_and_the_page_use_the_same_words(small):
+    (legend,) = dataclasses.replace(small, closures=CLOSURES).plot().legends
+    of_map = " ".join(text.get_text() for text in legend.get_texts())
+    poses = small.true_poses[-1]
+    scene = Scene(np.ones((5, 5), bool), np.zeros(2), 0.1, small.grids, true_poses=poses, estimated_poses=poses)
+    of_film = " ".join(text for _, _, text in frame.legend_of(scene))
+    layers = files("twc_env.pictures").joinpath("replay_page.html").read_text().partition("const LAYERS")[2]
+    of_page = layers.partition("filter")[0]
+    for words in ("true walls", "mapped walls", "accepted closures", "rejected closures"):
+        assert words in of_map and words in of_film and words in of_page
+    for words in ("true poses and paths", "estimated poses"):
+        assert words in of_film and words in of_page
+    assert "true pose at the end" in of_map and "undecided closures (1)" in of_map
+
+
+def test_start_and_end_look_like_no_other_mark_and_their_samples_like_no_wall(small):
+    (legend,) = small.plot().legends
+    marks = {name.get_text(): mark for name, mark in zip(legend.get_texts(), legend.legend_handles, strict=True)}
+    ends = {name: marks[name] for name in ("start", "true pose at the end")}
+    assert len({mark.get_marker() for mark in ends.values()}) == 2
+    assert {ends["start"].get_marker()}.isdisjoint(
+        marks[name].get_marker() for name in ("signs", "access points", "true pose at the end")
+    )
+    for mark in ends.values():
+        assert np.abs(palette.rgb(to_hex(mark.get_markerfacecolor())) - palette.rgb(palette.WALL)).min() > 60
 
 
 def test_an_unmerged_team_is_told_what_odometry_knows(unmerged, small):

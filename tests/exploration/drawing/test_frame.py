@@ -39,10 +39,10 @@ def test_the_legend_names_what_is_drawn_and_every_robot(monkeypatch):
     closures = (ClosureLine(np.array([[1.0, 1.0], [2.0, 2.0]]), True, 0.0),)
     picture = frame.framed(hall(true_poses=poses, closures=closures), "1.0 s", "keys")
     names = [text for text, _, _ in texts]
-    assert {"1.0 s", "keys", "true wall", "loop closure", "rejected", "true pose"} <= set(names)
+    assert {"1.0 s", "keys", "true walls", "accepted closures", "rejected closures"} <= set(names)
     assert [name for name in names if name.startswith("robot")] == [f"robot {k}" for k in range(9)]
     assert {str(k) for k in range(9)} <= set(names)  # beside the robots
-    assert "person" not in names and "mapped wall" not in names
+    assert "people" not in names and "mapped walls" not in names
     assert picture.shape[1] == frame.WIDTH_PX == 960
 
 
@@ -52,7 +52,9 @@ def test_no_text_is_cut_off_or_covers_another(monkeypatch):
     frame.framed(hall(true_poses=np.tile([2.0, 2.0, 0.0], (8, 1))), long, "T truth  M maps  " * 9)
     for text, (left, top, right, bottom), (width, height) in texts:
         assert left >= 0 and right <= width and top >= 0 and bottom <= height, text
-    legend = [box for text, box, _ in texts if text.startswith("robot") or text in ("true wall", "true pose")]
+    legend = [
+        box for text, box, _ in texts if text.startswith("robot") or text in ("true walls", "true poses and paths")
+    ]
     for k, a in enumerate(legend):
         assert all(a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1] for b in legend[k + 1 :])
     assert (

@@ -43,9 +43,15 @@ ODOMETRY_REMARK = (
 
 def rows_of(figures: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Name and value of the figures that there are."""
-    rows = [(name, value_of(figures[key], form)) for name, key, form in FIGURES if key in figures]
-    of_all = f" of {figures['robots']}" if "robots" in figures else ""
-    return [(name, value + of_all if name == "robots in one map" else value) for name, value in rows]
+    return [(name, value) for _, name, value in keyed_rows(figures)]
+
+
+def keyed_rows(figures: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """The same with the key in the report before them."""
+    of_all = {"merged_robots": f" of {figures['robots']}"} if "robots" in figures else {}
+    return [
+        (key, name, value_of(figures[key], form) + of_all.get(key, "")) for name, key, form in FIGURES if key in figures
+    ]
 
 
 def value_of(value: Any, form: str) -> str:

@@ -13,6 +13,7 @@ from twc_env.errors import ConfigError
 from twc_env.exploration.drawing import palette
 from twc_env.exploration.drawing.figures import fit_height, legend_below, new_figure, set_title, settle, style
 from twc_env.exploration.drawing.labels import place_names
+from twc_env.exploration.drawing.path_ends import end_entries, mark_ends
 from twc_env.exploration.drawing.primitives import draw_strokes
 from twc_env.exploration.drawing.smooth_map import BORDER, KNOWN_LEVEL, known_field, wall_strokes
 from twc_env.records.geometry import compose, transform_points
@@ -177,18 +178,15 @@ def _draw_paths(axes: Any, result: Any) -> list[tuple[Any, str]]:
         axes.plot(*odometry, ":", lw=ODOMETRY_WIDTH, color=colour, alpha=0.8, zorder=2)
         axes.plot(*true, lw=TRUE_WIDTH, color=colour, alpha=TRUE_OPACITY, zorder=2.5)
         axes.plot(*placed[:, robot, :2].T, lw=ESTIMATED_WIDTH, color=colour, zorder=3)
-        axes.plot(*true[:, 0], "o", ms=5, mfc=palette.FLOOR, mec=colour, mew=1.2, zorder=5)
-        axes.plot(*true[:, -1], "o", ms=6, color=colour, mec=palette.FLOOR, mew=0.6, zorder=5)
+        mark_ends(axes, true.T, colour, is_true=True)
         both = (
             Line2D([], [], lw=2 * TRUE_WIDTH, color=colour, alpha=TRUE_OPACITY, solid_capstyle="butt"),
             Line2D([], [], lw=1.5 * ESTIMATED_WIDTH, color=colour),
         )
         first = robot == 0
         entries.append((both, f"robot {robot}{': true (wide), estimated (thin)' if first else ''}"))
-    look: dict[str, Any] = {"ls": "", "marker": "o", "mec": palette.INK, "color": palette.INK}
-    start, end = Line2D([], [], ms=5, **{**look, "mfc": palette.FLOOR}), Line2D([], [], ms=5, **look)
     dotted = Line2D([], [], ls=":", lw=1.4 * ODOMETRY_WIDTH, color=palette.INK)
-    return [*entries, (dotted, "odometry alone"), (start, "start"), (end, "end")]
+    return [*entries, (dotted, "odometry alone"), *end_entries(is_true=True)]
 
 
 def placed_in_building(result: Any) -> Array:
@@ -200,20 +198,22 @@ def placed_in_building(result: Any) -> Array:
 
 
 def _draw_closures(axes: Any, result: Any) -> list[tuple[Any, str]]:
-    """Draw closures: accepted ones solid, those not accepted dotted; false accepted ones thick, with crosses."""
+    """Draw closures: accepted ones solid, rejected ones dashed, undecided ones dotted; false accepted ones thick, with
+    crosses."""
     from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
 
     styles: dict[str, dict[str, Any]] = {
-        "closure not accepted": {"lw": 0.9, "ls": ":", "zorder": 6.0},
-        "accepted closure, correct": {"lw": 0.9, "ls": "-", "zorder": 6.2},
-        "accepted closure, false": {"lw": 2.4, "ls": "-", "zorder": 6.3, "marker": "X", "ms": 7},
+        "undecided closures": {"lw": 0.9, "ls": ":", "zorder": 6.0},
+        "rejected closures": {"lw": 0.9, "ls": "--", "zorder": 6.0},
+        "accepted closures, correct": {"lw": 0.9, "ls": "-", "zorder": 6.2},
+        "accepted closures, false": {"lw": 2.4, "ls": "-", "zorder": 6.3, "marker": "X", "ms": 7},
     }
     lines: dict[str, list[tuple]] = {name: [] for name in styles}
     for closure in result.closures:
-        name = "closure not accepted"
+        name = "rejected closures" if closure["status"] == "rejected" else "undecided closures"
         if closure["status"] == "accepted":
-            name = f"accepted closure, {'correct' if closure['correct'] else 'false'}"
+            name = f"accepted closures, {'correct' if closure['correct'] else 'false'}"
         lines[name].append((closure["target_m"], closure["source_m"]))
     entries = []
     for name, look in styles.items():

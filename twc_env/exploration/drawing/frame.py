@@ -73,18 +73,18 @@ def legend_of(scene: Scene) -> tuple[Entry, ...]:
     on, so that a window keeps its size."""
     entries: list[Entry] = []
     if scene.walls.any():
-        entries.append(("bar", palette.TRUE_WALL, "true wall"))
+        entries.append(("bar", palette.TRUE_WALL, "true walls"))
     if scene.grids:
-        entries += [("bar", palette.WALL, "mapped wall"), ("area", palette.FLOOR, "mapped floor, tinted until merged")]
+        entries += [("bar", palette.WALL, "mapped walls"), ("area", palette.FLOOR, "mapped floor, tinted until merged")]
     if len(scene.true_poses):
-        entries.append(("disc", palette.INK, "true pose"))
+        entries.append(("disc", palette.ANY_ROBOT, "true poses and paths"))
     if len(scene.estimated_poses):
-        entries.append(("ring", palette.INK, "estimated pose"))
-    entries += [("line", palette.CLOSURE, "loop closure"), ("dashes", palette.CLOSURE, "rejected")]
+        entries.append(("ring", palette.ANY_ROBOT, "estimated poses"))
+    entries += [("line", palette.CLOSURE, "accepted closures"), ("dashes", palette.CLOSURE, "rejected closures")]
     if len(scene.things_m):
-        entries.append(("line", palette.TRUE_WALL, "door, furniture"))
+        entries.append(("line", palette.TRUE_WALL, "doors, furniture"))
     if len(scene.people_m):
-        entries.append(("person", palette.PERSON, "person"))
+        entries.append(("person", palette.PERSON, "people"))
     if scene.signal is not None:
         entries.append(("ramp", "", "signal, weak to strong"))
     robots = max(len(scene.true_poses), len(scene.estimated_poses))

@@ -21,6 +21,8 @@ FLOOR = "#ffffff"
 UNKNOWN = "#e9ebee"
 CLOSURE = "#aa00ff"
 PERSON = "#f0e442"
+ANY_ROBOT = TRUE_WALL
+"""Samples of legends that stand for all robots; black ones would look like single wall cells."""
 INK = "#1f2430"
 """Titles, axes and captions."""
 MEANINGS = {
