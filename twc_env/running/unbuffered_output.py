@@ -10,6 +10,7 @@ import contextlib
 import io
 import sys
 from collections.abc import Iterator
+from typing import Any, cast
 
 
 class _WholeWrites(io.RawIOBase):
@@ -27,7 +28,7 @@ class _WholeWrites(io.RawIOBase):
     def isatty(self) -> bool:
         return self._raw.isatty()
 
-    def write(self, data) -> int:  # type: ignore[no-untyped-def]
+    def write(self, data: Any) -> int:
         """The number of bytes, which is that of the data."""
         rest = memoryview(data).cast("B")
         total = len(rest)
@@ -48,7 +49,7 @@ def whole_output() -> Iterator[None]:
         yield
         return
     whole = io.TextIOWrapper(
-        _WholeWrites(raw),  # type: ignore[arg-type]
+        cast(Any, _WholeWrites(raw)),
         encoding=usual.encoding,
         errors=usual.errors,
         write_through=True,
