@@ -39,6 +39,13 @@ def test_bench_plays_the_team_and_the_scanner_of_its_settings(setting, robots, b
     assert (figures["robots"], figures["beams"]) == (robots, beams)
 
 
+def test_record_plays_the_task_and_the_team_of_its_settings(tmp_path):
+    call = ["record", "--config", "twc/ExploreMixed-v1", "--map", "twin-01", "--steps", "2", "--out", str(tmp_path)]
+    assert main(call) == 0
+    config, _ = read_frame_log(tmp_path / "frames.npz")
+    assert len(config.robot) == config.robots == 3 and config.people.count == 12
+
+
 def test_bench_measures_one_thing_at_a_time(capsys):
     with pytest.raises(SystemExit):
         main(["bench", "--parts", "--peers"])

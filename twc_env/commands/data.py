@@ -39,7 +39,7 @@ def add_arguments(data: argparse.ArgumentParser) -> None:
         "fetch", help="download sets to their places",
         description="Download sets to their places below TWC_DATA, with a checksum of each file. An interrupted "
         "download goes on where it broke off. Mind the licences: `twc-env data list` tells them.",
-        epilog="example:\n  twc-env data fetch carmen intel --to data", fill=_add_fetch,
+        epilog="example:\n  twc-env data fetch carmen intel --out data", fill=_add_fetch,
     )  # fmt: skip
     fetching.set_defaults(run=_fetch)
     sample = parts.add_parser(
@@ -59,7 +59,7 @@ def _add_list(parser: argparse.ArgumentParser) -> None:
 
 def _add_fetch(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("sets", nargs="+", metavar="NAME", help="data sets")
-    parser.add_argument("--to", type=Path, metavar="FOLDER", help="folder of the data (default: that in TWC_DATA)")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="folder of the data (default: that in TWC_DATA)")
 
 
 def _add_sample(parser: argparse.ArgumentParser) -> None:
@@ -99,7 +99,7 @@ def _fetch(options: argparse.Namespace) -> int:
     from twc_env.datasets.public.download import fetch
 
     chosen = [data_set(name) for name in options.sets]
-    folder = folder_of_data(options.to)
+    folder = folder_of_data(options.out)
     check_folder(folder)
     by_hand = []
     for each in chosen:

@@ -7,7 +7,7 @@ import argparse
 from twc_env.records.json_values import check_folder
 from twc_env.running.command_line import INTERRUPTED
 from twc_env.running.command_start import Interruption
-from twc_env.running.options import add_folder, add_set, assignments, count, natural
+from twc_env.running.options import add_config, add_folder, add_set, assignments, config_of, count, natural
 from twc_env.running.output_folder import alone_in
 from twc_env.running.terminal import end_line, show_count, tell
 
@@ -19,10 +19,14 @@ def add_arguments(record: argparse.ArgumentParser) -> None:
         "ground truth) and truth.npz (true poses); see docs/frames.md. Ctrl-C or SIGTERM ends the recording early, and "
         "what there is of it is written. `twc-env explore` records frames too."
     )
-    record.epilog = "example:\n  twc-env record --map twin-02 --steps 900 --out runs/log"
-    record.add_argument("--map", default="twin-01", help="bundled name, generated name or file")
-    record.add_argument("--robots", type=count, default=3, help="number of robots")
+    record.epilog = (
+        "examples:\n  twc-env record --map twin-02 --steps 900 --out runs/log\n"
+        "  twc-env record --config twc/ExploreMixed-v1 --steps 900 --out runs/mixed"
+    )
+    record.add_argument("--map", help="bundled name, generated name or file (default: that of the settings)")
+    record.add_argument("--robots", type=count, help="number of robots (default: that of the settings)")
     record.add_argument("--steps", type=count, default=600, help="time steps of 0.1 s")
+    add_config(record)
     record.add_argument("--seed", type=natural, default=0, help="of start poses, noise and generated signs")
     add_set(record)
     add_folder(record, "--out", "runs/log", "folder of the log")
@@ -31,13 +35,14 @@ def add_arguments(record: argparse.ArgumentParser) -> None:
 
 def _record(options: argparse.Namespace) -> int:
     from twc_env.bench.rates import wander
-    from twc_env.config import EnvConfig, override
+    from twc_env.config import override
     from twc_env.datasets.logs.frame_log import write_frame_log, write_truth_log
     from twc_env.exploration.environment import ExplorationEnv
 
     check_folder(options.out)
-    settings = {"map": options.map, "robots": options.robots, "max_cycles": options.steps}
-    env = ExplorationEnv(config=override(EnvConfig(), {**settings, **assignments(options.set)}))
+    told = {"map": options.map, "robots": options.robots, "max_cycles": options.steps}
+    settings = {key: value for key, value in told.items() if value is not None}
+    env = ExplorationEnv(config=override(config_of(options.config), {**settings, **assignments(options.set)}))
     env.reset(seed=options.seed)
     log = [(env.frames, env.contacts)]
     with Interruption() as interruption:

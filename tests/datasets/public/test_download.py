@@ -154,12 +154,12 @@ def test_the_command_lists_and_fetches(tmp_path, monkeypatch, capsys):
     assert "aces-corrected.log.gz" in capsys.readouterr().out
     monkeypatch.delenv("TWC_DATA", raising=False)
     assert main(["data", "fetch", "carmen"]) == 2
-    assert "set TWC_DATA to the folder of the data, or give --to FOLDER" in capsys.readouterr().err
+    assert "set TWC_DATA to the folder of the data, or give --out FOLDER" in capsys.readouterr().err
     assert main(["data", "fetch", "carmem"]) == 2
     assert "did you mean 'carmen'?" in capsys.readouterr().err
     with served(CONTENT) as (url, _):
         small = DataSet("small", "", "MIT", "here", (), (data_file(url), data_file(None, "a/hand.bin")))
         monkeypatch.setattr(shelf, "catalogue", lambda: {"small": small})
-        assert main(["data", "fetch", "small", "--to", str(tmp_path)]) == 1
+        assert main(["data", "fetch", "small", "--out", str(tmp_path)]) == 1
     assert (tmp_path / "a" / "b.bin").read_bytes() == CONTENT
     assert "to be got by hand" in capsys.readouterr().out

@@ -71,5 +71,5 @@ def folder_of_data(told: Path | None) -> Path:
     if told is not None:
         return told
     if not os.environ.get(VARIABLE):
-        raise DataError(f"where to? set {VARIABLE} to the folder of the data, or give --to FOLDER")
+        raise DataError(f"where to? set {VARIABLE} to the folder of the data, or give --out FOLDER")
     return Path(os.environ[VARIABLE])
