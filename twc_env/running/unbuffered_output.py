@@ -26,7 +26,7 @@ class _WholeWrites(io.RawIOBase):
         return self._raw.fileno()
 
     def isatty(self) -> bool:
-        return self._raw.isatty()
+        return not self._raw.closed and self._raw.isatty()  # some library may ask at the very end
 
     def write(self, data: Any) -> int:
         """The number of bytes, which is that of the data."""
