@@ -2,6 +2,7 @@ import dataclasses
 import itertools
 import json
 
+import numpy as np
 import pytest
 
 from twc_env.__main__ import main
@@ -74,6 +75,35 @@ def test_names_in_a_plan_stay_inside_the_axes_and_do_not_overlap(name):
     assert all(frame.x0 <= box.x0 and box.x1 <= frame.x1 and frame.y0 <= box.y0 and box.y1 <= frame.y1 for box in boxes)
     shown = {text.get_text().replace("\n", " ") for text in axes.texts}
     assert len(shown) >= 0.9 * len({sign.text for sign in plan.signs} | {room.name for room in plan.rooms})
+
+
+def test_names_in_a_plan_cover_no_access_point():
+    pytest.importorskip("matplotlib")
+    plan = load_map("gen:office:300:1")
+    axes = plan_figure(plan).axes[0]
+    points = axes.transData.transform([point.position_m for point in plan.access_points])
+    assert [text.get_text() for text in axes.texts if text.get_window_extent().count_contains(points)] == []
+
+
+def test_signs_are_squares_in_a_plan_as_in_the_map_of_an_episode():
+    pytest.importorskip("matplotlib")
+    (legend,) = plan_figure(load_map("sfw-e3"), with_signal=False).legends
+    marks = {
+        text.get_text(): mark.get_marker() for text, mark in zip(legend.get_texts(), legend.legend_handles, strict=True)
+    }
+    assert (marks["unique signs (3)"], marks["repeated signs (2)"], marks["access points (1)"]) == ("s", "s", "^")
+
+
+def test_colours_of_signal_strength_end_at_the_outer_walls():
+    pytest.importorskip("matplotlib")
+    plan = load_map("sfw-e3")
+    figure = plan_figure(dataclasses.replace(plan, signs=()))
+    figure.canvas.draw()
+    image = np.asarray(figure.canvas.buffer_rgba())[..., :3]
+    at_m = [(1.0, -0.06), (5.0, 0.94), (8.44, 0.2), (1.0, 0.2), (5.0, 1.2)]  # outside of three walls, and inside
+    u, v = figure.axes[0].transData.transform(at_m).T
+    colours = image[np.round(image.shape[0] - v).astype(int), np.round(u).astype(int)]
+    assert (colours[:3] == 255).all() and (colours[3:].min(axis=1) < 255).all()
 
 
 def test_a_plan_is_written_in_every_format_and_the_same_each_time(tmp_path, capsys):

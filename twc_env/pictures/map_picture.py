@@ -31,6 +31,10 @@ from twc_env.world.sensors.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
 LABELS_MAX = 90
 """With more rooms or signs than this, names are left out, because there is no room for them."""
 WIDTH_INCHES, HEIGHT_MAX_INCHES = 11.0, 16.0
+ROOMS_COVER = 0.99
+"""With a smaller area than this share of the floor, rooms are not all of it."""
+MARKER_PX = 5.0
+"""Half the size of the mark of an access point."""
 _ROOM_POINTS, _SIGN_POINTS, _CHARACTER_WIDTH = 6.5, 5.0, 0.62
 """Font sizes in rooms and at signs, and the average width of a letter as a share of it."""
 
@@ -79,17 +83,18 @@ def plan_figure(plan: Floorplan, with_signal: bool = True) -> Any:
         fit_height(figure, axes, height_m / width_m, HEIGHT_MAX_INCHES)
         axes.set_aspect("equal")
         settle(figure)
-        rooms = name_rooms(axes, plan.rooms) if len(plan.rooms) <= LABELS_MAX else []
+        points_m = np.array([a.position_m for a in plan.access_points]).reshape(-1, 2)
+        rooms = name_rooms(axes, plan.rooms, points_m) if len(plan.rooms) <= LABELS_MAX else []
         if len(plan.signs) <= LABELS_MAX:
             places_m = np.array([sign.position_m for sign in plan.signs]).reshape(-1, 2)
             facing_rad = [sign.facing_rad for sign in plan.signs]
             texts = [sign.text for sign in plan.signs]
-            place_names(axes, texts, places_m, facing_rad, rooms, points=_SIGN_POINTS)
+            place_names(axes, texts, places_m, facing_rad, rooms, points_m, points=_SIGN_POINTS)
     return figure
 
 
 def _draw_signs(axes: Any, plan: Floorplan) -> list[tuple[Any, str]]:
-    """Draw signs as arrows that point to where they are read from: full ones are unique, hollow ones repeat a text."""
+    """Draw signs as squares with a tick to where they are read from: full if unique, hollow if they repeat a text."""
     from matplotlib.lines import Line2D
 
     texts = [sign.text for sign in plan.signs]
@@ -101,18 +106,21 @@ def _draw_signs(axes: Any, plan: Floorplan) -> list[tuple[Any, str]]:
         if mask.any():
             x, y = places[mask].T
             axes.quiver(
-                x, y, np.cos(facing[mask]), np.sin(facing[mask]), facecolor=fill, edgecolor=TRUE_TEXT, linewidth=0.8,
-                angles="xy", scale_units="dots", units="dots", scale=0.085, width=2.2, headwidth=4.5, headlength=5,
-                headaxislength=5, zorder=4.5,
+                x, y, np.cos(facing[mask]), np.sin(facing[mask]), color=TRUE_TEXT, angles="xy", scale_units="dots",
+                units="dots", scale=0.125, width=1.8, headwidth=0, headlength=0, headaxislength=0, zorder=4.4,
             )  # fmt: skip
-            look: dict[str, Any] = {"ls": "", "marker": ">", "ms": 6, "color": fill, "mec": TRUE_TEXT, "mew": 0.9}
+            look: dict[str, Any] = {"ls": "", "marker": "s", "ms": 4, "color": fill, "mec": TRUE_TEXT, "mew": 0.9}
+            axes.plot(x, y, zorder=4.5, **look)
             entries.append((Line2D([], [], **look), f"{label} ({mask.sum()})"))
     return entries
 
 
-def name_rooms(axes: Any, rooms: Sequence[Room]) -> list[Any]:
+def name_rooms(axes: Any, rooms: Sequence[Room], avoided_m: Any = ()) -> list[Any]:
     """Write the names of rooms, in an axes that is laid out; a name that is wider than its room gets one line per word,
-    and one that has no room even so is left out. Returns the texts."""
+    and one that has no room even so is left out. Returns the texts.
+
+    avoided_m: points (n, 2) above or below which a name is moved that would cover them.
+    """
     from matplotlib.patheffects import withStroke
 
     texts: list[Any] = []
@@ -127,13 +135,29 @@ def name_rooms(axes: Any, rooms: Sequence[Room]) -> list[Any]:
             color=INK, ha="center", va="center", clip_on=True, parse_math=False, zorder=5, fontstyle="italic",
             path_effects=[withStroke(linewidth=1.5, foreground=FLOOR, alpha=0.8)],
         )  # fmt: skip
-        box = text.get_window_extent(axes.figure.canvas.get_renderer())
+        box = _clear_of(text, avoided_m)
         if any(box.overlaps(other) for other in boxes):
             text.remove()
             continue
         boxes.append(box)
         texts.append(text)
     return texts
+
+
+def _clear_of(text: Any, points_m: Any) -> Any:
+    """Move a text up or down, by at most its height, off the points (n, 2) that it would cover; returns its box."""
+    axes, place_m = text.axes, text.get_position()
+    renderer, to_pixels = axes.figure.canvas.get_renderer(), axes.transData
+    points = to_pixels.transform(np.asarray(points_m, float).reshape(-1, 2))
+    height = text.get_window_extent(renderer).height + 2 * MARKER_PX
+    for share in (0.0, 0.5, -0.5, 1.0, -1.0):
+        up = to_pixels.transform(place_m) + [0.0, share * height]
+        text.set_position(to_pixels.inverted().transform(up))
+        box = text.get_window_extent(renderer)
+        if not box.padded(MARKER_PX).count_contains(points):
+            return box
+    text.set_position(place_m)
+    return text.get_window_extent(renderer)
 
 
 def _draw_signal(axes: Any, figure: Any, plan: Floorplan) -> None:
@@ -144,5 +168,19 @@ def _draw_signal(axes: Any, figure: Any, plan: Floorplan) -> None:
         signal, origin="lower", extent=(x0, x0 + step_m * columns, y0, y0 + step_m * rows), aspect="auto",
         cmap=SIGNAL_MAP, vmin=low, vmax=high, alpha=0.45,
     )  # fmt: skip
+    if (floor := _floor_path(plan)) is not None:
+        image.set_clip_path(floor, axes.transData)
     bar = figure.colorbar(image, ax=axes, shrink=0.8, pad=0.01, fraction=0.04, aspect=30)
     bar.set_label("mean strength of the best access point [dBm]")
+
+
+def _floor_path(plan: Floorplan) -> Any:
+    """The rooms as a path, to which cells at the outer walls are cut; None if they do not cover the floor."""
+    from matplotlib.path import Path as Outline
+
+    corners = [np.asarray(room.polygon_m, float) for room in plan.rooms]
+    areas_m2 = [0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) for x, y in (c.T for c in corners)]
+    if np.abs(areas_m2).sum() < ROOMS_COVER * plan.floor_area_m2:
+        return None
+    ways = [c if area > 0 else c[::-1] for c, area in zip(corners, areas_m2, strict=True)]
+    return Outline.make_compound_path(*(Outline(np.vstack([way, way[:1]]), closed=True) for way in ways))

@@ -16,7 +16,7 @@ MOVES_MAX = 40
 
 PADDING = 1.0
 """Pixels that stay free around a name."""
-GAP = 5.0
+GAP = 10.0
 """Pixels between a place and its name."""
 LEAD_POINTS = 9.0
 """A name farther away than this from its place gets a line to it."""
