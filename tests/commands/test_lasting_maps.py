@@ -4,6 +4,7 @@ import re
 import pytest
 
 from twc_env.__main__ import main
+from twc_env.replaying import odometry_errors
 
 
 def test_a_saved_map_is_the_prior_of_a_later_session_and_of_a_replay(tmp_path, capsys, refusal):
@@ -52,3 +53,10 @@ def test_a_replay_is_localised_in_a_saved_map_and_in_a_ros_map(tmp_path, capsys,
     again = ["replay", str(tmp_path / "a"), "--prior", str(tmp_path / "map.npz"), "--localise", "--save", "d.npz"]
     assert "--localise changes none" in refusal(main, again)
     assert "name the map" in refusal(main, ["replay", str(tmp_path / "a"), "--localise"])
+
+
+def test_a_prior_that_is_none_is_refused_before_the_log_is_looked_at_for_long(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(odometry_errors, "with_errors_of_log", lambda _: pytest.fail("the log was looked at"))
+    (tmp_path / "a.npz").write_bytes(b"no map")
+    assert main(["replay", "sample", "--prior", str(tmp_path / "a.npz")]) == 2
+    assert "is not a saved map" in capsys.readouterr().err

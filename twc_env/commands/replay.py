@@ -224,7 +224,7 @@ def _formats(text: str) -> list[str]:
 
 def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     from twc_env.config import digest, override
-    from twc_env.datasets.lasting_maps import save_map
+    from twc_env.datasets.lasting_maps import prior_of, save_map
     from twc_env.datasets.logs.frame_log import read_truth_log
     from twc_env.pictures.log_page import LogPage
     from twc_env.replaying.inputs import read_input
@@ -247,7 +247,9 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
         raise DataError("--save writes a map, and --localise changes none: leave one of them out")
     mode = {"slam.mode": "localisation"} if options.localise else {}
     chosen: dict[str, object] = {**asked, **mode, **prior_setting(options)}
-    if options.noise == "from-log" and override(config, chosen).slam.mode == "cooperative":
+    wished = override(config, chosen)
+    prior_of(wished)  # a file that is none is refused before the log is looked at for long
+    if options.noise == "from-log" and wished.slam.mode == "cooperative":
         source = with_errors_of_log(source)
     config = override(source.config, chosen)
     is_told = options.json != TERMINAL
