@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.logs.text_file import read_text
+from twc_env.datasets.logs.text_file import TextLines
 from twc_env.errors import DataError
 from twc_env.records.geometry import wrap_angle
 from twc_env.records.whole_file import whole_file
@@ -47,7 +47,7 @@ def read_tum(path: str | Path) -> tuple[Array, Array]:
     Raises DataError naming the first line that is not eight numbers or whose quaternion is zero.
     """
     rows = []
-    for number, line in enumerate(read_text(path).splitlines(), 1):
+    for number, line in enumerate(TextLines(path), 1):
         words = line.split("#", 1)[0].replace(",", " ").split()
         if words:
             rows.append(_row(words, path, number))
