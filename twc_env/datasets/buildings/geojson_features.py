@@ -56,8 +56,8 @@ def walls_of(ring: Array) -> Array:
 
 def signed_area_m2(ring: Array) -> float:
     """Area of a ring (k, 2), positive if it is counter-clockwise."""
-    x, y = ring.T
-    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
+    (x, y), (after_x, after_y) = ring.T, np.concatenate([ring[1:], ring[:1]]).T
+    return float((x * after_y - after_x * y).sum() / 2)
 
 
 def distinct(areas: Iterable[Area]) -> list[Area]:
