@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.datasets.logs.odd_units import name_odd_units
 from twc_env.datasets.logs.text_file import TextLines, first_bytes, read_text, text_encoding
 from twc_env.errors import UNFIT, DataError
 from twc_env.records.geometry import between, compose, wrap_angle, wrap_one
@@ -30,6 +31,8 @@ from twc_env.records.scanner import Scanner
 
 NO_RETURN_M = 30.0
 """Scanners of these logs report more than this (81.83 m, 50 m, 32.7 m) for a beam without return."""
+NEAR_M = 0.05
+"""No scanner sees most things nearer than this."""
 TIME_BETWEEN_MIN_S = 1e-3
 """Minimum time between scans: some logs round times, so that scans seem simultaneous."""
 
@@ -276,7 +279,8 @@ def _name_half_circle(beams: int, of: str, path: str | Path) -> None:
 
 
 def in_metres(log: ScanLog, path: str | Path) -> ScanLog:
-    """The log; raises DataError if hardly a beam has a return, as where ranges are millimetres."""
+    """The log; raises DataError if hardly a beam has a return, as where ranges are millimetres. Warns of ranges, poses
+    and times that are hardly metres, radians and seconds."""
     is_told = (log.ranges_m > 0.0) & np.isfinite(log.ranges_m)
     returns = int((is_told & (log.ranges_m < NO_RETURN_M)).sum())
     far_m = float(np.median(log.ranges_m[is_told])) if is_told.any() else 0.0
@@ -285,6 +289,17 @@ def in_metres(log: ScanLog, path: str | Path) -> ScanLog:
             f"{path}: {returns} of {int(is_told.sum())} beams have a return below {NO_RETURN_M:g} m, and half of them "
             f"are above {far_m:g}; ranges must be metres: divide millimetres by 1000, centimetres by 100"
         )
+    if not returns:
+        raise DataError(
+            f"{path}: no beam has a return, of {log.ranges_m.size}; ranges must be metres above 0: record the log again"
+        )
+    near_m = float(np.median(log.ranges_m[is_told & (log.ranges_m < NO_RETURN_M)]))
+    if near_m < NEAR_M:
+        _LOG.warning(
+            "%s: half of all returns are nearer than %.3g m; ranges must be metres: multiply kilometres by 1000, and "
+            "look what hides the scanner", path, near_m,
+        )  # fmt: skip
+    name_odd_units(log.times_s, log.poses, path)
     return log
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.datasets.logs.odd_units import name_odd_units
 from twc_env.datasets.logs.text_file import TextLines
 from twc_env.errors import DataError
 from twc_env.records.geometry import wrap_angle
@@ -58,7 +59,9 @@ def read_tum(path: str | Path) -> tuple[Array, Array]:
     heading = np.arctan2(
         2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz
     )  # the quaternion need not be normalised
-    return values[:, 0], np.column_stack([values[:, 1:3], wrap_angle(heading)])
+    poses = np.column_stack([values[:, 1:3], wrap_angle(heading)])
+    name_odd_units(values[:, 0], poses, path)
+    return values[:, 0], poses
 
 
 def _name_what_is_dropped(values: Array, path: str | Path) -> None:
