@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 from twc_env.errors import DataError
 from twc_env.records.whole_file import file_path
 
-PACKED_BYTES_FREE = 10_000_000
+PACKED_BYTES_FREE = 4_000_000
 """A packed text of this size, unpacked, may be packed as tightly as it likes."""
 PACKED_RATIO_MAX = 64
 """Larger ones may be so many times the size of their file: logs are 4 to 13 times, tables of fingerprints up to 56

@@ -16,8 +16,8 @@ from twc_env.records.whole_file import write_text
 
 TERMINAL = Path("-")
 """Path that stands for standard output."""
-LISTS_MAX = 2_000_000
-"""Lists and tables of a JSON file: a map of 64 MB of corners, each of two numbers, has fewer."""
+LISTS_MAX = 1_000_000
+"""Lists and tables of a JSON file; every corner of a map is one, and the largest known plans have twenty thousand."""
 
 
 def table_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -96,6 +96,7 @@ def osm_level(features: list[dict], where: str, name: str, level: str | None = N
     plates: list[tuple[str, Array, Array]] = []  # text, (2, 2) either side of the door, normal
     jambs = []
     opened: set[tuple[float, ...]] = set()
+    named: set[str] = set()
     unopened = 0
     for number, feature in enumerate(features):
         if is_door(feature) and level in (levels_of(feature) or [level]):
@@ -110,7 +111,9 @@ def osm_level(features: list[dict], where: str, name: str, level: str | None = N
             near = np.flatnonzero(is_near).tolist()
             if len(near) > _NEIGHBOURS_MAX:
                 raise MapError(upon_one_another)
-            made = _open_door([outlines[k] for k in near], near, walls, place, width_m_of(feature), plates)
+            made = _open_door(
+                [outlines[k] for k in near], near, walls, place, width_m_of(feature, where, named), plates
+            )
             jambs += made
             unopened += not made
     if unopened:

@@ -27,8 +27,8 @@ STRIP_M = 0.2
 """Free strips up to this width, too narrow for a robot, are removed as stray beams and gaps of the scan."""
 LEFT_OUT_MIN_M2 = 1.0
 """Parts of the floor of this size are named if they are left out."""
-EDGES_MAX = 1_000_000
-"""Edges of pixels between floor and others: 50 km of walls at 5 cm; patterns and noise have millions."""
+EDGES_MAX = 500_000
+"""Edges of pixels between floor and others: 25 km of walls at 5 cm, fifteen times the largest real map; patterns and noise have millions."""
 _OUTSIDE_SHARE = 0.9
 """A floor that takes more of the border of a picture goes around the building."""
 _MARK_MAX_M, _MARKS_MIN = 1.5, 2
