@@ -2,6 +2,7 @@
 
 import gzip
 import lzma
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -73,3 +74,17 @@ def test_every_real_text_is_within_the_limits():
     assert len(packed) > 50
     for path in packed:
         assert read_text(path, errors="replace") or path.stat().st_size < 100
+
+
+@pytest.mark.parametrize(
+    ("read", "end"),
+    [(read_pose_graph, "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"), (read_carmen_log, "FLASER 1 1.0 0 0 0 0 0 0 1 h 1\n")],
+)
+def test_short_lines_take_no_more_room_than_their_text(tmp_path, read, end):
+    (tmp_path / "a.log").write_text("ab\n" * 200_000 + end)
+    tracemalloc.start()
+    try:
+        read(tmp_path / "a.log")
+        assert tracemalloc.get_traced_memory()[1] < 3_000_000
+    finally:
+        tracemalloc.stop()
