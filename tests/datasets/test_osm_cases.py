@@ -49,12 +49,24 @@ def test_the_width_of_a_door_has_a_unit_or_a_comma(name):
     from twc_env.datasets.buildings.geojson_features import is_door, width_m_of
 
     features = json.loads((CASES / "05-osm-door-shape" / f"{name}.geojson").read_text())["features"]
-    widths = [width_m_of(feature) for feature in features if is_door(feature)]
+    widths = [width_m_of(feature, name, set()) for feature in features if is_door(feature)]
     assert max(widths) == pytest.approx(WIDTHS[name])
 
 
 def test_imdf_is_read_with_openings_in_the_file_or_beside_it():
     assert size("06-imdf-unit/both") == size("06-imdf-unit/unit") == (154, 3)
+
+
+def test_a_width_that_is_not_taken_is_said_once_with_the_name_of_the_file(caplog):
+    load_map(CASES / "05-osm-door-shape" / "width6.geojson")
+    (said,) = (record.getMessage() for record in caplog.records if "width" in record.getMessage())
+    assert said.startswith("width6.geojson: doors of width '0.7' are taken as 0.9 m wide")
+
+
+def test_openings_of_imdf_alone_are_told_to_need_units(tmp_path):
+    shutil.copy(CASES / "06-imdf-unit" / "opening.geojson", tmp_path)
+    with pytest.raises(MapError, match=r"holds opening of IMDF and no unit, which are its rooms: name unit\.geojson"):
+        load_map(tmp_path / "opening.geojson")
 
 
 def test_imdf_without_openings_says_that_rooms_have_no_doors(tmp_path, caplog):

@@ -59,3 +59,16 @@ def test_pictures_that_ros_reads_are_read(tmp_path, suffix):
     text = "resolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
     (tmp_path / "map.yaml").write_text(f"image: map.{suffix}\n{text}")
     assert load_map(tmp_path / "map.yaml").floor_area_m2 == pytest.approx(28.2, rel=0.02)
+
+
+def test_a_picture_of_noise_is_refused_at_once(tmp_path, monkeypatch):
+    from PIL import Image
+
+    from twc_env.datasets.buildings import picture, raster
+
+    monkeypatch.setattr(raster, "EDGES_MAX", 400_000)
+    monkeypatch.setattr(picture, "name_marks", lambda *_: pytest.fail("looked at"))
+    noise = np.random.default_rng(0).random((900, 900)) < 0.5
+    Image.fromarray(np.where(noise, 255, 0).astype(np.uint8)).save(tmp_path / "noise.png")
+    with pytest.raises(MapError, match=r"noise\.png: 8\d+ edges of pixels between .*, 400000 are possible"):
+        load_map(tmp_path / "noise.png")

@@ -23,8 +23,8 @@ from twc_env.config.world import LidarConfig, RadioConfig
 from twc_env.config.world_presets import WORLD_PRESETS
 from twc_env.errors import ConfigError, did_you_mean, one_of
 from twc_env.records.class_file import is_in_file
+from twc_env.records.input_file import input_path
 from twc_env.records.json_values import table_of
-from twc_env.records.whole_file import file_path
 
 
 @cache
@@ -160,11 +160,11 @@ def load(path: str | Path) -> EnvConfig:
 
     Files whose names end in .json are JSON, all others TOML. Raises ConfigError if the file is unreadable or invalid.
     """
-    path = file_path(path)
+    path = input_path(path)
     if path.is_dir():
         if not (path / "config.json").is_file():
             raise ConfigError(f"{path} is a folder without config.json: name a run folder, or {_FILE}")
-        path = path / "config.json"
+        path = input_path(path / "config.json")
     text = _text_of(path)
     kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
     if kind == "TOML" and any(part.count(".") > _DOTS_MAX for part in re.split(r"[=,\[\]{}\n]", text)):

@@ -15,6 +15,7 @@ from twc_env.config import EnvConfig
 from twc_env.config.slam import EARLIER_SESSION
 from twc_env.datasets.logs.arrays_file import REAL, TEXT, TRUTH_VALUE, WHOLE, fault_of_types, read_arrays, write_arrays
 from twc_env.errors import UNFIT, DataError
+from twc_env.records.input_file import input_path
 from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import Fingerprint, GridMap, SignObservation
 
@@ -192,7 +193,7 @@ def prior_of(config: EnvConfig) -> LastingMap | None:
     if config.slam.prior.startswith(EARLIER_SESSION + ":"):
         raise DataError(f"slam.prior is {config.slam.prior!r}, a map that an environment makes; name a file by --prior")
     try:
-        state = Path(config.slam.prior).stat()
+        state = input_path(config.slam.prior).stat()
     except OSError as error:
         raise DataError(f"cannot read the saved map {config.slam.prior}: {error.strerror}; {REMEDY}") from error
     if Path(config.slam.prior).suffix.lower() in (".yaml", ".yml"):

@@ -16,6 +16,8 @@ from twc_env.records.whole_file import write_text
 
 TERMINAL = Path("-")
 """Path that stands for standard output."""
+LISTS_MAX = 1_000_000
+"""Lists and tables of a JSON file; every corner of a map is one, and the largest known plans have twenty thousand."""
 
 
 def table_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -29,6 +31,15 @@ def table_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
             raise ValueError(f"the key {key!r} stands twice in one table; keep one of its values")
         table[key] = value
     return table
+
+
+def check_lists(raw: bytes | str) -> None:
+    """Raise ValueError for a JSON text of so many lists and tables that reading it takes gigabytes: an empty one takes
+    sixty bytes and more, and two in the text."""
+    marks: Any = (b"[", b"{") if isinstance(raw, bytes) else ("[", "{")
+    count = sum(map(raw.count, marks))
+    if count > LISTS_MAX:
+        raise ValueError(f"it holds {count} lists and tables, where {LISTS_MAX} are possible; cut it into parts")
 
 
 def plain(value: Any) -> Any:

@@ -24,8 +24,8 @@ from twc_env.datasets.ros.robot_topics import Wishes
 from twc_env.datasets.sample import SAMPLE, sample_files
 from twc_env.errors import DataError
 from twc_env.records.geometry import between, compose, inverse
+from twc_env.records.input_file import input_path
 from twc_env.records.messages import Contacts, SensorFrame, SignReading, WifiScan
-from twc_env.records.whole_file import file_path
 
 SIGNS_SETTINGS = {"slam.place_recognition.recogniser": "fused"}
 """Settings of laser logs that are accompanied by signs, ..."""
@@ -91,7 +91,7 @@ def is_frame_log(log: Path) -> bool:
 
 def read_input(logs: Sequence[Path], asked: Asked) -> ReplayInput:
     """Read logs. Raises DataError for files of another kind, damaged ones, and readings that do not belong to them."""
-    logs = [file_path(log) for log in logs]
+    logs = [input_path(log) for log in logs]
     if is_frame_log(logs[0]):
         if asked.wifi or asked.signs:
             raise DataError(f"{logs[0]} holds its own WiFi and sign readings: leave out --wifi and --signs")

@@ -11,6 +11,7 @@ from typing import Any
 from twc_env.config import EnvConfig, override
 from twc_env.errors import DataError
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.records.input_file import input_path
 from twc_env.running.learning_libraries import learning_libraries
 from twc_env.running.terminal import tell
 from twc_env.suite.entries import Entry
@@ -20,7 +21,7 @@ def model_bytes(entry: Entry) -> bytes:
     """Content of the model file of a team. Raises DataError if it cannot be read."""
     path = _model_path(entry)
     try:
-        return path.read_bytes()
+        return input_path(path).read_bytes()
     except OSError as error:
         raise DataError(
             f"cannot read the model {path}: {error.strerror}; name the folder of a run or its model.safetensors"

@@ -431,3 +431,38 @@ def test_the_faulty_feature_of_a_file_is_named(floor, building):
     broken["geometry"]["coordinates"][0][1] = [1e5, 5e6]
     with pytest.raises(MapError, match=r"feature 1: \[100000, 5000000\] is not a longitude and latitude"):
         load_map(floor(features=[polygon(box(0, 0, 20, 15)), broken]))
+
+
+def areas(count, kind="area", step=5.0):
+    return [
+        polygon(box(x * step, y * step, x * step + 5, y * step + 5), indoor=kind, level="0", name=f"{x}-{y}")
+        for x, y in (divmod(k, 20) for k in range(count))
+    ]
+
+
+def test_a_level_of_thousands_of_rooms_is_refused_before_they_are_read(building, monkeypatch):
+    monkeypatch.setattr(osm_level, "ROOMS_MAX", 8)
+    with pytest.raises(MapError, match="level '0' has 9 rooms, 8 are possible; cut out one building"):
+        read_geojson(building(collection(*areas(9, "room"))))
+    monkeypatch.setattr(osm_level, "polygons_of", lambda *_: pytest.fail("read"))
+    with pytest.raises(MapError, match="cut out one building"):
+        read_geojson(building(collection(*areas(9, "room"))))
+
+
+def test_areas_upon_one_another_are_refused_and_neighbours_are_not(building, monkeypatch):
+    monkeypatch.setattr(osm_level, "PAIRS_MAX", 60)
+    assert len(read_geojson(building(collection(*areas(20)))).walls_m) > 3
+    with pytest.raises(MapError, match="many rooms of level '0' lie upon one another; draw each once"):
+        read_geojson(building(collection(*areas(20, step=0.5))))
+
+
+def test_a_level_of_thousands_of_doors_is_refused(building, monkeypatch):
+    monkeypatch.setattr(osm_level, "DOORS_MAX", 3)
+    doors = [node(5.0, 1.0 + 0.5 * k, door="yes", level="0") for k in range(4)]
+    with pytest.raises(MapError, match="level '0' has more than 3 doors"):
+        read_geojson(building(collection(*areas(2, "room"), *doors)))
+
+
+def test_a_door_between_very_many_outlines_is_refused(building):
+    with pytest.raises(MapError, match="lie upon one another"):
+        read_geojson(building(collection(*areas(60, "room", step=0.1), node(1.0, 2.5, door="yes", level="0"))))

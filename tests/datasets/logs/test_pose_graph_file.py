@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.soak.malformed.graph_fuzz import ring_graph
+from twc_env.datasets.logs import pose_graph_file
 from twc_env.datasets.logs.pose_graph_file import read_pose_graph, write_pose_graph
 from twc_env.errors import DataError
 from twc_env.slam.graph_optimisation.whole_graph import optimise_graph
@@ -103,3 +104,19 @@ def test_a_written_graph_is_read_again_without_the_rejected_edges(tmp_path):
     assert again.held_landmarks.tolist() == [0]
     assert again.poses == pytest.approx(result.poses, abs=1e-9)
     assert again.landmarks_m == pytest.approx(result.landmarks_m, abs=1e-9)
+
+
+def test_of_lines_of_very_many_kinds_the_first_are_named_and_the_others_counted(tmp_path):
+    path = tmp_path / "a.g2o"
+    path.write_text("".join(f"K{k}\n" for k in range(5000)) + "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
+    remarks = read_pose_graph(path).remarks
+    assert "1 line of the kind 'K0' left out" in remarks and "4980 lines of other kinds left out" in remarks
+    assert len(remarks) < 25
+
+
+def test_a_graph_of_too_many_edges_is_refused_at_the_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(pose_graph_file, "LINES_MAX", 3)
+    path = tmp_path / "a.g2o"
+    path.write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n" * 9)
+    with pytest.raises(DataError, match="line 4: more than 3 lines of a kind; cut the graph into parts"):
+        read_pose_graph(path)

@@ -5,8 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from twc_env.datasets.logs import text_table
 from twc_env.datasets.logs.column_units import Span, unit_choices
 from twc_env.datasets.logs.readings_table import read_signs, read_wifi
+from twc_env.datasets.logs.text_table import TextTable
 from twc_env.errors import DataError
 
 BEGUN = 1_700_000_000.0
@@ -292,3 +294,17 @@ def test_times_without_a_zone_are_told_if_others_have_one(tmp_path):
     for zone, is_told in (("", True), ("+00", False)):
         _, notes = read_wifi(table(tmp_path, rows.format(zone)), SPAN)
         assert any("times without a time zone are taken for UTC" in note for note in notes) == is_told
+
+
+def test_a_table_of_too_many_cells_is_refused_before_it_is_taken_apart(tmp_path, monkeypatch):
+    monkeypatch.setattr(text_table, "CELLS_MAX", 100)
+    text = "time,bssid,rssi\n" + f"{BEGUN},{MAC}1,-50\n" * 40
+    with pytest.raises(DataError, match=r"has \d+ cells, 100 are possible; cut it into parts"):
+        read_wifi(table(tmp_path, text), SPAN)
+
+
+def test_columns_that_nobody_reads_are_not_repeated_for_every_transmitter(tmp_path):
+    names = [f"x{k}" for k in range(500)] + [f"aa:bb:cc:dd:{k // 256:02x}:{k % 256:02x}" for k in range(500)]
+    text = ",".join(["time", *names]) + "\n" + ",".join([f"{BEGUN}", *["-50"] * 1000]) + "\n"
+    read = TextTable(table(tmp_path, text), ("time", "address", "strength"))
+    assert len(read.column("address")) == 500 and max(map(len, read._rows)) == 3

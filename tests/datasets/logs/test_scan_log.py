@@ -10,11 +10,12 @@ from twc_env.datasets.logs.scan_log import (
     read_scan_log,
     sensor_frames,
 )
-from twc_env.errors import DataError
+from twc_env.errors import DataError, TwcError
 from twc_env.records.geometry import compose
 from twc_env.records.messages import UNSEEN_M
 from twc_env.slam.matching.scan_matching import scan_points
 from twc_env.slam.scans.occupancy_grid import OccupancyGrid
+from twc_env.world.building.floorplan_file import read_floorplan
 
 LINE = "FLASER 3 1.0 2.0 81.9 4 5 0.5 9 9 9 7.25 host 7.3"
 
@@ -132,3 +133,23 @@ def test_both_forms_of_the_intel_log_hold_the_same_scans():
 def test_a_log_that_is_not_there_is_not_said_to_be_of_another_kind(name, tmp_path):
     with pytest.raises(DataError, match=r"^cannot read"):
         read_any_log(tmp_path / name)
+
+
+def test_one_scan_of_very_many_beams_does_not_fill_up_all_others(tmp_path):
+    def line(beams: int) -> str:
+        ranges = " ".join(["1.0"] * beams)
+        return f"ROBOTLASER1 0 -0.5 1.0 0.001 30 0.01 0 {beams} {ranges} 0 4 5 0.5 3 5 0.5 0 0 1 1 9 7.25 host 7.3\n"
+
+    path = tmp_path / "drive.log"
+    path.write_text(line(3) * 1000 + line(2000))
+    with pytest.raises(DataError, match="scans of 3 to 2000 beams, mostly of few: they are of different scanners"):
+        read_carmen_log(path)
+
+
+@pytest.mark.parametrize("read", [read_scan_log, read_floorplan])
+def test_json_of_millions_of_lists_is_refused_before_it_is_read(tmp_path, monkeypatch, read):
+    monkeypatch.setattr("twc_env.records.json_values.LISTS_MAX", 100)
+    path = tmp_path / "a.json"
+    path.write_text('{"a": [' + "[]," * 200 + "1]}")
+    with pytest.raises(TwcError, match="it holds 202 lists and tables, where 100 are possible; cut it into parts"):
+        read(path)

@@ -1,4 +1,4 @@
-"""Small files that would be huge once unpacked, that nest deeply or that name files elsewhere."""
+"""Small files that are huge once unpacked, far above a limit or just below, nest deeply or name files elsewhere."""
 
 from __future__ import annotations
 
@@ -19,18 +19,28 @@ import numpy as np
 
 from tests.soak.attempts import Attempt, workplace
 from twc_env.config import load
+from twc_env.datasets.buildings.osm_level import ROOMS_MAX
+from twc_env.datasets.buildings.raster import EDGES_MAX
 from twc_env.datasets.lasting_maps import read_lasting_map
+from twc_env.datasets.logs.column_units import Span
 from twc_env.datasets.logs.frame_log import read_frame_log
 from twc_env.datasets.logs.pose_graph_file import read_pose_graph
+from twc_env.datasets.logs.readings_table import read_wifi
+from twc_env.datasets.logs.scan_log import read_any_log
 from twc_env.datasets.ros.bag_writer import RobotRecording, write_recording
 from twc_env.maps import load_map
 from twc_env.offline.map_merge import read_saved_maps
+from twc_env.records.input_file import PACKED_BYTES_FREE
+from twc_env.records.json_values import LISTS_MAX
 from twc_env.records.scanner import Scanner
 from twc_env.replaying.inputs import Asked, read_input
 from twc_env.replaying.run import run
 
 HUGE = 1_500_000_000
 """Bytes of a bomb, unpacked."""
+BELOW = 0.9
+"""Share of a limit, of bombs that are just below."""
+EDGE = b"EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
 ELSEWHERE = ("/etc/passwd", "../../../../../../../../etc/passwd", "/proc/self/environ", "/dev/zero", "//etc//passwd")
 
 
@@ -58,6 +68,7 @@ def _all() -> Iterator[Kind]:
     yield "zeros.log.xz", _xz, _replay
     yield "zeros.g2o.gz", _gzipped, read_pose_graph
     yield "lines.log.gz", partial(_gzipped, piece=b"FLASER 2 1.0 1.0 0 0 0 0 0 0 1 h 1\n"), _replay
+    yield from _just_below()
     for read in (read_frame_log, read_lasting_map):
         yield "zeros.npz", _npz, read
         yield "told-small.npz", partial(_npz, is_told=False), read
@@ -91,6 +102,31 @@ def _all() -> Iterator[Kind]:
             yield f"bag-{number}", partial(_bag_elsewhere, other=other), _replay
 
 
+def _just_below() -> Iterator[Kind]:
+    """Repeated pieces of nine tenths of what a packed text may hold: these are read, and must be so in bounded memory.
+    Of lists, rooms and edges of pixels nine tenths of their own limits."""
+    log, plan = b'{"map":{"1":{"x":0,"y":0,"theta":0,"range":[', b'{"format":"x","a":['
+    yield "words.log.gz", partial(_repeated, piece=b"ab\n", end=b"FLASER 1 1.0 0 0 0 0 0 0 1 h 1\n"), read_any_log
+    yield "scans.log.gz", partial(_repeated, piece=b"FLASER 1 1.0 0 0 0 0 0 0 1 h 1\n"), read_any_log
+    yield "lists.json.gz", partial(_repeated, begin=log, piece=b"[],", end=b"1]}}}"), read_any_log
+    yield "words.g2o.gz", partial(_repeated, piece=b"ab\n", end=EDGE), read_pose_graph
+    yield "edges.g2o.gz", partial(_repeated, piece=EDGE), read_pose_graph
+    read_table = partial(read_wifi, span=Span(0.0, 10.0))
+    yield "rows.csv.gz", partial(_repeated, begin=b"timestamp,bssid,rssi\n", piece=b"1,a,-50\n"), read_table
+    yield "cells.csv.gz", partial(_repeated, begin=b"timestamp,bssid,rssi\n1", piece=b","), read_table
+    few = BELOW * min(1.0, LISTS_MAX * 3 / PACKED_BYTES_FREE)
+    for share, name in ((BELOW, "many"), (few, "fewer")):
+        yield f"{name}.json.gz", partial(_repeated, begin=plan, piece=b"[],", end=b"1]}", share=share), load_map
+    features = b'{"type":"FeatureCollection","features":['
+    yield "features.geojson.gz", partial(_repeated, begin=features, piece=b"{},", end=b"{}]}", share=few), load_map
+    rooms = int(BELOW * ROOMS_MAX)
+    yield "rooms.geojson", lambda path: _text(path, _level_of(rooms, "room", 5e-5)), load_map
+    yield "open.geojson", lambda path: _text(path, _level_of(rooms, "area", 5e-5)), load_map
+    yield "heap.geojson", lambda path: _text(path, _level_of(rooms, "area", 1e-6)), load_map
+    if find_spec("PIL"):
+        yield "dots.png", _dots, load_map
+
+
 def _replay(path: Path) -> None:
     source = read_input([path], Asked())
     run(source, source.config)
@@ -99,6 +135,32 @@ def _replay(path: Path) -> None:
 def _gzipped(path: Path, piece: bytes = b"\x00") -> None:
     block = gzip.compress(piece * (10_000_000 // len(piece)), 1)
     path.write_bytes(block * (HUGE // 10_000_000))  # as many archives in a row, which are read as one
+
+
+def _repeated(path: Path, piece: bytes, begin: bytes = b"", end: bytes = b"", share: float = BELOW) -> None:
+    path.write_bytes(gzip.compress(begin + piece * int(share * PACKED_BYTES_FREE / len(piece)) + end, 6))
+
+
+def _level_of(rooms: int, kind: str, step_deg: float) -> str:
+    """A level of square rooms of 4 x 5 m or so, side by side or one upon the other."""
+    features = []
+    for k in range(rooms):
+        x, y = 19.0 + k % 40 * step_deg, 47.0 + k // 40 * step_deg
+        ring = [[x, y], [x + 5e-5, y], [x + 5e-5, y + 5e-5], [x, y + 5e-5], [x, y]]
+        shape = {"type": "Polygon", "coordinates": [ring]}
+        features.append({"type": "Feature", "properties": {"indoor": kind, "level": "0"}, "geometry": shape})
+    return json.dumps({"type": "FeatureCollection", "features": features})
+
+
+def _dots(path: Path) -> None:
+    """Obstacles of one pixel, whose edges are nine tenths of what is possible."""
+    from PIL import Image
+
+    apart = 8
+    side = int(math.sqrt(BELOW * EDGES_MAX / 4)) * apart
+    grey = np.full((side, side), 255, np.uint8)
+    grey[::apart, ::apart] = grey[[0, -1]] = grey[:, [0, -1]] = 0
+    Image.fromarray(grey).save(path)
 
 
 def _xz(path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -39,7 +40,7 @@ Call = tuple[str, Callable[..., Any], dict[str, Any]]
 def misused_calls(count: int, seed: int = 0) -> Iterator[Attempt]:
     """Make `count` calls with at least one odd argument; equal seeds make the same ones."""
     random = random_stream(seed, "call-fuzz")
-    with workplace() as folder:
+    with workplace() as folder, contextlib.chdir(folder):  # for files that a call writes where it is
         calls: list[Call] = []
         for number in range(count):
             if number % RENEW_EVERY == 0:

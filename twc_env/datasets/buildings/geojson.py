@@ -11,7 +11,7 @@ from pathlib import Path
 from twc_env.datasets.buildings.competition_floor import competition_floor
 from twc_env.datasets.buildings.furnish import place_access_points
 from twc_env.datasets.buildings.geojson_features import check_reference, part_of, properties_of
-from twc_env.datasets.buildings.imdf import is_imdf, tagged
+from twc_env.datasets.buildings.imdf import check_units, is_imdf, tagged
 from twc_env.datasets.buildings.osm_level import osm_level
 from twc_env.errors import MapError
 from twc_env.records.random_streams import random_stream
@@ -42,6 +42,7 @@ def geojson_plan(values: object, path: Path, seed: int = 0, level: str | None = 
     check_reference(table, path.name)
     name = _plan_name(path)
     if is_imdf(features):
+        check_units(features, path.name)
         plan = osm_level(tagged(features, path), path.name, name, level)
     elif any("tags" in properties_of(feature) or part_of(feature) for feature in features):
         plan = osm_level(features, path.name, name, level)

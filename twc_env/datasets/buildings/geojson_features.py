@@ -56,8 +56,8 @@ def walls_of(ring: Array) -> Array:
 
 def signed_area_m2(ring: Array) -> float:
     """Area of a ring (k, 2), positive if it is counter-clockwise."""
-    x, y = ring.T
-    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
+    (x, y), (after_x, after_y) = ring.T, np.concatenate([ring[1:], ring[:1]]).T
+    return float((x * after_y - after_x * y).sum() / 2)
 
 
 def distinct(areas: Iterable[Area]) -> list[Area]:
@@ -145,21 +145,23 @@ def _levels(text: str) -> list[str]:
     return found
 
 
-def width_m_of(feature: dict) -> float:
-    """Width of a door, as tagged or by default, within plausible limits; a width that cannot be read is named."""
+def width_m_of(feature: dict, where: str, named: set[str]) -> float:
+    """Width of a door, as tagged or by default, within plausible limits; a width that is not taken as it is, is said
+    once, and added to `named`."""
     text = tag_of(feature, "width")
     told = _WIDTH.fullmatch(text.lower())
     if told is None:
-        if text:
-            _LOG.warning("a door of width %r is taken as %g m wide; write metres as '1.5'", text[:40], _DOOR_WIDTH_M)
-        return _DOOR_WIDTH_M
-    width_m = float(told[1].replace(",", ".")) * _WIDTH_UNIT_M[told[2] or "m"]
-    taken_m = float(np.clip(width_m, *_DOOR_WIDTHS_M))
-    if taken_m != width_m:
-        _LOG.warning(
-            "a door of width %r is taken as %g m wide; widths are %g to %g m, in metres if no unit is given",
-            text[:40], taken_m, *_DOOR_WIDTHS_M,
-        )  # fmt: skip
+        taken_m, remedy = _DOOR_WIDTH_M, "write metres as '1.5'"
+        is_taken = not text
+    else:
+        width_m = float(told[1].replace(",", ".")) * _WIDTH_UNIT_M[told[2] or "m"]
+        taken_m = float(np.clip(width_m, *_DOOR_WIDTHS_M))
+        low_m, high_m = _DOOR_WIDTHS_M
+        remedy = f"widths are {low_m:g} to {high_m:g} m, in metres if no unit is given"
+        is_taken = taken_m == width_m
+    if not is_taken and text[:40] not in named:
+        named.add(text[:40])
+        _LOG.warning("%s: doors of width %r are taken as %g m wide; %s", where, text[:40], taken_m, remedy)
     return taken_m
 
 

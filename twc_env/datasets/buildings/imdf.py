@@ -11,6 +11,11 @@ from twc_env.world.building.floorplan_file import load_json
 
 OPENINGS = "opening.geojson"
 """The file of the doors, beside that of the units."""
+_KINDS = (
+    "address", "amenity", "anchor", "building", "detail", "fixture", "footprint", "geofence", "kiosk", "level",
+    "occupant", "opening", "relationship", "section", "unit", "venue",
+)  # fmt: skip
+"""Types of features."""
 _NO_FLOOR = ("opentobelow", "column", "structure")
 """Categories of units that are no floor."""
 _LOG = logging.getLogger(__name__)
@@ -18,7 +23,17 @@ _LOG = logging.getLogger(__name__)
 
 def is_imdf(features: list[dict]) -> bool:
     """Whether features are those of IMDF."""
-    return any(feature.get("feature_type") == "unit" for feature in features)
+    return any(feature.get("feature_type") in _KINDS for feature in features)
+
+
+def check_units(features: list[dict], where: str) -> None:
+    """Raise MapError for files of IMDF that hold no unit, such as that of its openings alone."""
+    kinds = sorted({str(kind) for feature in features if (kind := feature.get("feature_type")) in _KINDS})
+    if "unit" not in kinds:
+        raise MapError(
+            f"{where} holds {', '.join(kinds)} of IMDF and no unit, which are its rooms: name unit.geojson; {OPENINGS} "
+            "beside it is read too"
+        )
 
 
 def tagged(features: list[dict], path: Path) -> list[dict]:

@@ -39,6 +39,10 @@ _WALL_THICKNESS_MAX_M = 0.6
 _PLATE_OFFSET_M = 0.3
 _SHARED_M, _PARALLEL = 0.1, 0.05
 """Sides of areas this near and (sine) this parallel are one border."""
+ROOMS_MAX, DOORS_MAX = 1500, 3000
+"""Of one level."""
+_NEIGHBOURS_MAX, PAIRS_MAX = 50, 15_000
+"""Outlines around one door, and pairs of areas without walls that touch: rooms do not lie upon one another."""
 _LOG = logging.getLogger(__name__)
 
 
@@ -58,13 +62,12 @@ def osm_level(features: list[dict], where: str, name: str, level: str | None = N
         level = usual
     name = f"{name}-{level}"
     level = f"{float(level):g}" if level not in levels and _is_number(level) else level
-    polygons = [
-        (tag_of(feature, "name"), is_open(feature), rings)
-        for number, feature in parts
-        if level in (levels_of(feature) or (usual,))
-        for rings in polygons_of(feature, f"{where}: feature {number}")
-    ]
-    _name_guesses([feature for _, feature in parts], where, level, usual if levels else "")
+    own = [(number, feature) for number, feature in parts if level in (levels_of(feature) or (usual,))]
+    if len(own) > ROOMS_MAX:
+        raise MapError(f"{where}: level {level!r} has {len(own)} rooms, {ROOMS_MAX} are possible; cut out one building")
+    drawn_as = [(feature, polygons_of(feature, f"{where}: feature {number}")) for number, feature in own]
+    polygons = [(tag_of(feature, "name"), is_open(feature), rings) for feature, of in drawn_as for rings in of]
+    _name_guesses(sum(not of for _, of in drawn_as), parts, where, usual if levels else "")
     if not polygons:
         raise MapError(f"{where} has no level {level!r}; levels are {', '.join(levels) or '0'}: write FILE#LEVEL")
     origin = np.mean([rings[0].mean(axis=0) for *_, rings in polygons], axis=0)
@@ -83,12 +86,17 @@ def osm_level(features: list[dict], where: str, name: str, level: str | None = N
     if not areas:
         raise MapError(f"{where}: the rooms of level {level!r} have no area; export it again")
     outlines = [Area(area.name, ring, is_open=area.is_open) for area in areas for ring in (area.ring_m, *area.holes_m)]
-    walls = _without_open_borders([walls_of(outline.ring_m) for outline in outlines], outlines)
+    boxes = np.array([[*outline.ring_m.min(axis=0), *outline.ring_m.max(axis=0)] for outline in outlines])
+    upon_one_another = f"{where}: many rooms of level {level!r} lie upon one another; draw each once"
+    pairs = _open_pairs(outlines, boxes)
+    if len(pairs) > PAIRS_MAX:
+        raise MapError(upon_one_another)
+    walls = _without_open_borders([walls_of(outline.ring_m) for outline in outlines], outlines, boxes, pairs)
     walls.append(_drawn_walls(features, where, level, origin, scale))
     plates: list[tuple[str, Array, Array]] = []  # text, (2, 2) either side of the door, normal
     jambs = []
-    boxes = np.array([[*outline.ring_m.min(axis=0), *outline.ring_m.max(axis=0)] for outline in outlines])
     opened: set[tuple[float, ...]] = set()
+    named: set[str] = set()
     unopened = 0
     for number, feature in enumerate(features):
         if is_door(feature) and level in (levels_of(feature) or [level]):
@@ -96,10 +104,16 @@ def osm_level(features: list[dict], where: str, name: str, level: str | None = N
             if (key := tuple(np.round(place, 2).tolist())) in opened:
                 continue
             opened.add(key)
+            if len(opened) > DOORS_MAX:
+                raise MapError(f"{where}: level {level!r} has more than {DOORS_MAX} doors; cut out one building")
             reach_m = 2 * _WALL_THICKNESS_MAX_M
             is_near = (boxes[:, :2] <= place + reach_m).all(axis=1) & (boxes[:, 2:] >= place - reach_m).all(axis=1)
             near = np.flatnonzero(is_near).tolist()
-            made = _open_door([outlines[k] for k in near], near, walls, place, width_m_of(feature), plates)
+            if len(near) > _NEIGHBOURS_MAX:
+                raise MapError(upon_one_another)
+            made = _open_door(
+                [outlines[k] for k in near], near, walls, place, width_m_of(feature, where, named), plates
+            )
             jambs += made
             unopened += not made
     if unopened:
@@ -126,12 +140,11 @@ def osm_level(features: list[dict], where: str, name: str, level: str | None = N
     return dataclasses.replace(plan, rooms=tuple(rooms), signs=tuple(signs))
 
 
-def _name_guesses(parts: list[dict], where: str, level: str, usual: str) -> None:
-    """Warn of parts of this level that are no polygon, and of those whose level is assumed ("": none has any)."""
-    own = [feature for feature in parts if level in (levels_of(feature) or (usual or "0",))]
-    if odd := sum(not polygons_of(feature, where) for feature in own):
+def _name_guesses(odd: int, parts: list[tuple[int, dict]], where: str, usual: str) -> None:
+    """Warn of so many parts that are no polygon, and of those whose level is assumed ("": none has any)."""
+    if odd:
         _LOG.warning("%s: %d rooms left out: their outlines are not closed; draw them as polygons", where, odd)
-    if usual and (assumed := sum(not levels_of(feature) for feature in parts)):
+    if usual and (assumed := sum(not levels_of(feature) for _, feature in parts)):
         _LOG.warning("%s: %d rooms tell no level and are taken to be on %s; tag them", where, assumed, usual)
 
 
@@ -154,15 +167,22 @@ def _drawn_walls(features: list[dict], where: str, level: str, origin: Array, sc
     return walls[np.linalg.norm(walls[:, 1] - walls[:, 0], axis=1) > 1e-3]
 
 
-def _without_open_borders(walls: list[Array], outlines: list[Area]) -> list[Array]:
+def _open_pairs(outlines: list[Area], boxes: Array) -> Array:
+    """(p, 2) numbers of outlines without walls of their own whose boxes touch, in both orders."""
+    numbers = np.flatnonzero([outline.is_open for outline in outlines])
+    low, high = boxes[numbers, :2] - _SHARED_M, boxes[numbers, 2:] + _SHARED_M
+    touch = ((low[:, None] <= high) & (high[:, None] >= low)).all(axis=2) & ~np.eye(len(numbers), dtype=bool)
+    return numbers[np.argwhere(touch)]
+
+
+def _without_open_borders(walls: list[Array], outlines: list[Area], boxes: Array, pairs: Array) -> list[Array]:
     """The walls (w, 2, 2) of each outline, without those between two areas that have no walls of their own."""
-    open_ones = [k for k, outline in enumerate(outlines) if outline.is_open]
     out = list(walls)
-    for k in open_ones:
-        for other in open_ones:
-            if other != k:
-                for begin, end in sides_of(outlines[other].ring_m):
-                    out[k] = _without_border(out[k], begin, end)
+    for k, other in pairs.tolist():
+        sides = sides_of(outlines[other].ring_m)
+        is_near = (sides.min(axis=1) <= boxes[k, 2:] + _SHARED_M) & (sides.max(axis=1) >= boxes[k, :2] - _SHARED_M)
+        for begin, end in sides[is_near.all(axis=1)]:
+            out[k] = _without_border(out[k], begin, end)
     return out
 
 

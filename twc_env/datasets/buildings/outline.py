@@ -23,12 +23,12 @@ def outer_ring(mask: Array) -> Array:
 
 def sides_of(ring: Array) -> Array:
     """(k, 2, 2) ends of the sides of a ring (k, 2)."""
-    return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
+    return np.stack([ring, np.concatenate([ring[1:], ring[:1]])], axis=1)
 
 
 def without_repeats(ring: Array) -> Array:
     """Corners of a closed ring (k, 2) without consecutive duplicates; a single corner if all are equal."""
-    is_repeated = np.all(ring == np.roll(ring, 1, axis=0), axis=1)
+    is_repeated = np.all(ring == np.concatenate([ring[-1:], ring[:-1]]), axis=1)
     return ring[:1] if is_repeated.all() else ring[~is_repeated]
 
 

@@ -27,6 +27,8 @@ STRIP_M = 0.2
 """Free strips up to this width, too narrow for a robot, are removed as stray beams and gaps of the scan."""
 LEFT_OUT_MIN_M2 = 1.0
 """Parts of the floor of this size are named if they are left out."""
+EDGES_MAX = 500_000
+"""Edges of pixels between floor and others: 25 km of walls at 5 cm, where the largest real map has 1.6 km."""
 _OUTSIDE_SHARE = 0.9
 """A floor that takes more of the border of a picture goes around the building."""
 _MARK_MAX_M, _MARKS_MIN = 1.5, 2
@@ -70,10 +72,16 @@ def name_left_out(where: str, lost_m2: float, all_m2: float, why: str, what: str
 
 
 def check_closed(free: Array, resolution_m: float, where: str) -> None:
-    """Raise MapError if the largest part of the floor goes around the building; name what else is doubtful in it.
+    """Raise MapError if the largest part of the floor goes around the building, or if it is a pattern.
 
     free: (rows, columns) bool. Named, in warnings, are floor at the border of the picture and floor that is left out.
     """
+    edges = int((free[1:] != free[:-1]).sum() + (free[:, 1:] != free[:, :-1]).sum())
+    if edges > EDGES_MAX:
+        raise MapError(
+            f"{where}: {edges} edges of pixels between floor and walls, {EDGES_MAX} are possible: it is a photo or a "
+            "pattern; draw the floor in plain white and the walls in plain black"
+        )
     kept = largest_part(free)
     border = np.concatenate([kept[0], kept[-1], kept[1:-1, 0], kept[1:-1, -1]])
     if border.mean() > _OUTSIDE_SHARE and _has_inside_walls(kept):

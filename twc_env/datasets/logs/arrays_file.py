@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
+from twc_env.records.input_file import input_path
 from twc_env.records.seal import is_unbroken, seal
-from twc_env.records.whole_file import file_path, whole_file
+from twc_env.records.whole_file import whole_file
 
 ARRAYS_BYTES_MAX = 900_000_000
 """Maximum size of the arrays of a file, unpacked."""
@@ -41,7 +42,7 @@ def read_arrays(path: str | Path, kind: str, form: str, keys: Iterable[str], rem
 
     `kind` names the expected file and `remedy` the advice in error messages. Raises DataError.
     """
-    path = file_path(path)
+    path = input_path(path)
     try:
         if path.is_file() and not zipfile.is_zipfile(path):
             raise DataError(f"{path} is not a {kind} or is truncated; {remedy}")

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.logs.text_file import read_text
+from twc_env.datasets.logs.text_file import TextLines
 from twc_env.errors import DataError
 from twc_env.records.geometry import between, inverse
 from twc_env.records.planar_graph import PlanarGraph
@@ -30,7 +30,9 @@ _TORO_ORDER = [0, 1, 4, 2, 5, 3]
 ID_MAX, FAR_MAX_M, INFORMATION_MAX = 2**63 - 1, 1e8, 1e16
 SINGULAR = 1e-9
 """The least eigenvalue of an information matrix, as a share of the largest: less is raised to this."""
-NAMED_MAX = 3
+NAMED_MAX, _KINDS_MAX = 3, 20
+LINES_MAX = 1_000_000
+"""Edges, vertices, landmarks or sightings: the largest public graphs in two dimensions have a hundred thousand."""
 _JUMP = 10
 """Ids further apart than so many times the usual difference belong to different robots."""
 _STANDS_OUT, _STEPS_AWAY = 100.0, 3.0
@@ -50,7 +52,7 @@ def read_pose_graph(path: str | Path, turns: bool = True) -> PlanarGraph:
     covariance, and for graphs in three dimensions.
     """
     lines = _Lines(path)
-    for number, line in enumerate(read_text(path, errors="replace").splitlines(), 1):
+    for number, line in enumerate(TextLines(path, errors="replace"), 1):
         lines.add(line.split(), number)
     return lines.graph(turns)
 
@@ -67,6 +69,8 @@ class _Lines:
         self.held: list[int] = []
         self.selves: list[int] = []
         self.unknown: Counter[str] = Counter()
+        self.others = 0
+        """Lines of unknown kinds beyond the first few, as no graph has them."""
 
     def add(self, words: list[str], number: int) -> None:
         kind = words[0] if words else "#"
@@ -76,8 +80,10 @@ class _Lines:
             self.held += [self._id(word, words, number) for word in words[1:]]
         elif kind in _WORDS:
             self._add_known(words, number)
-        else:
+        elif kind[:40] in self.unknown or len(self.unknown) < _KINDS_MAX:
             self.unknown[kind[:40]] += 1
+        else:
+            self.others += 1
 
     def _add_known(self, words: list[str], number: int) -> None:
         kind, is_edge = words[0], words[0] in _EDGES or words[0] == "EDGE_SE2_XY"
@@ -96,6 +102,8 @@ class _Lines:
             if kind == "EDGE2":
                 values = values[:3] + [values[3 + k] for k in _TORO_ORDER]
             self.edges.append((ends[0], ends[1], values, number))
+        if max(map(len, (self.edges, self.sightings, self.vertices, self.landmarks))) > LINES_MAX:
+            raise self._error(number, f"more than {LINES_MAX} lines of a kind; cut the graph into parts")
 
     def _id(self, word: str, words: list[str], number: int) -> int:
         try:
@@ -195,7 +203,9 @@ class _Lines:
             out.append(f"{of_poses} sightings of poses as landmarks left out")
         for kind, number in self.unknown.items():
             what = " (three dimensions)" if kind in _SPATIAL else ""
-            out.append(f"{number} lines of the kind {kind!r}{what} left out")
+            out.append(f"{number} {'line' if number == 1 else 'lines'} of the kind {kind!r}{what} left out")
+        if self.others:
+            out.append(f"{self.others} lines of other kinds left out")
         if lacking := {end for edge in self.edges for end in edge[:2]} - self.vertices.keys():
             out.append(f"{len(lacking)} vertices have no line and are laid along the edges: {_some(sorted(lacking))}")
         return out

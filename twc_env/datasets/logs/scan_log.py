@@ -21,14 +21,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.logs.text_file import read_text
+from twc_env.datasets.logs.odd_units import name_odd_units
+from twc_env.datasets.logs.text_file import TextLines, first_bytes, read_text, text_encoding
 from twc_env.errors import UNFIT, DataError
 from twc_env.records.geometry import between, compose, wrap_angle, wrap_one
+from twc_env.records.json_values import check_lists
 from twc_env.records.messages import UNSEEN_M, SensorFrame
 from twc_env.records.scanner import Scanner
 
 NO_RETURN_M = 30.0
 """Scanners of these logs report more than this (81.83 m, 50 m, 32.7 m) for a beam without return."""
+NEAR_M = 0.05
+"""No scanner sees most things nearer than this."""
 TIME_BETWEEN_MIN_S = 1e-3
 """Minimum time between scans: some logs round times, so that scans seem simultaneous."""
 
@@ -38,6 +42,10 @@ _HALF_CIRCLES = (180, 360, 720)
 """Beams of a half circle, but for one at its end."""
 _RETURNS_MIN = 0.1
 """Share of beams with a return, below which ranges cannot be metres."""
+_PADDED_MAX, _PADDED_FREE = 4, 1_000_000
+"""Scans of fewer beams are filled up to as many as the others have, to so many times what they tell; few always."""
+_HEAD = 4096
+"""Bytes that tell JSON from CARMEN."""
 _LOG = logging.getLogger(__name__)
 
 _SINGLE_DIGITS = 5
@@ -137,6 +145,7 @@ def read_scan_log(path: str | Path) -> ScanLog:
     """Read a JSON log. Raises DataError for files that are missing, truncated or of another format."""
     text = read_text(path)
     try:
+        check_lists(text)
         scans = json.loads(text)["map"]
         times = sorted(scans, key=float)
         _check_equal_counts(times, [scans[t]["range"] for t in times])
@@ -159,11 +168,9 @@ def _check_equal_counts(times: Sequence[str], scans: Sequence[Sequence[float]]) 
 
 def read_any_log(path: str | Path) -> ScanLog:
     """Read a log of either format, JSON if it begins like that. Raises the same errors."""
-    return (
-        read_scan_log(path)
-        if read_text(path, errors="replace").lstrip("\ufeff\n\r\t ")[:1] == "{"
-        else read_carmen_log(path)
-    )
+    head, _ = first_bytes(path, _HEAD)
+    begins = head.decode(text_encoding(head), "replace").lstrip("\ufeff\n\r\t ")[:1]
+    return read_scan_log(path) if begins == "{" else read_carmen_log(path)
 
 
 def read_carmen_log(path: str | Path) -> ScanLog:
@@ -172,12 +179,13 @@ def read_carmen_log(path: str | Path) -> ScanLog:
     Raises DataError for anything without such scans.
     """
     kind, scans, params, odometry = "", [], {}, []
-    lines = read_text(path, errors="replace").splitlines()
+    others: Counter[str] = Counter()
+    lines = TextLines(path, errors="replace")
     known = _READERS if any(line.startswith(_WITH_POSES) for line in lines) else _READERS | {"RAWLASER1": _raw_laser}
-    first_words = []
     for k, line in enumerate(lines, 1):
         words = line.split()
-        first_words += words[:1]
+        if words and words[0] in _LASERS:
+            others[words[0]] += 1
         if len(words) > 2 and words[0] == "PARAM":
             params[words[1]] = words[2]
         if len(words) > 7 and words[0] == "ODOM" and kind not in _READERS:
@@ -195,7 +203,8 @@ def read_carmen_log(path: str | Path) -> ScanLog:
         except (ValueError, IndexError) as error:
             reason = "it is cut off" if isinstance(error, IndexError) else _short(error)
             raise DataError(f"{path}, line {k} is not a scan: {reason}; fix or delete it") from error
-    if others := {name: count for name, count in Counter(first_words).items() if name in _LASERS and name != kind}:
+    del others[kind]
+    if others:
         told = ", ".join(f"{count} {name}" for name, count in others.items())
         _LOG.warning("%s: lines of other lasers left out, since %s come first: %s", path, kind, told)
     if not scans:
@@ -227,8 +236,11 @@ def _by_time(scans: list[_Scan], path: str | Path) -> list[_Scan]:
 
 def _beams(scans: list[_Scan], params: dict[str, str], path: str | Path) -> tuple[Array, Array]:
     """Ranges (scans, beams) and directions (beams,), or (scans, beams) where those of the scans differ."""
-    count = max(len(scan.ranges_m) for scan in scans)
+    counts = [len(scan.ranges_m) for scan in scans]
+    count = max(counts)
     told = scans[0].directions
+    if count * len(scans) > max(_PADDED_MAX * sum(counts), _PADDED_FREE):
+        raise ValueError(f"scans of {min(counts)} to {count} beams, mostly of few: they are of different scanners")
     if told is None:
         return np.array([scan.ranges_m for scan in scans], float), _flaser_directions(count, params, path)
     ranges_m = np.full((len(scans), count), np.inf)
@@ -267,7 +279,8 @@ def _name_half_circle(beams: int, of: str, path: str | Path) -> None:
 
 
 def in_metres(log: ScanLog, path: str | Path) -> ScanLog:
-    """The log; raises DataError if hardly a beam has a return, as where ranges are millimetres."""
+    """The log; raises DataError if hardly a beam has a return, as where ranges are millimetres. Warns of ranges, poses
+    and times that are hardly metres, radians and seconds."""
     is_told = (log.ranges_m > 0.0) & np.isfinite(log.ranges_m)
     returns = int((is_told & (log.ranges_m < NO_RETURN_M)).sum())
     far_m = float(np.median(log.ranges_m[is_told])) if is_told.any() else 0.0
@@ -276,6 +289,17 @@ def in_metres(log: ScanLog, path: str | Path) -> ScanLog:
             f"{path}: {returns} of {int(is_told.sum())} beams have a return below {NO_RETURN_M:g} m, and half of them "
             f"are above {far_m:g}; ranges must be metres: divide millimetres by 1000, centimetres by 100"
         )
+    if not returns:
+        raise DataError(
+            f"{path}: no beam has a return, of {log.ranges_m.size}; ranges must be metres above 0: record the log again"
+        )
+    near_m = float(np.median(log.ranges_m[is_told & (log.ranges_m < NO_RETURN_M)]))
+    if near_m < NEAR_M:
+        _LOG.warning(
+            "%s: half of all returns are nearer than %.3g m; ranges must be metres: multiply kilometres by 1000, and "
+            "look what hides the scanner", path, near_m,
+        )  # fmt: skip
+    name_odd_units(log.times_s, log.poses, path)
     return log
 
 
@@ -454,7 +478,7 @@ def apart(poses: Array, distance_m: float, turn_rad: float = math.inf, needed: C
 def read_relations(path: str | Path, log: ScanLog) -> Relations:
     """The relations between two different scans of the log. Raises DataError for lines other than of 8 numbers."""
     try:
-        rows = np.array([line.split() for line in read_text(path).splitlines() if line.strip()], float)
+        rows = np.array([line.split() for line in TextLines(path) if line.strip()], float)
         times, values = rows[:, :2], rows[:, [2, 3, 7]]
     except (ValueError, IndexError) as error:
         raise DataError(f"{path} holds no relations: {_short(error)}; expected lines of 8 numbers") from error

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import gzip
+import io
 import lzma
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
 from twc_env.errors import DataError
-from twc_env.records.whole_file import file_path
+from twc_env.records.input_file import input_path, unpacked_bytes_max
 
 TEXT_BYTES_MAX = 250_000_000
-"""Maximum size of a text, unpacked: a packed file of a few megabytes can hold any number of equal bytes."""
+"""Maximum size of a text, unpacked; packed ones have less (`records.input_file`)."""
 _PACKED = {".gz": (b"\x1f\x8b",), ".xz": (b"\xfd7zXZ\x00",)}
 """First bytes of packed files, by their suffix."""
 _UNREADABLE = (OSError, EOFError, zlib.error, lzma.LZMAError)
@@ -27,7 +29,7 @@ def _unpacked(suffix: str, packed: BinaryIO) -> BinaryIO | gzip.GzipFile | lzma.
 def first_bytes(path: str | Path, count: int) -> tuple[bytes, bool]:
     """Up to `count` bytes of a file, and whether they were unpacked: those of a gzip (.gz) or xz (.xz) file are.
     DataError if it cannot be read."""
-    path = file_path(path)
+    path = input_path(path)
     try:
         with path.open("rb") as packed:
             head = packed.read(count)
@@ -45,22 +47,55 @@ def read_text(path: str | Path, errors: str = "strict") -> str:
 
     errors: "replace" also accepts invalid UTF-8, for formats where it occurs in comments only.
     """
-    path = file_path(path)
+    raw = _read(path)
     try:
-        with path.open("rb") as packed, _unpacked(path.suffix, packed) as file:
-            raw = file.read(TEXT_BYTES_MAX + 1)
-        if len(raw) > TEXT_BYTES_MAX:
-            raise DataError(f"{path} holds more than {TEXT_BYTES_MAX // 10**6} MB of text; cut it into parts")
         return raw.decode(text_encoding(raw), errors)
     except UnicodeDecodeError as error:
-        raise DataError(f"{path} is not UTF-8 text: {error}; save it as UTF-8") from error
+        raise _no_text(path, error) from error
+
+
+class TextLines:
+    """The lines of such a file, without their ends, decoded one at a time: as a list they would take ten times the
+    room. Raises the same errors, those of the encoding where it is wrong."""
+
+    def __init__(self, path: str | Path, errors: str = "strict"):
+        self._path, self._errors = path, errors
+        self._raw = _read(path)
+
+    def __iter__(self) -> Iterator[str]:
+        try:
+            for line in io.TextIOWrapper(io.BytesIO(self._raw), text_encoding(self._raw), self._errors):
+                yield line.rstrip("\n")
+        except UnicodeDecodeError as error:
+            raise _no_text(self._path, error) from error
+
+
+def _read(path: str | Path) -> bytes:
+    """All bytes, unpacked."""
+    path = input_path(path)
+    try:
+        with path.open("rb") as packed, _unpacked(path.suffix, packed) as file:
+            most = TEXT_BYTES_MAX if file is packed else unpacked_bytes_max(packed, TEXT_BYTES_MAX)
+            raw: bytes = file.read(most + 1)
     except _UNREADABLE as error:
         raise _refusal(path, error) from error
+    if len(raw) <= most:
+        return raw
+    if most < TEXT_BYTES_MAX:
+        raise DataError(
+            f"{path} holds more than {most // 10**6} MB of text in {path.stat().st_size // 1000} kB, as no log does; "
+            "unpack it if you know what it is"
+        )
+    raise DataError(f"{path} holds more than {most // 10**6} MB of text; cut it into parts")
 
 
 def text_encoding(raw: bytes) -> str:
     """The encoding of a text by its first bytes: UTF-8, but for the "Unicode text" of spreadsheets."""
     return "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+
+
+def _no_text(path: str | Path, error: UnicodeDecodeError) -> DataError:
+    return DataError(f"{path} is not UTF-8 text: {error}; save it as UTF-8")
 
 
 def _refusal(path: Path, error: Exception) -> DataError:

@@ -43,7 +43,8 @@ _SEPARATORS = ";\t|,"
 _NUMBER = re.compile(r"([+-]?[\d.,]+(?:e[+-]?\d+)?)\s*(dbm|m|rad|deg|°)", re.IGNORECASE)
 """A number with its unit in the cell."""
 _MAC = re.compile(r"[0-9a-fA-F]{2}([:-])(?:[0-9a-fA-F]{2}\1){4}[0-9a-fA-F]{2}")
-_ROWS_MAX = 20_000_000
+CELLS_MAX = 10_000_000
+"""Cells of a table, all rows together."""
 
 
 class TextTable:
@@ -61,14 +62,15 @@ class TextTable:
         separator = max(_SEPARATORS, key=first.count)
         if separator not in first and len(first.split()) >= len(needed):
             separator, lines = " ", [" ".join(line.split()) for line in lines]
+        cells = sum(line.count(separator) for line in lines) + len(lines)
+        if cells > CELLS_MAX:
+            raise DataError(f"{path} has {cells} cells, {CELLS_MAX} are possible; cut it into parts")
         found = self._cells("\n".join(lines), separator)
         if any("\n" in cell for _, row in found for cell in row):  # of quotes that are not closed, too
             found = self._cells("\n".join(lines), separator, is_strict=True)
         rows = [row for _, row in found]
         if not rows:
             raise DataError(f"{path} is empty; a table has the columns {', '.join(needed)}")
-        if len(rows) > _ROWS_MAX:
-            raise DataError(f"{path} has {len(rows)} rows, {_ROWS_MAX} are possible; cut it into parts")
         self._decimal_comma = separator == ";"
         self._units: dict[str, str] = {}
         self._numbers = [number for number, _ in found]
@@ -143,8 +145,9 @@ class TextTable:
         if "address" not in needed or not at or not self._found(rows[0], "time"):
             return rows
         self.notes.append(f"{self._path}: {len(at)} columns, one per transmitter")
-        taken = _NAMES["address"] + _NAMES["strength"]  # there, the receiver's own address, or a storey
-        others = [k for k, cell in enumerate(rows[0]) if k not in at and name_and_unit(cell)[0] not in taken]
+        # Columns of the address and strength there are the receiver's own address, or a storey.
+        own_names = [name for name in (*needed, "robot") if name not in ("address", "strength")]
+        others = [k for name in own_names if (k := _column_of(rows[0], name, at)) is not None]
         long, numbers = [[*(rows[0][k] for k in others), "address", "strength"]], self._numbers[:1]
         for number, row in zip(self._numbers[1:], rows[1:], strict=True):
             own = [row[k] if k < len(row) else "" for k in others]

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.logs.text_file import read_text
+from twc_env.datasets.logs.odd_units import name_odd_units
+from twc_env.datasets.logs.text_file import TextLines
 from twc_env.errors import DataError
 from twc_env.records.geometry import wrap_angle
 from twc_env.records.whole_file import whole_file
@@ -47,7 +48,7 @@ def read_tum(path: str | Path) -> tuple[Array, Array]:
     Raises DataError naming the first line that is not eight numbers or whose quaternion is zero.
     """
     rows = []
-    for number, line in enumerate(read_text(path).splitlines(), 1):
+    for number, line in enumerate(TextLines(path), 1):
         words = line.split("#", 1)[0].replace(",", " ").split()
         if words:
             rows.append(_row(words, path, number))
@@ -58,7 +59,9 @@ def read_tum(path: str | Path) -> tuple[Array, Array]:
     heading = np.arctan2(
         2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz
     )  # the quaternion need not be normalised
-    return values[:, 0], np.column_stack([values[:, 1:3], wrap_angle(heading)])
+    poses = np.column_stack([values[:, 1:3], wrap_angle(heading)])
+    name_odd_units(values[:, 0], poses, path)
+    return values[:, 0], poses
 
 
 def _name_what_is_dropped(values: Array, path: str | Path) -> None:

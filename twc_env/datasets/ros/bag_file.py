@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from twc_env.errors import DataError, TwcError
+from twc_env.records.input_file import input_path
 
 SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -87,7 +88,7 @@ class Bag:
 @contextmanager
 def opened(path: str | Path) -> Iterator[Bag]:
     """Open a bag. Raises DataError if it is none, is damaged, or the package `rosbags` is not installed."""
-    path = Path(path)
+    path = input_path(path)
     try:
         from rosbags.highlevel import AnyReader
     except ImportError as error:
@@ -111,7 +112,7 @@ def _place(path: Path) -> Path:
         return path
     files = sorted([*path.glob("*.db3"), *path.glob("*.mcap")])
     if len(files) == 1:
-        return files[0]
+        return input_path(files[0])
     raise DataError(f"{path} has {len(files)} bag files and no metadata.yaml: run `ros2 bag reindex {path}`")
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.logs.text_file import read_text
+from twc_env.datasets.logs.text_file import TextLines, read_text
 from twc_env.errors import DataError
 
 NUMBER_MAX = 9e18
@@ -110,7 +110,7 @@ def read_table(path: Path, columns: tuple[str, ...] = ()) -> tuple[list[str], li
 
 def numbered_words(path: Path, separator: str | None = ",") -> tuple[list[list[str]], list[int]]:
     """The words of the non-empty lines of a file (None: between spaces), and the numbers of these lines."""
-    lines = [(k, line.strip()) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
+    lines = [(k, line.strip()) for k, line in enumerate(TextLines(path), 1) if line.strip()]
     return [line.split(separator) for _, line in lines], [k for k, _ in lines]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.datasets.logs.text_file import read_text
+from twc_env.datasets.logs.text_file import TextLines
 from twc_env.datasets.surveys.fingerprints import NUMBER_MAX, RadioSurvey, from_rows
 from twc_env.errors import DataError
 
@@ -45,7 +45,7 @@ def trace_paths(folder: str | Path, traces_max: int | None = None) -> list[Path]
 def trace_rows(path: Path, *kinds: str) -> list[list[list[str]]]:
     """For each kind of line (such as "WIFI") the words of its lines in a trace."""
     rows: dict[str, list[list[str]]] = {f"TYPE_{kind}": [] for kind in kinds}
-    for line in read_text(path).splitlines():
+    for line in TextLines(path):
         words = line.split("\t")
         if len(words) > 2 and words[1] in rows:
             rows[words[1]].append(words)
@@ -64,7 +64,7 @@ def numbers_in(path: Path, rows: list[list[str]], *columns: int) -> Array:
     except (ValueError, IndexError):
         pass
     faulty = next(words for words in rows if not _has_numbers(words, columns))
-    line = read_text(path).splitlines().index("\t".join(faulty)) + 1
+    line = list(TextLines(path)).index("\t".join(faulty)) + 1
     raise DataError(f"{path}, line {line}: a number of {faulty[1]} is missing or invalid; fetch the trace again")
 
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.errors import UNFIT, MapError, one_of
-from twc_env.records.json_values import table_of
+from twc_env.errors import UNFIT, DataError, MapError, one_of
+from twc_env.records.input_file import input_path, unpacked_bytes_max
+from twc_env.records.json_values import check_lists, table_of
 from twc_env.records.whole_file import whole_file
 from twc_env.world.building.floorplan import FORMAT, AccessPoint, Floorplan, Room, Sign, to_values
 from twc_env.world.building.floorplan_check import validate
@@ -32,16 +33,25 @@ def read_floorplan(path: str | Path) -> Floorplan:
 
 def load_bytes(path: Path, what: str = "map") -> bytes:
     """Content of a map file, decompressed if its name ends in .gz. Raises MapError if unreadable or too large."""
+    most = FILE_BYTES_MAX
     try:
-        with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as file:
-            raw = file.read(FILE_BYTES_MAX + 1)
+        with input_path(path).open("rb") as packed:
+            if not path.name.lower().endswith(".gz"):
+                raw = packed.read(most + 1)
+            else:
+                most = unpacked_bytes_max(packed, most) if what == "map" else most  # white paper packs well
+                with gzip.GzipFile(fileobj=packed) as file:
+                    raw = file.read(most + 1)
+    except DataError as error:
+        raise MapError(str(error)) from error
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise MapError(f"cannot read the {what} {path}: {error}; fetch the file again") from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise MapError(f"cannot read the {what} {path}: {reason}; check the path") from error
-    if len(raw) > FILE_BYTES_MAX:
-        raise MapError(f"{path} holds more than {FILE_BYTES_MAX // 10**6} MB; cut the map into parts")
+    if len(raw) > most:
+        remedy = "cut the map into parts" if most == FILE_BYTES_MAX else "unpack it if you know what it is"
+        raise MapError(f"{path} holds more than {most // 10**6} MB; {remedy}")
     return raw
 
 
@@ -49,6 +59,7 @@ def load_json(path: Path) -> object:
     """Values of a JSON file (also .gz). Raises MapError if unreadable, invalid, too deep, or with a key twice."""
     raw = load_bytes(path)
     try:
+        check_lists(raw)
         return json.loads(raw.decode("utf-8-sig"), object_pairs_hook=table_of)
     except RecursionError as error:
         raise MapError(f"{path} nests its lists too deeply; export it again") from error
