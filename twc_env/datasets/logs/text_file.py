@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import lzma
+import os
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,8 @@ from twc_env.records.input_file import input_path, unpacked_bytes_max
 
 TEXT_BYTES_MAX = 250_000_000
 """Maximum size of a text, unpacked; packed ones have less (`records.input_file`)."""
+_READ_BYTES_MIN = 1_000_000
+"""Files of the system tell no size."""
 _PACKED = {".gz": (b"\x1f\x8b",), ".xz": (b"\xfd7zXZ\x00",)}
 """First bytes of packed files, by their suffix."""
 _UNREADABLE = (OSError, EOFError, zlib.error, lzma.LZMAError)
@@ -76,7 +79,9 @@ def _read(path: str | Path) -> bytes:
     try:
         with path.open("rb") as packed, _unpacked(path.suffix, packed) as file:
             most = TEXT_BYTES_MAX if file is packed else unpacked_bytes_max(packed, TEXT_BYTES_MAX)
-            raw: bytes = file.read(most + 1)
+            # A read takes as much room as it asks for.
+            size = os.fstat(packed.fileno()).st_size
+            raw: bytes = file.read(min(most, max(size, _READ_BYTES_MIN)) + 1 if file is packed else most + 1)
     except _UNREADABLE as error:
         raise _refusal(path, error) from error
     if len(raw) <= most:
