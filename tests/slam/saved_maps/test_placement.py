@@ -13,7 +13,7 @@ from twc_env.reproduce.maps.map_cuts import overlapping_parts, saved_parts, twic
 from twc_env.reproduce.maps.saved_maps import error_of
 from twc_env.slam.saved_maps.map_joining import Pair, join_maps, joined
 from twc_env.slam.saved_maps.merged_grid import merged_grid
-from twc_env.slam.saved_maps.placement import Agreement, Placement, agreement_at, place, tested
+from twc_env.slam.saved_maps.placement import Agreement, Placement, agreement_at, checked, place
 from twc_env.slam.saved_maps.placement_search import turns_along_walls
 from twc_env.slam.saved_maps.saved_map import SavedMap, compared
 
@@ -112,7 +112,7 @@ def test_a_wall_that_the_other_run_saw_in_pieces_does_not_contradict():
 )
 def test_a_placement_is_believed_if_it_stands_out(ranked, reason):
     """Much wall around little floor is a row of like rooms; rivals full of contradictions tell of chance alone."""
-    assert re.search(reason, tested(ranked).reason)
+    assert re.search(reason, checked(ranked).reason)
 
 
 def room(name):

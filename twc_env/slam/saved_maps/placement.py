@@ -103,22 +103,22 @@ def place(target: SavedMap, source: SavedMap) -> Placement:
 
     Raises MapError for a map with hardly a wall.
     """
-    return tested(ranked_placements(target, source))
+    return checked(ranked_placements(target, source))
 
 
-def tested(ranked: list[Agreement]) -> Placement:
+def checked(ranked: list[Agreement]) -> Placement:
     """The best of different placements, best first, believed only if it stands out."""
     if not ranked or ranked[0].evidence_m <= 0:
         return Placement(next(iter(ranked), None), None, 0.0, "no placement at which walls agree")
-    among_all = _tested(ranked, EVIDENCE_MIN_M)
+    among_all = _checked(ranked, EVIDENCE_MIN_M)
     plausible = [one for one in ranked if one.contradiction <= CONTRADICTION_MAX]
     if among_all.is_believed or len(plausible) in (0, len(ranked)):
         return among_all
-    among_plausible = _tested(plausible, PLAIN_EVIDENCE_MIN_M)
+    among_plausible = _checked(plausible, PLAIN_EVIDENCE_MIN_M)
     return among_plausible if among_plausible.is_believed else among_all
 
 
-def _tested(ranked: list[Agreement], evidence_min_m: float) -> Placement:
+def _checked(ranked: list[Agreement], evidence_min_m: float) -> Placement:
     best, second = ([*sorted(ranked, key=lambda one: -one.weight_m), None])[:2]
     assert best is not None
     ratio = 0.0 if second is None else second.weight_m / max(best.weight_m, 1e-9)
