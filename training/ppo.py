@@ -87,8 +87,8 @@ class ChoiceNetworks(nn.Module):
     def __init__(self, space: spaces.Dict, width: int):
         super().__init__()
         self.latent_dim_pi, self.latent_dim_vf = (space["frontiers"].shape or (0,))[0], width
-        self.actor, self.judge = Actor(space, width), Encoder(space, width)
-        self.worth = nn.Sequential(nn.Linear(width + 1, width), nn.Tanh())
+        self.actor, self.critic = Actor(space, width), Encoder(space, width)
+        self.value = nn.Sequential(nn.Linear(width + 1, width), nn.Tanh())
 
     def forward(self, seen: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Logits, and the features of the value."""
@@ -101,8 +101,8 @@ class ChoiceNetworks(nn.Module):
 
     def forward_critic(self, seen: dict[str, Tensor]) -> Tensor:
         """(batch, width)."""
-        worth: Tensor = self.worth(torch.cat([self.judge(seen)[1], seen["gained"]], 1))
-        return worth
+        value: Tensor = self.value(torch.cat([self.critic(seen)[1], seen["gained"]], 1))
+        return value
 
 
 class ChoicePolicy(MultiInputActorCriticPolicy):

@@ -65,7 +65,7 @@ def test_poses_that_no_accepted_closure_joins_to_the_others_are_counted(tmp_path
     assert "component 0: nothing accepted joins 24 of 48 poses to the others" in out and "unchecked" in out
 
 
-def test_sightings_that_contradict_the_rest_are_counted_and_listed(tmp_path, capsys):
+def test_observations_that_contradict_the_rest_are_counted_and_listed(tmp_path, capsys):
     path = tmp_path / "a.g2o"
     path.write_text(
         "EDGE_SE2 0 1 1 0 0 100 0 0 100 0 400\nEDGE_SE2 1 2 1 0 0 100 0 0 100 0 400\n"
@@ -73,10 +73,12 @@ def test_sightings_that_contradict_the_rest_are_counted_and_listed(tmp_path, cap
         "EDGE_SE2_XY 0 9 1 -1 100 0 100\nEDGE_SE2_XY 1 9 0 -1 100 0 100\nEDGE_SE2_XY 2 9 9 5 100 0 100\n"
     )
     main(["optimise", str(path), "--out", str(tmp_path / "o"), "--json", str(tmp_path / "a.json")])
-    assert "1 of 6 sightings of landmarks contradict the rest (chi squared above 9.21): of 9" in capsys.readouterr().out
-    rows = list(csv.DictReader((tmp_path / "o" / "sightings.csv").read_text().splitlines()))
+    assert (
+        "1 of 6 observations of landmarks contradict the rest (chi squared above 9.21): of 9" in capsys.readouterr().out
+    )
+    rows = list(csv.DictReader((tmp_path / "o" / "landmark_observations.csv").read_text().splitlines()))
     assert [row["contradicts"] for row in rows] == 5 * ["False"] + ["True"]
-    listed = json.loads((tmp_path / "a.json").read_text())["contradicting sightings"]
+    listed = json.loads((tmp_path / "a.json").read_text())["contradicting landmark observations"]
     assert [(row["vertex"], row["landmark"]) for row in listed] == [(2, 9)]
 
 

@@ -1,4 +1,4 @@
-"""`twc-env optimise`: pose graphs of others, optimised robustly, with a verdict on every closure and on the whole."""
+"""`twc-env optimise`: pose graphs of others, optimised robustly, with a decision on every closure and on the whole."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "examples:\n  twc-env optimise intel.g2o --out runs/intel\n"
         "  twc-env optimise manhattan.g2o.gz --robust gnc --json -\n\n"
         "--out writes graph.g2o (rejected edges as comments), poses.tum (the vertex id stands for the time, "
-        "or the number of the pose if ids have more than 15 digits), closures.csv, sightings.csv of landmarks, "
+        "or the number of the pose if ids have more than 15 digits), closures.csv, landmark_observations.csv, "
         "and graph.png."
     )
     parser.add_argument("graph", type=Path, metavar="GRAPH", help="a g2o or TORO file")
@@ -51,7 +51,7 @@ def _optimise(options: argparse.Namespace) -> int:
         raise ConfigError(f"unknown method {options.robust!r} for --robust{among}")
     check_folder(options.out)
     graph = read_pose_graph(options.graph)
-    if not len(graph.edges) + len(graph.sightings):
+    if not len(graph.edges) + len(graph.landmark_observations):
         raise DataError(
             f"{options.graph} has {len(graph.vertex_ids)} vertices and no edge (EDGE_SE2): there is nothing to "
             "optimise; export the edges too"

@@ -13,7 +13,7 @@ from twc_env.records.planar_graph import PlanarGraph
 from twc_env.records.whole_file import whole_file
 from twc_env.running.output_folder import make_folder
 from twc_env.slam.graph_optimisation.trust import Trust
-from twc_env.slam.graph_optimisation.whole_graph import SIGHTING_GATE, OptimisedGraph
+from twc_env.slam.graph_optimisation.whole_graph import LANDMARK_GATE, OptimisedGraph
 
 NAMED_MAX = 3
 SHOWN_MAX = 12
@@ -24,7 +24,7 @@ TIME_MAX = 10**15
 """Ids below this have no more digits than times in a TUM file. Those of GTSAM's symbols have 19."""
 
 
-def verdict(trust: Trust, poses: int) -> str:
+def status(trust: Trust, poses: int) -> str:
     """One word on a component: lost, unchecked (no closures, or too much hangs on single ones or nothing), or sound."""
     is_checked = trust.accepted and trust.hanging <= HANGING_MAX * poses
     return "LOST" if trust.is_lost else "sound" if is_checked else "unchecked"
@@ -45,10 +45,10 @@ def summary(graph: PlanarGraph, result: OptimisedGraph) -> dict:
         "components": [row | {"reasons": list(trust.reasons)} for row, trust in
                        zip(_rows(graph, result), result.trust, strict=True)],
         "landmarks": len(graph.landmark_ids),
-        "sightings": len(graph.sightings),
+        "landmark observations": len(graph.landmark_observations),
         "rejected": [_closure(graph, result, int(e)) for e in rejected],
-        "contradicting sightings": [
-            _sighting(graph, result, int(s)) for s in np.flatnonzero(result.sighting_errors > SIGHTING_GATE)
+        "contradicting landmark observations": [
+            _observation(graph, result, int(s)) for s in np.flatnonzero(result.landmark_errors > LANDMARK_GATE)
         ],
         "remarks": list(graph.remarks),
         "notes": notes(graph, result, written=False),
@@ -66,7 +66,7 @@ def notes(graph: PlanarGraph, result: OptimisedGraph, written: bool) -> list[str
 
 
 def write_results(graph: PlanarGraph, result: OptimisedGraph, folder: Path) -> list[Path]:
-    """Write the graph, the poses, tables of all closures and of sightings, if any, and, with matplotlib, a picture.
+    """Write the graph, the poses, tables of all closures and of observations, if any, and, with matplotlib, a picture.
 
     Returns the paths.
     """
@@ -79,9 +79,11 @@ def write_results(graph: PlanarGraph, result: OptimisedGraph, folder: Path) -> l
     write_pose_graph(paths[0], graph, result.poses, result.landmarks_m, result.accepted)
     write_tum(paths[1], _times(graph), result.poses)
     _write_table(paths[2], _COLUMNS, [_closure(graph, result, int(e)) for e in np.flatnonzero(~graph.is_odometry)])
-    if len(graph.sightings):
-        paths.append(folder / "sightings.csv")
-        _write_table(paths[-1], _SIGHTING, [_sighting(graph, result, s) for s in range(len(graph.sightings))])
+    if len(graph.landmark_observations):
+        paths.append(folder / "landmark_observations.csv")
+        _write_table(
+            paths[-1], _OBSERVATION, [_observation(graph, result, s) for s in range(len(graph.landmark_observations))]
+        )
     if find_spec("matplotlib") is not None:
         paths.append(folder / "graph.png")
         draw_graph(graph, result, paths[-1])
@@ -110,16 +112,16 @@ def _hanging(graph: PlanarGraph, result: OptimisedGraph) -> list[str]:
 
 
 def _contradicted(graph: PlanarGraph, result: OptimisedGraph) -> list[str]:
-    """A sentence on the sightings that stand out, if any, with the landmarks that most of them are of."""
-    out = graph.sightings[result.sighting_errors > SIGHTING_GATE, 1]
+    """A sentence on the observations that stand out, if any, with the landmarks that most of them are of."""
+    out = graph.landmark_observations[result.landmark_errors > LANDMARK_GATE, 1]
     if not len(out):
         return []
     landmarks, times = np.unique(out, return_counts=True)
     named = graph.landmark_ids[landmarks[np.argsort(-times, kind="stable")]].tolist()
     some = ", ".join(map(str, named[:NAMED_MAX])) + (" ..." if len(named) > NAMED_MAX else "")
     return [
-        f"{len(out)} of {len(graph.sightings)} sightings of landmarks contradict the rest (chi squared above "
-        f"{SIGHTING_GATE}): of {some}; chi2/dof leaves sightings out, and none makes a map LOST"
+        f"{len(out)} of {len(graph.landmark_observations)} observations of landmarks contradict the rest "
+        f"(chi squared above {LANDMARK_GATE}): of {some}; chi2/dof leaves observations out, and none makes a map LOST"
     ]
 
 
@@ -135,7 +137,7 @@ def _times(graph: PlanarGraph) -> Array:
 
 _COLUMNS = ("from", "to", "component", "accepted", "chi_squared", "reason", "disagrees_with", "chi_squared_of_both")
 
-_SIGHTING = ("vertex", "landmark", "component", "contradicts", "chi_squared")
+_OBSERVATION = ("vertex", "landmark", "component", "contradicts", "chi_squared")
 
 
 def _write_table(path: Path, columns: tuple[str, ...], rows: list[dict]) -> None:
@@ -145,14 +147,14 @@ def _write_table(path: Path, columns: tuple[str, ...], rows: list[dict]) -> None
         writer.writerows(rows)
 
 
-def _sighting(graph: PlanarGraph, result: OptimisedGraph, sighting: int) -> dict:
-    vertex, landmark = graph.sightings[sighting].tolist()
-    error = float(result.sighting_errors[sighting])
+def _observation(graph: PlanarGraph, result: OptimisedGraph, observation: int) -> dict:
+    vertex, landmark = graph.landmark_observations[observation].tolist()
+    error = float(result.landmark_errors[observation])
     values = (
         int(graph.vertex_ids[vertex]), int(graph.landmark_ids[landmark]), int(result.component[vertex]),
-        error > SIGHTING_GATE, round(error, 3),
+        error > LANDMARK_GATE, round(error, 3),
     )  # fmt: skip
-    return dict(zip(_SIGHTING, values, strict=True))
+    return dict(zip(_OBSERVATION, values, strict=True))
 
 
 def _closure(graph: PlanarGraph, result: OptimisedGraph, edge: int) -> dict:
@@ -183,7 +185,7 @@ def _rows(graph: PlanarGraph, result: OptimisedGraph) -> list[dict]:
             "expected error [m]": round(float(trust.expected_error_m), 3),
             "map [m]": round(trust.diagonal_m, 1),
             "on no loop": f"{100 * trust.unchecked:.0f} %",
-            "verdict": verdict(trust, size),
+            "status": status(trust, size),
         }
         for number, (first, size, trust) in enumerate(zip(firsts, sizes, result.trust, strict=True))
     ]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray as Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanarGraph:
-    """Poses, relative poses between them, and sightings of landmarks. Vertices are in the order of their ids."""
+    """Poses, relative poses between them, and observations of landmarks. Vertices are in the order of their ids."""
 
     vertex_ids: Array
     """(n,) int64."""
@@ -32,7 +32,7 @@ class PlanarGraph:
     landmark_ids: Array = field(default_factory=lambda: np.zeros(0, np.int64))
     landmarks_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(m, 2); NaN where the file has no place for it."""
-    sightings: Array = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    landmark_observations: Array = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     """(s, 2) index of a vertex and of a landmark."""
     seen_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(s, 2) place of the landmark in the frame of the vertex."""

@@ -21,9 +21,9 @@ REPEATED_APART_M, REPEATED_SHARE, NAMES_MIN = 4.0, 0.4, 4
 """A name at places this far apart in one map is repeated; from this share of repeated names on they are reported."""
 
 
-DOUBTFUL_MIN = 5
+CONTRADICTING_MIN = 5
 """Fewer closures that contradict a map, or agree on another one, are no reason to doubt it."""
-DOUBTFUL_SHARE = 0.5
+RIVAL_SHARE = 0.5
 """Closures between two robots that agree on another map are a reason from this share of those in use on."""
 NEVER = -1
 """In place of a step: not heard yet."""
@@ -82,7 +82,7 @@ def diagnostics_of(mapper: TeamMapper) -> list[str]:
         *_repeated_names(mapper),
         *_odd_devices(mapper),
         *_apart(mapper),
-        *_doubtful(mapper),
+        *_contradicted(mapper),
         *_refused(mapper),
     ]
 
@@ -163,16 +163,16 @@ def _apart(mapper: TeamMapper) -> list[str]:
     return [*lines, f"no common map of {' and '.join(names)}: {why}"]
 
 
-def _doubtful(mapper: TeamMapper) -> list[str]:
+def _contradicted(mapper: TeamMapper) -> list[str]:
     """Maps that most closures contradict, if those that agree on one other map are not far fewer than its own."""
     found = []
     for group in mapper.groups:
         accepted, refused = mapper.votes_in(group.robots)
-        if refused < DOUBTFUL_MIN or refused <= accepted:
+        if refused < CONTRADICTING_MIN or refused <= accepted:
             continue
         who = " and ".join(_name(mapper, segment) for segment in group.robots)
         for (a, b), (held, rivals) in mapper.rival_votes_in(group.robots).items():
-            if rivals >= DOUBTFUL_MIN and rivals > DOUBTFUL_SHARE * held:
+            if rivals >= CONTRADICTING_MIN and rivals > RIVAL_SHARE * held:
                 between = f"of {_name(mapper, a)}" if a == b else f"between {_name(mapper, a)} and {_name(mapper, b)}"
                 found.append(
                     f"the map of {who} cannot be trusted: {rivals} closures {between} agree on another one, "

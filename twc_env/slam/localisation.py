@@ -189,7 +189,7 @@ class Localiser:
             points = scan_points(np.asarray(ranges_m), self._range_max_m)
             if len(points):
                 self._track(odom, points, time_s)
-        self.is_lost = self.is_lost or self._is_doubtful(time_s)
+        self.is_lost = self.is_lost or self._is_overdue(time_s)
         for keyframe in keyframes:
             if keyframe.begins_segment:
                 self._begin()
@@ -206,7 +206,7 @@ class Localiser:
         self._guesses.clear()
         self._recent.clear()
 
-    def _is_doubtful(self, time_s: float) -> bool:
+    def _is_overdue(self, time_s: float) -> bool:
         return time_s - self._believed[0] > PATIENCE_S or self._travel_m - self._believed[1] > PATIENCE_M
 
     def _track(self, odom: Array, points: Array, time_s: float) -> None:

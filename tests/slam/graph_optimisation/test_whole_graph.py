@@ -71,7 +71,7 @@ def test_landmarks_that_outweigh_odometry_move_the_poses(tmp_path):
     result = optimise_graph(read(tmp_path, text))
     assert result.poses[1] == pytest.approx([1.0, 0.0, 0.0], abs=0.01)
     assert result.landmarks_m == pytest.approx(np.array([[0.5, -1.0], [0.5, 1.0]]), abs=0.01)
-    assert result.sighting_errors.max() < 0.1
+    assert result.landmark_errors.max() < 0.1
 
 
 SURVEYED = (

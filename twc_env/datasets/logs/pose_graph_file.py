@@ -32,7 +32,7 @@ SINGULAR = 1e-9
 """The least eigenvalue of an information matrix, as a share of the largest: less is raised to this."""
 NAMED_MAX, _KINDS_MAX = 3, 20
 LINES_MAX = 1_000_000
-"""Edges, vertices, landmarks or sightings: the largest public graphs in two dimensions have a hundred thousand."""
+"""Edges, vertices, landmarks or observations: the largest public graphs in two dimensions have a hundred thousand."""
 _JUMP = 10
 """Ids further apart than so many times the usual difference belong to different robots."""
 _STANDS_OUT, _STEPS_AWAY = 100.0, 3.0
@@ -46,7 +46,7 @@ def read_pose_graph(path: str | Path, turns: bool = True) -> PlanarGraph:
     """The graph of a g2o or TORO file, packed (.gz, .xz) or not.
 
     Vertices without a line have NaN for a pose. Edges that lead from a higher to a lower id are turned round, unless
-    `turns` is False. Left out and named in `remarks`: edges from a vertex to itself, sightings without information,
+    `turns` is False. Left out and named in `remarks`: edges from a vertex to itself, observations without information,
     and lines of unknown kinds. Of FIX lines only those count that name a vertex or a landmark with a place. Raises
     DataError, naming the line, for malformed numbers, one vertex in two places, information that is no inverse
     covariance, and for graphs in three dimensions.
@@ -65,7 +65,7 @@ class _Lines:
         self.vertices: dict[int, tuple[float, ...]] = {}
         self.landmarks: dict[int, tuple[float, ...]] = {}
         self.edges: list[tuple[int, int, list[float], int]] = []
-        self.sightings: list[tuple[int, int, list[float], int]] = []
+        self.landmark_observations: list[tuple[int, int, list[float], int]] = []
         self.held: list[int] = []
         self.selves: list[int] = []
         self.unknown: Counter[str] = Counter()
@@ -97,12 +97,12 @@ class _Lines:
         elif ends[0] == ends[1]:
             self.selves.append(ends[0])
         elif kind == "EDGE_SE2_XY":
-            self.sightings.append((ends[0], ends[1], values, number))
+            self.landmark_observations.append((ends[0], ends[1], values, number))
         else:
             if kind == "EDGE2":
                 values = values[:3] + [values[3 + k] for k in _TORO_ORDER]
             self.edges.append((ends[0], ends[1], values, number))
-        if max(map(len, (self.edges, self.sightings, self.vertices, self.landmarks))) > LINES_MAX:
+        if max(map(len, (self.edges, self.landmark_observations, self.vertices, self.landmarks))) > LINES_MAX:
             raise self._error(number, f"more than {LINES_MAX} lines of a kind; cut the graph into parts")
 
     def _id(self, word: str, words: list[str], number: int) -> int:
@@ -134,9 +134,13 @@ class _Lines:
         """The graph of all lines. Raises DataError if there is none in two dimensions."""
         if not self.edges and (not self.vertices or any(kind in _SPATIAL for kind in self.unknown)):
             self._refuse()
-        known = {*self.vertices, *(end for edge in self.edges for end in edge[:2]), *(s[0] for s in self.sightings)}
-        sightings = [s for s in self.sightings if s[1] not in known]
-        remarks = self._remarks(len(self.sightings) - len(sightings))
+        known = {
+            *self.vertices,
+            *(end for edge in self.edges for end in edge[:2]),
+            *(s[0] for s in self.landmark_observations),
+        }
+        observations = [s for s in self.landmark_observations if s[1] not in known]
+        remarks = self._remarks(len(self.landmark_observations) - len(observations))
         ids = sorted(known)
         index = {vertex: k for k, vertex in enumerate(ids)}
         poses = np.array([self.vertices.get(vertex, (math.nan,) * 3) for vertex in ids], float).reshape(-1, 3)
@@ -157,11 +161,11 @@ class _Lines:
             information[flipped] = 0.5 * (information[flipped] + np.swapaxes(information[flipped], 1, 2))
             measured[flipped], edges[flipped] = back, edges[flipped][:, ::-1]
         is_odometry = self._along(poses, edges, measured, information, ids)
-        landmark_ids = sorted({*self.landmarks, *(s[1] for s in sightings)})
+        landmark_ids = sorted({*self.landmarks, *(s[1] for s in observations)})
         place_of = {landmark: k for k, landmark in enumerate(landmark_ids)}
-        seen = np.array([v for _, _, v, _ in sightings], float).reshape(-1, 5)
+        seen = np.array([v for _, _, v, _ in observations], float).reshape(-1, 5)
         seen_information = _symmetric(seen[:, 2:], _UPPER2, 2)
-        self._check_information(seen_information, [s[3] for s in sightings])
+        self._check_information(seen_information, [s[3] for s in observations])
         named = list(dict.fromkeys(self.held))
         held = [index[vertex] for vertex in named if vertex in index]
         if lost := [vertex for vertex in named if vertex not in index and vertex not in self.landmarks]:
@@ -177,7 +181,9 @@ class _Lines:
             held_landmarks=np.array([place_of[k] for k in named if k in self.landmarks], np.int64),
             landmark_ids=np.array(landmark_ids, np.int64),
             landmarks_m=np.array([self.landmarks.get(k, (math.nan,) * 2) for k in landmark_ids], float).reshape(-1, 2),
-            sightings=np.array([(index[a], place_of[b]) for a, b, *_ in sightings], np.int64).reshape(-1, 2),
+            landmark_observations=np.array([(index[a], place_of[b]) for a, b, *_ in observations], np.int64).reshape(
+                -1, 2
+            ),
             seen_m=seen[:, :2],
             seen_information=seen_information,
             remarks=tuple(remarks),
@@ -200,7 +206,7 @@ class _Lines:
         if self.selves:
             out.append(f"{len(self.selves)} edges from a vertex to itself left out: {_some(self.selves)}")
         if of_poses:
-            out.append(f"{of_poses} sightings of poses as landmarks left out")
+            out.append(f"{of_poses} observations of poses as landmarks left out")
         for kind, number in self.unknown.items():
             what = " (three dimensions)" if kind in _SPATIAL else ""
             out.append(f"{number} {'line' if number == 1 else 'lines'} of the kind {kind!r}{what} left out")
@@ -303,7 +309,7 @@ def write_pose_graph(path: str | Path, graph: PlanarGraph, poses: Array, landmar
     for k, (a, b) in enumerate(graph.edges.tolist()):
         values = _words([*graph.measured[k], *graph.information[k][_UPPER3]])
         lines.append(f"{'' if accepted[k] else '# rejected: '}EDGE_SE2 {ids[a]} {ids[b]} {values}")
-    for k, (a, m) in enumerate(graph.sightings.tolist()):
+    for k, (a, m) in enumerate(graph.landmark_observations.tolist()):
         values = _words([*graph.seen_m[k], *graph.seen_information[k][_UPPER2]])
         lines.append(f"EDGE_SE2_XY {ids[a]} {landmark_ids[m]} {values}")
     with whole_file(path) as beside:

@@ -20,7 +20,7 @@ Motion = tuple[float, float, float]
 def components_of(graph: PlanarGraph) -> Array:
     """(n,) number of the component of each vertex, in the order of their first vertices; landmarks connect too."""
     n, m = len(graph.poses), len(graph.landmark_ids)
-    ends = np.concatenate([graph.edges, graph.sightings + np.array([0, n])])
+    ends = np.concatenate([graph.edges, graph.landmark_observations + np.array([0, n])])
     pairs = coo_array((np.ones(len(ends), np.int8), (ends[:, 0], ends[:, 1])), shape=(n + m, n + m))
     labels = connected_components(pairs, directed=False)[1][:n]
     first, number = np.unique(labels, return_index=True)[1], np.unique(labels, return_inverse=True)[1]

@@ -1,4 +1,4 @@
-"""Optimise a pose graph of any origin: each component by itself, robustly, with a verdict on every closure."""
+"""Optimise a pose graph of any origin: each component by itself, robustly, with a decision on every closure."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from twc_env.slam.pose_graph.solver import GATE, Graph, NormalEquations
 
 METHODS = ("ours", "dcs", "cauchy", "gnc", "pcm", "none")
 ITERATIONS_MAX = 100
-SIGHTING_GATE = 9.21
-"""99 % quantile of chi squared with two degrees of freedom: sightings beyond it are weighed down."""
+LANDMARK_GATE = 9.21
+"""99 % quantile of chi squared with two degrees of freedom: observations beyond it are weighed down."""
 LANDMARKS_MIN = 2
 """So many held landmarks say where the map lies."""
 HEADING_INFORMATION = 1e-6
-"""Landmarks have no heading; the first sighting of each fixes one."""
+"""Landmarks have no heading; the first observation of each fixes one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,8 +45,8 @@ class OptimisedGraph:
     """(e,) bool; always true for odometry."""
     squared_errors: Array
     """(e,) chi squared of each edge at the result."""
-    sighting_errors: Array
-    """(s,) chi squared of each sighting of a landmark."""
+    landmark_errors: Array
+    """(s,) chi squared of each observation of a landmark."""
     reasons: dict[int, str]
     """Why each rejected edge is rejected."""
     opponents: dict[int, tuple[int, float]]
@@ -85,14 +85,14 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
         part = Graph(place[graph.edges[edges]], graph.measured[edges], graph.information[edges],
                      ~graph.is_odometry[edges])  # fmt: skip
         held = place[graph.held[component[graph.held] == number]]
-        sightings = np.flatnonzero(component[graph.sightings[:, 0]] == number)
-        fixed = np.intersect1d(graph.held_landmarks, graph.sightings[sightings, 1])
+        observations = np.flatnonzero(component[graph.landmark_observations[:, 0]] == number)
+        fixed = np.intersect1d(graph.held_landmarks, graph.landmark_observations[observations, 1])
         if not len(held) and len(fixed) < LANDMARKS_MIN:
             held = np.zeros(1, np.int64)
         result = _solve(part, start[members], config, int(held[0]) if len(held) else 0)
-        if len(sightings) or len(held) > 1:
+        if len(observations) or len(held) > 1:
             fitted, seen = _with_landmarks(
-                graph, part, start[members], result, held, place, sightings, robust == "none"
+                graph, part, start[members], result, held, place, observations, robust == "none"
             )
             result = BackendResult(fitted, result.accepted, result.rejections)
             for landmark, where in seen.items():
@@ -106,8 +106,8 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
         reasons |= {int(edges[one.edge]): one.reason for one in result.rejections}
         opponents |= {int(edges[e]): (int(edges[by]), chi) for e, (by, chi) in _opponents(part, start[members], result)}
         used = np.flatnonzero(result.accepted)
-        is_told = _sighting_errors(graph, sightings, poses, landmarks_m) <= SIGHTING_GATE
-        witnesses = _witnesses(graph, place, sightings[is_told], held)
+        is_told = _landmark_errors(graph, observations, poses, landmarks_m) <= LANDMARK_GATE
+        witnesses = _witnesses(graph, place, observations[is_told], held)
         alone = hanging_parts(len(members), part.edges[used], part.is_closure[used], witnesses)
         hanging |= {int(edges[used[e]]): behind for e, behind in alone.items()}
         joined = np.concatenate([part.edges[used], witnesses])
@@ -121,7 +121,7 @@ def optimise_graph(graph: PlanarGraph, robust: str = "ours") -> OptimisedGraph:
         component=component,
         accepted=accepted,
         squared_errors=pose_graph.squared_errors(poses, graph.edges, graph.measured, graph.information),
-        sighting_errors=_sighting_errors(graph, np.arange(len(graph.sightings)), poses, landmarks_m),
+        landmark_errors=_landmark_errors(graph, np.arange(len(graph.landmark_observations)), poses, landmarks_m),
         reasons=reasons,
         opponents=opponents,
         hanging=hanging,
@@ -159,16 +159,16 @@ def _better_start(graph: Graph, start: Array, held: int) -> Array:
 
 
 def _with_landmarks(
-    graph: PlanarGraph, part: Graph, start: Array, result: BackendResult, held: Array, place: Array, sightings: Array,
-    is_plain: bool,
+    graph: PlanarGraph, part: Graph, start: Array, result: BackendResult, held: Array, place: Array,
+    observations: Array, is_plain: bool,
 ) -> tuple[Array, dict[int, Array]]:  # fmt: skip
-    """Poses of a component and its landmarks, fitted jointly to what was accepted and the sightings."""
-    landmarks, number = np.unique(graph.sightings[sightings, 1], return_inverse=True)
+    """Poses of a component and its landmarks, fitted jointly to what was accepted and the observations."""
+    landmarks, number = np.unique(graph.landmark_observations[observations, 1], return_inverse=True)
     count = len(start)
-    by, seen_m = place[graph.sightings[sightings, 0]], graph.seen_m[sightings]
+    by, seen_m = place[graph.landmark_observations[observations, 0]], graph.seen_m[observations]
     first = np.unique(number, return_index=True)[1] if len(number) else np.zeros(0, np.int64)
-    information = np.zeros((len(sightings), 3, 3))
-    information[:, :2, :2] = graph.seen_information[sightings]
+    information = np.zeros((len(observations), 3, 3))
+    information[:, :2, :2] = graph.seen_information[observations]
     information[first, 2, 2] = HEADING_INFORMATION
     used = part.of(result.accepted)
     edges = np.concatenate([used.edges, np.column_stack([by, count + number.ravel()])])
@@ -176,7 +176,7 @@ def _with_landmarks(
     weights = np.concatenate([used.information, information])
     fixed = np.concatenate([held, count + np.flatnonzero(np.isin(landmarks, graph.held_landmarks))])
     equations = NormalEquations(edges, measured, weights, count + len(landmarks), fixed)
-    is_sighting = np.arange(len(edges)) >= len(used.edges)
+    is_landmark = np.arange(len(edges)) >= len(used.edges)
 
     def whole(poses: Array) -> Array:
         places = np.column_stack([graph.landmarks_m[landmarks], np.zeros(len(landmarks))])
@@ -189,32 +189,36 @@ def _with_landmarks(
                   (result.poses, start)]  # fmt: skip
     begin = min(candidates, key=lambda poses: float(np.minimum(equations.squared_errors(poses), 1e12).sum()))
     fitted = equations.minimise(begin, np.ones_like, ITERATIONS_MAX)
-    if not is_plain and (equations.squared_errors(fitted)[is_sighting] > SIGHTING_GATE).any():
+    if not is_plain and (equations.squared_errors(fitted)[is_landmark] > LANDMARK_GATE).any():
 
         def scaled(squared: Array) -> Array:
-            root = np.minimum(1.0, 2 * SIGHTING_GATE / (SIGHTING_GATE + squared))
-            return np.where(is_sighting, root**2, 1.0)
+            root = np.minimum(1.0, 2 * LANDMARK_GATE / (LANDMARK_GATE + squared))
+            return np.where(is_landmark, root**2, 1.0)
 
         fitted = equations.minimise(fitted, scaled, ITERATIONS_MAX)
     return fitted[:count], {int(k): fitted[count + m, :2] for m, k in enumerate(landmarks)}
 
 
-def _witnesses(graph: PlanarGraph, place: Array, sightings: Array, held: Array) -> Array:
+def _witnesses(graph: PlanarGraph, place: Array, observations: Array, held: Array) -> Array:
     """(w, 2) poses of a component, one after the other, that see the same landmark or are held; all held landmarks
     count as one with the held poses."""
-    of = graph.sightings[sightings, 1]
+    of = graph.landmark_observations[observations, 1]
     mark = np.concatenate([np.where(np.isin(of, graph.held_landmarks), -1, of), np.full(len(held), -1)])
-    pose = np.concatenate([place[graph.sightings[sightings, 0]], held])
+    pose = np.concatenate([place[graph.landmark_observations[observations, 0]], held])
     order = np.lexsort((pose, mark))
     is_same = mark[order][1:] == mark[order][:-1]
     return np.column_stack([pose[order][:-1], pose[order][1:]])[is_same]
 
 
-def _sighting_errors(graph: PlanarGraph, chosen: Array, poses: Array, landmarks_m: Array) -> Array:
-    """Squared errors of the chosen sightings (k,)."""
+def _landmark_errors(graph: PlanarGraph, chosen: Array, poses: Array, landmarks_m: Array) -> Array:
+    """Squared errors of the chosen observations (k,)."""
     if not len(chosen):
         return np.zeros(0)
-    (by, of), seen_m, information = graph.sightings[chosen].T, graph.seen_m[chosen], graph.seen_information[chosen]
+    (by, of), seen_m, information = (
+        graph.landmark_observations[chosen].T,
+        graph.seen_m[chosen],
+        graph.seen_information[chosen],
+    )
     pose = poses[by]
     c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     away = landmarks_m[of] - pose[:, :2]

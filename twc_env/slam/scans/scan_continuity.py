@@ -31,9 +31,9 @@ MOTION_MAX_M, TURN_MAX_RAD = 0.6, 0.6
 """Nor after greater motions: too much of what is seen is new. Five public logs have 56 pairs of scans 0.6 to 0.8 m
 apart, and the least share there is .53, of a robot that nobody carried; nearer ones have .65 or more, but for two where
 odometry misread a turn."""
-DOUBT_STDS = 4.0
+ODOMETRY_STDS = 4.0
 """Odometry may err by so many standard deviations: a robot is carried only if no motion within explains its scan."""
-DOUBT_STEP_M, DOUBT_STEP_RAD = 0.15, 0.04
+ODOMETRY_STEP_M, ODOMETRY_STEP_RAD = 0.15, 0.04
 """Steps in which these motions are tried: what `AGREEMENT_M` allows for. Within a tenth of a second odometry errs by
 less; from scan to scan of a log, by several."""
 
@@ -55,7 +55,7 @@ def is_explained(before, scan, motion, std_m, std_rad, range_max, directions, fo
     """Whether another motion within what odometry may err by, which has these standard deviations, predicts enough of a
     scan that does not continue the one before by the motion (3,) that odometry read. Writes the one that predicts most
     to found (3,)."""
-    ways, turns = int(DOUBT_STDS * std_m / DOUBT_STEP_M), int(DOUBT_STDS * std_rad / DOUBT_STEP_RAD)
+    ways, turns = int(ODOMETRY_STDS * std_m / ODOMETRY_STEP_M), int(ODOMETRY_STDS * std_rad / ODOMETRY_STEP_RAD)
     if ways == 0 and turns == 0:
         return False
     most, side, best = 0.0, 2 * ways + 1, 0
@@ -71,9 +71,9 @@ def is_explained(before, scan, motion, std_m, std_rad, range_max, directions, fo
 @borrowing_kernel
 def _tried(motion, number, side, ways, turns, out):
     """Write one of the motions that `is_explained` tries to out (3,)."""
-    out[0] = motion[0] + (number % side - ways) * DOUBT_STEP_M
-    out[1] = motion[1] + (number // side % side - ways) * DOUBT_STEP_M
-    out[2] = motion[2] + (number // (side * side) - turns) * DOUBT_STEP_RAD
+    out[0] = motion[0] + (number % side - ways) * ODOMETRY_STEP_M
+    out[1] = motion[1] + (number // side % side - ways) * ODOMETRY_STEP_M
+    out[2] = motion[2] + (number // (side * side) - turns) * ODOMETRY_STEP_RAD
 
 
 @borrowing_kernel
