@@ -30,6 +30,7 @@ SOAK = (
     "--json runs/soak/input.json"
 )
 STEPS = "--steps 1000000 --resume runs/soak/episodes.jsonl --json runs/soak/steps.json"
+PYTEST = "-m pytest -q -n auto --maxprocesses 4 --dist worksteal".split()
 TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
     "demo": (
         ".venv/installed-demo",
@@ -46,8 +47,8 @@ TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
             ["-m", "pytest", "-q", "tests/test_architecture.py", "tests/test_import.py"],
         ],
     ),
-    "test": (".venv/installed-test", TEST, [["-m", "pytest", "-q"]]),
-    "test-bounds": (".venv/installed-test", TEST, [["-m", "pytest", "-q", "tests/slam", "tests/exploration"]]),
+    "test": (".venv/installed-test", TEST, [PYTEST]),
+    "test-bounds": (".venv/installed-test", TEST, [[*PYTEST, "tests/slam", "tests/exploration"]]),
     "soak": (
         ".venv/installed-test",
         TEST,

@@ -1,6 +1,8 @@
 """Settings that all tests share."""
 
 import os
+import signal
+import threading
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # with several threads, operations on small matrices are slow
 
@@ -12,6 +14,9 @@ from tests.chromium import browser  # noqa: F401  a fixture
 from twc_env.errors import ConfigError
 from twc_env.records.geometry import wrap_angle
 from twc_env.world.sensors import ocr
+
+if threading.current_thread() is threading.main_thread():  # workers of pytest-xdist ignore it, and so would children
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # No deadlines, because the first call of a kernel compiles it; CI draws the same examples in every run.
 settings.register_profile("twc_env", deadline=None, derandomize="CI" in os.environ)

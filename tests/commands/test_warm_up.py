@@ -1,5 +1,7 @@
 """`twc-env warm-up`."""
 
+from unittest.mock import Mock
+
 import pytest
 
 from twc_env.__main__ import main
@@ -26,10 +28,13 @@ def test_it_runs_a_whole_episode(monkeypatch):
     assert episode.compile_all() >= 0
 
 
-def test_it_also_plays_a_scripted_team_and_choices_of_frontiers_and_draws_them(monkeypatch):
+def test_it_also_plays_a_scripted_team_and_choices_of_frontiers_draws_them_and_replays_the_sample(monkeypatch):
     played = []
     monkeypatch.setattr("twc_env.agents.explore.explore", lambda config, team, seed: played.append(team))
     render = ExplorationEnv.render
     monkeypatch.setattr(ExplorationEnv, "render", lambda env: played.append(env.config.action.kind) or render(env))
+    monkeypatch.setattr(
+        "twc_env.replaying.run.run", lambda source, config, note: played.append(config.robots) or Mock()
+    )
     assert warm_up.compile_for_commands(steps=20) >= 0
-    assert played == ["nearest-frontier", "frontier"]
+    assert played == ["nearest-frontier", "frontier", 2]

@@ -39,8 +39,8 @@ def _run(_arguments: argparse.Namespace) -> None:
 
 
 def compile_for_commands(steps: int = STEPS) -> int:
-    """Compile what velocity commands with all cues do not need: planning, scan descriptors and drawing; the number of
-    functions compiled."""
+    """Compile what velocity commands with all cues do not need: planning, scan descriptors, drawing and logs; the
+    number of functions compiled."""
     from twc_env.agents.explore import explore
     from twc_env.config import EnvConfig, override
     from twc_env.exploration.environment import ExplorationEnv
@@ -57,4 +57,18 @@ def compile_for_commands(steps: int = STEPS) -> int:
     while env.agents:
         seen, *_ = env.step({agent: int(blocks["action_mask"].argmax()) for agent, blocks in seen.items()})
     env.render()
+    _replay_sample()
     return compilation.announcer().count - before
+
+
+def _replay_sample() -> None:
+    from twc_env.datasets.sample import sample_files
+    from twc_env.pictures.log_page import LogPage
+    from twc_env.replaying.inputs import Asked, read_input
+    from twc_env.replaying.odometry_errors import with_errors_of_log
+    from twc_env.replaying.run import run
+
+    files = sample_files()
+    source = with_errors_of_log(read_input(files.logs, Asked(wifi=files.wifi, signs=files.signs)))
+    page = LogPage(source.config.robots, len(source.steps), source.config.dynamics.robot_radius_m)
+    run(source, source.config, page.note).table()
