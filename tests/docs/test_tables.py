@@ -11,7 +11,8 @@ of those `where FIELD=VALUE, VALUE`. With `each FIELD, FIELD by FIELD, FIELD` a 
 first, which the values of the others name: `{ours[k_accuracy]}`; with `by` alone it is made of all rows. `having
 seeds=20` asks this of all rows. With `rows: of` several files, `{merging[0][team_ate_m]}` is in the first row of
 merging.json. Several forms are one for each line, one after `3 times` for three; if there are more lines, they begin
-again. `:.0h` is a percentage without its sign, `:.2c` a share given in percent, `:.1m` is in thousandths (millimetres).
+again. `:.0h` is a percentage without its sign, `:.2c` a share given in percent, `:.1m` is in thousandths (millimetres),
+`:.2M` in millions; what the file has no value for is a dash.
 A CSV file of episodes has its columns by agent or map: `{compare[voronoi][team_ate_m].mean:.3f}`.
 
 Every page is looked at. A table with figures that is compared with nothing says so below it, or its page does.
@@ -34,11 +35,19 @@ FIGURE = re.compile(r"[*`(<>≈~≤≥]*\s*[+−-]?\.?\d")  # the beginning of a
 
 
 class Number(float):
-    """A number that can be shown as a percentage (`:.0h`), in thousandths (`:.1m`) or in hundreds (`:.2c`)."""
+    """A number that can be shown as a percentage (`:.0h`), in thousandths (`:.1m`), in hundreds (`:.2c`) or in millions
+    (`:.2M`)."""
 
     def __format__(self, form: str) -> str:
-        times = {"h": 100, "m": 1000, "c": 0.01}.get(form[-1:])
+        times = {"h": 100, "m": 1000, "c": 0.01, "M": 1e-6}.get(form[-1:])
         return format(times * self, form[:-1] + "f") if times else format(float(self), form)
+
+
+class Gap:
+    """What a file has no value for."""
+
+    def __format__(self, form: str) -> str:
+        return "-"
 
 
 class Column(list):
@@ -132,7 +141,8 @@ def expected(marker: str) -> list[list[str]]:
     forms, names = spaces(marker)
     names = names * len(forms) if len(names) == 1 else names
     forms = forms * (len(names) // len(forms))
-    return [[cell.format(**space) for cell in cells(form)] for form, space in zip(forms, names, strict=True)]
+    shown = [{name: Gap() if value is None else value for name, value in space.items()} for space in names]
+    return [[cell.format(**space) for cell in cells(form)] for form, space in zip(forms, shown, strict=True)]
 
 
 @pytest.mark.parametrize("table", MARKED, ids=[f"{table.page} {table.marker.split()[0]}" for table in MARKED])
