@@ -12,7 +12,8 @@ map at any time although their own paths place it more than 1 m or 10 degrees ap
 means over buildings. `stuck_share` is the share of time in which a robot stood for ten seconds or more, whatever it
 waited for; `commanded_stuck_share` counts only those ten seconds in more than half of which it was told to drive or
 turn: who waits in a closed room or is not switched on is not stuck. Of the three robots, the greatest counts;
-`stuck_worst` and `commanded_stuck_worst` are those of the worst episode. `steps_per_s` is measured with everything in
+`stuck_worst` and `commanded_stuck_worst` are those of the worst episode, `stuck_teams` the number of those in which it
+is more than a tenth. `steps_per_s` is measured with everything in
 it, also what the team thinks. `people_collisions` counts contacts that robots began by driving.
 """
 
@@ -62,6 +63,7 @@ EFFECTS: dict[str, dict] = {
 }
 """Settings of each effect."""
 FIGURES = ("ate_m", "coverage_correct", "steps", "stuck_share", "commanded_stuck_share", "steps_per_s")
+STUCK_MAX = 0.1
 ALL = "all"
 WORLDS = tuple(f"world {name}" for name in WORLD_PRESETS if name != "clean")
 _NOT_TOGETHER = (
@@ -139,6 +141,7 @@ def _row(effect: str, episodes: list[dict], robots: int) -> dict:
         "wrong_teams": sum(found["wrong_merges"] > 0 for found in episodes),
         "undone": sum(found["undone"] for found in episodes),
         **{name: round(value, 4) for name, value in means.items()},
+        "stuck_teams": sum(found["stuck_share"] > STUCK_MAX for found in episodes),
         "stuck_worst": round(max(found["stuck_share"] for found in episodes), 4),
         "commanded_stuck_worst": round(max(found["commanded_stuck_share"] for found in episodes), 4),
         "people_collisions": sum(found["people_collisions"] for found in episodes),
