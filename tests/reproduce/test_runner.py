@@ -53,6 +53,13 @@ def test_options_that_choose_parts_are_options_of_the_table(name):
     assert set(getattr(module, "CHOOSES", ())) <= set(vars(parser.parse_args([])))
 
 
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_with_seeds_plays_several_by_default(name):
+    parser = argparse.ArgumentParser()
+    table_module(name).add_arguments(parser)
+    assert len(getattr(parser.parse_args([]), "seeds", (0, 1))) > 1
+
+
 def test_rows_are_printed_in_aligned_columns():
     lines = aligned([{"method": "twc", "recall": 0.987654}, {"method": "a longer name", "recall": None}]).splitlines()
     assert lines[0].index("recall") == lines[1].index("0.9877") == lines[2].index("-")

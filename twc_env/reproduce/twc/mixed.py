@@ -28,7 +28,7 @@ MOVED_M = 0.3
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of this table."""
-    add_seeds(parser, "10", "seeds of starts and noise")
+    add_seeds(parser, "0-9", "seeds of starts and noise")
     add_some(parser, "--buildings", BUILDINGS, "buildings")
     teams = f"{', '.join(TEAM_PRESETS)}, or robots such as handheld,wheeled,legged"
     parser.add_argument("--team", default="twc-slam", help=f"the team: {teams}")
