@@ -58,7 +58,7 @@ def write_rerun(run: Path, path: Path) -> Path:
                 _log_robots(rerun, trace, config)
             recording.disconnect()
     except (OSError, RuntimeError) as error:
-        raise DataError(f"cannot write {path}: {error}; choose another place with --rerun FILE") from error
+        raise DataError(f"cannot write {path}: {error}; choose another place with --out FOLDER") from error
     return path
 
 

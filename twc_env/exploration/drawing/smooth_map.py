@@ -33,7 +33,7 @@ LINE_MAX = 0.16
 SHIFT_MAX = 1.0
 HALF_WIDTH_CELLS = 0.5, 1.5
 """Least and largest half width of a stroke."""
-GAP_MAX, GAP_FREE_MAX = 5.0, 2.5
+GAP_MAX, GAP_FREE_MAX = 5.0, 3.5
 """Longest distances of the centres of cells that a stroke joins across a gap: if at most half of it is known as free,
 and anyway."""
 ASIDE_MAX = 0.26
