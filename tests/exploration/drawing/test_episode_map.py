@@ -63,6 +63,20 @@ def test_names_touch_no_mark(result, request):
     assert not any(box.count_contains(axes.transData.transform(places)) for box in boxes)
 
 
+@pytest.mark.parametrize("result", ["unmerged", "small"])
+def test_names_stand_before_the_walls_on_which_their_signs_hang(result, request):
+    result = request.getfixturevalue(result)
+    (axes,) = result.plot().axes
+    aheads = []
+    for text in axes.texts:
+        own = [sign for sign in result.floorplan.signs if sign.text == text.get_text()]
+        middle = axes.transData.inverted().transform(box_of(text).get_points().mean(axis=0))
+        if own:
+            sign = min(own, key=lambda sign: np.hypot(*(middle - sign.position_m)))
+            aheads.append((middle - sign.position_m) @ [np.cos(sign.facing_rad), np.sin(sign.facing_rad)])
+    assert len(aheads) > 5 and np.mean(np.array(aheads) > 0.05) >= 0.9
+
+
 @pytest.mark.parametrize("name", ["unmerged", "small"])
 def test_title_and_legend_are_whole_and_apart_from_the_axes(name, request):
     result = request.getfixturevalue(name)

@@ -1,8 +1,9 @@
 """Names in pictures that cover neither each other nor a mark: adjustText moves them apart, then those that are still in
-the way go to the nearest free place around theirs, and those without any are left out."""
+the way go to the nearest free place before their own mark, or else around it; those without any are left out."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from typing import Any
@@ -19,8 +20,10 @@ PADDING = 1.0
 """Pixels that stay free around a name."""
 MARK = 6.0
 """Half the size of a mark, in pixels."""
-RINGS, AROUND = (0.0, 4.0, 9.0, 16.0, 25.0, 36.0), 16
-"""Distances from a mark at which a name without room is tried [pixels], and directions."""
+RINGS = (0.0, 4.0, 9.0, 16.0, 25.0, 36.0)
+"""Distances from a mark at which a name without room is tried [pixels]."""
+TURNS = np.pi / 8 * np.array([0, 1, -1, 2, -2, 3, -3]), np.pi / 8 * np.array([4, -4, 5, -5, 6, -6, 7, -7, 8])
+"""Directions in which it is tried, first those to the free side: a sign hangs on a wall, which no name should cover."""
 GAP = 10.0
 """Pixels between a place and its name."""
 LEAD_POINTS = 9.0
@@ -58,7 +61,7 @@ def place_names(
             texts, x=x, y=y, ax=axes, objects=list(taken) or None, iter_lim=MOVES_MAX, ensure_inside_axes=True,
             expand=(1.06, 1.2), force_text=(0.2, 0.5), force_static=(0.02, 0.05), max_move=8,
         )  # fmt: skip
-    kept = _in_free_places(axes, texts, marks_m, taken)
+    kept = _in_free_places(axes, texts, marks_m, facing_rad, taken)
     for text, place in zip(texts, places_m, strict=True):
         if text in kept:
             _lead(axes, text, place)
@@ -75,8 +78,10 @@ def _lead(axes: Any, text: Any, place_m: Array) -> None:
         axes.plot(*ends_m.T, color=TRUE_TEXT, lw=0.5, alpha=0.8, zorder=5.5)
 
 
-def _in_free_places(axes: Any, texts: Sequence[Any], marks_m: Array, taken: Sequence[Any]) -> list[Any]:
-    """Move texts that cover an earlier one or a mark (n, 2), or leave the axes, to the nearest free place around their
+def _in_free_places(
+    axes: Any, texts: Sequence[Any], marks_m: Array, facing_rad: Sequence[float], taken: Sequence[Any]
+) -> list[Any]:
+    """Move texts that cover an earlier one or a mark (n, 2), or leave the axes, to the nearest free place beside their
     own mark, which has the same number; remove those for which there is none."""
     renderer, frame = axes.figure.canvas.get_renderer(), axes.get_window_extent()
     boxes = np.array([_ends(text.get_window_extent(renderer)) for text in taken]).reshape(-1, 2, 2)
@@ -85,7 +90,8 @@ def _in_free_places(axes: Any, texts: Sequence[Any], marks_m: Array, taken: Sequ
     kept = []
     for number, text in enumerate(texts):
         box = _ends(text.get_window_extent(renderer))
-        for middle in (box.mean(axis=0), *_around(marks[number], 0.5 * np.ptp(box, axis=0))):
+        half_size = 0.5 * np.ptp(box, axis=0)
+        for middle in (box.mean(axis=0), *_beside(marks[number], half_size, facing_rad[number])):
             place = middle + 0.5 * (box - box[::-1])
             is_inside = (place[0] >= [frame.x0, frame.y0]).all() and (place[1] <= [frame.x1, frame.y1]).all()
             if is_inside and not ((boxes[:, 0] < place[1]) & (boxes[:, 1] > place[0])).all(axis=1).any():
@@ -103,9 +109,9 @@ def _ends(box: Any) -> Array:
     return np.array([[box.x0, box.y0], [box.x1, box.y1]])
 
 
-def _around(mark: Array, half_size: Array) -> Iterator[Array]:
-    """Middles of boxes of this half size beside a mark, the nearest first."""
-    for away in RINGS:
-        for angle in 2 * np.pi * np.arange(AROUND) / AROUND:
+def _beside(mark: Array, half_size: Array, facing_rad: float) -> Iterator[Array]:
+    """Middles of boxes of this half size beside a mark, those before it first, then the nearest."""
+    for turns, away in itertools.product(TURNS, RINGS):
+        for angle in facing_rad + turns:
             direction = np.array([np.cos(angle), np.sin(angle)])
             yield mark + direction * (half_size + MARK + PADDING + away) / np.abs(direction).max()
