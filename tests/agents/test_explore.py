@@ -89,7 +89,7 @@ def test_the_legend_of_the_picture_names_every_mark_once(tmp_path, monkeypatch):
         return legend(figure, handles, labels, **options)
 
     monkeypatch.setattr(figure_module.Figure, "legend", noted)
-    arguments = f"explore --robots 2 --steps 20 --no-gif --out {tmp_path}".split()
+    arguments = f"explore --robots 2 --steps 20 --no-film --out {tmp_path}".split()
     assert main(arguments) == 0
     assert len(set(named)) == len(named)
     assert {"true walls", "mapped walls", "access points", "signs", "start", "robot 1"} <= set(named)
@@ -163,7 +163,7 @@ def test_a_run_folder_is_enough_to_repeat_the_episode(tmp_path):
 
 @pytest.mark.parametrize("was_killed", [False, True])
 def test_a_run_deletes_the_files_of_an_earlier_run(tmp_path, was_killed):
-    arguments = ["explore", "--no-gif", "--out", str(tmp_path)]
+    arguments = ["explore", "--no-film", "--out", str(tmp_path)]
     assert main([*arguments, "--steps", "12", "--robots", "4"]) == 0
     assert (tmp_path / "map_4.yaml").exists() and (tmp_path / "trajectories/robot_3_true.tum").exists()
     for name in ("notes.txt", "replay.html", "trajectories/mine.tum"):
@@ -212,7 +212,7 @@ def test_results_for_the_terminal_are_also_written_to_the_file(tmp_path):
 
 def test_robots_that_fail_at_the_start_give_a_complete_run(tmp_path):
     broken = ["--set", "failure.robots=2", "--set", "failure.robots_step=0"]
-    assert main(["explore", "--robots", "2", "--steps", "5", *broken, "--no-gif", "--out", str(tmp_path)]) == 0
+    assert main(["explore", "--robots", "2", "--steps", "5", *broken, "--no-film", "--out", str(tmp_path)]) == 0
     assert json.loads((tmp_path / "report.json").read_text())["coverage_correct"] == 0.0
     assert (tmp_path / "map.png").exists() and not (tmp_path / "frames.npz").exists()
 

@@ -37,15 +37,18 @@ def test_parts_sum_to_the_whole_step_and_functions_are_restored():
     assert {row.part for row in rows if row.calls_per_step == 1.0} >= {"world: motion and sensors", REST}
     rare = {"team: merging", "team: redrawing", "team: pose graph", "team: verification", "team: merge review"}
     assert {row.part for row in rows if row.calls_per_step == 0.0} <= rare, "a part has another owner now"
-    assert "the engine" in table_of(rows)
+    assert [cells[0] for cells in table_of(rows)[-2:]] == ["the engine", "the whole step"]
 
 
 @pytest.mark.parametrize("setting", ["slam.mode=off", "lidar.beam_count=8"])
-def test_the_table_is_printed_with_unusual_settings(setting, tmp_path):
+def test_the_table_is_printed_with_unusual_settings_and_fits_the_terminal(setting, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("twc_env.commands.bench.terminal_width", lambda: 56)
     path = tmp_path / "new" / "parts.json"
     arguments = ["--parts", "--steps", "40", "--episodes", "1", "--robots", "1", "--json", str(path)]
     assert main(["bench", *arguments, "--set", setting]) == 0
     assert json.loads(path.read_text())["world: motion and sensors"] > 0.0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 56 and sum(line.startswith("the whole step") for line in lines) > 1
 
 
 def test_objects_used_in_every_step_have_few_attributes():

@@ -231,3 +231,43 @@ def test_words_are_completed_also_those_of_commands_that_are_not_imported_yet(tm
     env = os.environ | asked | {"_ARGCOMPLETE_STDOUT_FILENAME": str(words)}
     subprocess.run([sys.executable, "-m", "twc_env"], env=env, check=True)
     assert words.read_text().strip() == offered
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["explore", "--no-gif"], "--no-gif: it is --no-film now"),
+        (
+            ["evaluate", "--films", "runs/films"],
+            "--films takes no value now, they are written to films in --out FOLDER",
+        ),
+        (["explore", "--format", "none"], "for no pictures say --no-pictures"),
+        (["replay", "sample", "--format", "png,pdf"], "must be one of png, pdf, svg; got 'png,pdf'"),
+    ],
+)
+def test_an_option_of_earlier_times_is_refused_with_the_one_of_now(arguments, told, capsys):
+    with pytest.raises(SystemExit) as error:
+        twc_env.__main__.main(arguments)
+    assert error.value.code == 2 and told in (said := capsys.readouterr().err) and said.count("\n") == 1
+
+
+def test_pictures_have_the_same_options_in_every_command_that_draws_them():
+    asked = {"--format", "--dpi"}
+    drawing = {
+        parser.prog: {name for option in options(parser) for name in option.option_strings}
+        for parser in ALL
+        if asked & {name for option in options(parser) for name in option.option_strings}
+    }
+    assert {f"twc-env {name}" for name in ("explore", "replay", "compare", "benchmark", "evaluate")} <= set(drawing)
+    assert {prog for prog, names in drawing.items() if not asked <= names} == set()
+    assert all("--no-pictures" in drawing[f"twc-env {name}"] for name in ("explore", "replay", "compare", "evaluate"))
+
+
+def test_a_folder_of_results_is_named_by_out_alone():
+    named = {
+        (parser.prog, option.option_strings[0])
+        for parser in ALL
+        for option in options(parser)
+        if option.option_strings and option.metavar == "FOLDER"
+    }
+    assert {option for _, option in named} == {"--out", "--cache"}, named  # a cache keeps finished parts

@@ -41,9 +41,9 @@ def test_a_map_that_cannot_be_saved_is_refused_before_the_run(tmp_path, refusal,
 def test_a_replay_is_localised_in_a_saved_map_and_in_a_ros_map(tmp_path, capsys, refusal):
     common = ["explore", "--map", "twin-02", "--robots", "1", "--no-pictures", "--steps", "300"]
     assert main([*common, "--save", str(tmp_path / "map.npz"), "--out", str(tmp_path / "a")]) == 0
-    assert main(["replay", str(tmp_path / "a"), "--out", str(tmp_path / "b"), "--format", "none"]) == 0
+    assert main(["replay", str(tmp_path / "a"), "--out", str(tmp_path / "b"), "--no-pictures"]) == 0
     for prior in (tmp_path / "map.npz", tmp_path / "b" / "map.yaml"):
-        out = ["--json", str(tmp_path / "c.json"), "--out", str(tmp_path / "c"), "--format", "none"]
+        out = ["--json", str(tmp_path / "c.json"), "--out", str(tmp_path / "c"), "--no-pictures"]
         assert main(["replay", str(tmp_path / "a"), "--prior", str(prior), "--localise", *out]) == 0
         figures = json.loads((tmp_path / "c.json").read_text())
         assert figures["found_prior"] == [0] and figures["lost_share"][0] < 0.9

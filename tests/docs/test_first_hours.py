@@ -1,5 +1,5 @@
-"""The commands of docs/first_hours run in their order, on smaller settings, and write what the pages name: in a clone,
-and with nothing but the wheel."""
+"""The commands of docs/first_hours run in their order, on smaller settings, and write what the pages name: in a fresh
+clone, and with nothing but the wheel."""
 
 import hashlib
 import json
@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -59,7 +60,7 @@ def give_kernels(site: Path, cache: Path) -> None:
     there = {}
     for source in (path for top in ("twc_env", "agents", "training") for path in (ROOT / top).rglob("*.py")):
         inside = source.relative_to(ROOT)
-        installed = site / (inside if inside.parts[0] == "twc_env" else "twc_env" / inside)
+        installed = site / inside if (site / inside).exists() else site / "twc_env" / inside
         os.utime(installed, ns=(source.stat().st_atime_ns, source.stat().st_mtime_ns))
         there[numba_folder(source)] = numba_folder(installed)
     copy = shutil.copytree(cache_folder(), cache / "twc_env" / "kernels" / cache_folder().name)
@@ -77,13 +78,23 @@ def numba_folder(source: Path) -> str:
     return f"{source.parent.name}_{hashlib.sha1(str(source.parent).encode()).hexdigest()}"
 
 
+def fresh_clone(folder: Path) -> Path:
+    """A folder with the files that git keeps of this clone, as they are now, and nothing that was made beside them."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    for name in (name for name in listed.split("\0") if name and (ROOT / name).is_file()):
+        (folder / "clone" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, folder / "clone" / name)
+    return folder / "clone"
+
+
 @pytest.fixture(scope="module", params=["clone", "wheel"])
 def forks(request, tmp_path_factory):
-    folder, settings = tmp_path_factory.mktemp("forks"), {"MPLBACKEND": "Agg"}
-    path = ROOT
-    if request.param == "wheel":
-        path, settings["XDG_CACHE_HOME"] = unpacked_wheel(folder), str(folder / "cache")
-        give_kernels(path, folder / "cache")
+    if request.param == "clone" and not (ROOT / ".git").exists():
+        pytest.skip("needs a clone")
+    folder = tmp_path_factory.mktemp("forks")
+    path = fresh_clone(folder) if request.param == "clone" else unpacked_wheel(folder)
+    give_kernels(path, folder / "cache")
+    settings = {"MPLBACKEND": "Agg", "XDG_CACHE_HOME": str(folder / "cache")}
     settings["PYTHONPATH"] = os.pathsep.join([str(path), os.environ.get("PYTHONPATH", "")])
     forks = Forks(f"import sys\nsys.path[0] = {str(path)!r}\n{LOADED}", folder, {**os.environ, **settings})
     status, said = forks.run("import twc_env.agents\nprint(twc_env.agents.__file__)", folder)

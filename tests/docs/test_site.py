@@ -180,6 +180,16 @@ def test_where_the_repository_is_known_notebooks_open_in_colab_and_install_from_
     assert 'href="https://github.com/some-one/twc.env"' in (site / "index.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_small_pictures_of_the_gallery_have_the_ground_of_the_page(address, browser, scheme):
+    with screen(browser, scheme, DESKTOP) as script:
+        browser.get(f"{address}/gallery.html")
+        grounds = "return [...document.querySelectorAll('.gallery img')].map(i => getComputedStyle(i).backgroundColor)"
+        assert set(script(grounds)) == {"rgba(0, 0, 0, 0)"}
+        wide = script("return [...document.querySelectorAll('.gallery img')].map(i => i.clientWidth / i.naturalWidth)")
+        assert len(wide) >= 15 and max(wide) <= 1
+
+
 def test_every_page_of_docs_is_in_the_navigation(site):
     menu = Page(site / "index.html")
     home = {unquote(link.partition("#")[0]) for link in menu.links}

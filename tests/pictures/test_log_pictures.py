@@ -42,7 +42,8 @@ def replayed():
 def test_a_map_is_drawn_in_all_formats_and_equal_logs_give_equal_files(replayed, tmp_path):
     done, _ = replayed
     for folder in ("a", "b"):
-        draw_log(done, [tmp_path / folder / f"map.{kind}" for kind in ("png", "pdf", "svg")])
+        for kind in ("png", "pdf", "svg"):
+            draw_log(done, tmp_path / folder / f"map.{kind}")
     for kind, begin in (("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")):
         first, second = (tmp_path / folder / f"map.{kind}" for folder in ("a", "b"))
         assert first.read_bytes().startswith(begin)
@@ -50,7 +51,7 @@ def test_a_map_is_drawn_in_all_formats_and_equal_logs_give_equal_files(replayed,
             assert first.read_bytes() == second.read_bytes()
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="cannot write the picture"):
-        draw_log(done, [tmp_path / "file" / "map.png"])
+        draw_log(done, tmp_path / "file" / "map.png")
 
 
 def test_the_legend_names_what_there_is(replayed):

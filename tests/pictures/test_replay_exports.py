@@ -1,6 +1,8 @@
+import base64
 import json
 import re
 import shutil
+import zlib
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from tests.conftest import wander_by_scan
 from twc_env.__main__ import main
 from twc_env.bench.rates import wander
 from twc_env.errors import ConfigError, DataError
+from twc_env.exploration.drawing.smooth_map import wall_strokes
 from twc_env.exploration.trace import FREE, TRACE_KEYS, UNKNOWN, WALL
 from twc_env.pictures.replay_page import write_page
 from twc_env.pictures.rerun_export import rectangles, write_rerun
@@ -240,6 +243,19 @@ def test_a_browser_shows_names_that_contain_markup(run, tmp_path, browser):
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_the_page_draws_the_walls_that_pictures_and_films_draw(run, browser):
+    page = write_page(run, run / "page.html")
+    browser.get(page.as_uri())
+    layers = [layer for moment in data_of(page)["moments"] for layer in moment["layers"]]
+    kinds = [np.frombuffer(zlib.decompress(base64.b64decode(layer["cells"])), np.uint8) for layer in layers]
+    grids = [kind.reshape(layer["shape"]) for kind, layer in zip(kinds, layers, strict=True)]
+    for grid in (grids[0], grids[-1], np.random.default_rng(0).choice(np.array([0, 1, 2], np.uint8), (30, 40))):
+        asked = "return wallStrokes(arguments[0], arguments[1], D.strokes)"
+        drawn = np.array(browser.execute_script(asked, grid.ravel().tolist(), grid.shape))
+        assert np.allclose(drawn, wall_strokes(np.where(grid == WALL, 1, np.where(grid == FREE, -1, 0))), atol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_texts_of_signs_at_the_edges_stay_inside_the_picture(run, browser):
     browser.get(write_page(run, run / "page.html").as_uri())
     width, height = browser.execute_script("return [stage.width, stage.height]")
@@ -322,7 +338,7 @@ def test_the_error_of_rerun_names_a_corrupt_run_or_an_unwritable_path(run, tmp_p
         np.savez(tmp_path / "trace.npz", **{**data, "map_ends": np.zeros(1, np.int64)})
     with pytest.raises(DataError, match="contradicts itself"):
         write_rerun(tmp_path, tmp_path / "x.rrd")
-    with pytest.raises(DataError, match="--rerun"):
+    with pytest.raises(DataError, match="--out FOLDER"):
         write_rerun(run, tmp_path / "report.json" / "x.rrd")
 
 
@@ -330,9 +346,23 @@ def test_the_error_of_rerun_names_a_corrupt_run_or_an_unwritable_path(run, tmp_p
 def test_missing_folders_are_created(what, run, tmp_path):
     if what == "--rerun":
         pytest.importorskip("rerun")
-    path = tmp_path / "new" / "deep" / "replay"
-    assert main(["replay", str(run), what, str(path)]) == 0
-    assert path.stat().st_size > 10_000
+    folder = tmp_path / "new" / "deep"
+    assert main(["replay", str(run), what, "--out", str(folder)]) == 0
+    (path,) = folder.iterdir()
+    assert path.stem == "replay" and path.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(("what", "file"), [("--html", "replay.html"), ("--rerun", "replay.rrd")])
+def test_the_option_that_once_named_a_file_says_where_it_is_now(what, file, run, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(["replay", str(run), what, str(tmp_path / "mine")])
+    assert f"{what} takes no value now, the " in (error := capsys.readouterr().err) and error.count("\n") == 1
+    assert f"is {file} in --out FOLDER" in error
+
+
+def test_a_log_is_not_converted(tmp_path, refusal):
+    (tmp_path / "a.log").write_text("")
+    assert "--rerun converts a run folder" in refusal(main, ["replay", str(tmp_path / "a.log"), "--rerun"])
 
 
 @pytest.mark.parametrize("what", ["--html", "--rerun"])

@@ -20,7 +20,7 @@ from twc_env.__main__ import main
         (["evaluate", "--seeds", "0-99999999999"], "a range holds at most 100000 seeds; got 0-99999999999"),
         (["evaluate", "--seeds", "3,99999999999999999999"], "--seeds must be 0 to 2147483647"),
         (["evaluate", "--ray", "auto", "--jobs", "2"], "a Ray cluster uses all of its cores; leave it out with --ray"),
-        (["evaluate", "--ray", "auto", "--films", "films"], "--films films: machines of a cluster would keep them"),
+        (["evaluate", "--ray", "auto", "--films"], "--films with --ray: machines of a cluster would keep them"),
         (["train", "ppo", "--set", "lidar.beam_count"], "--set takes KEY=VALUE"),
         (["train", "ppo", "--set", "lidar.beam_cuont=9"], "did you mean 'beam_count'?"),
         (["train", "mappo", "--task", "ExploreQick-v1"], "did you mean 'ExploreQuick-v1'?"),

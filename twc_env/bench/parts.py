@@ -195,12 +195,13 @@ def _time_parts(config: EnvConfig, seed: int) -> tuple[dict[str, float], dict[st
     return {part: float(row.sum()) for part, row in best.items()}, watch.calls
 
 
-def table_of(rows: list[PartTime]) -> str:
-    """The parts as an aligned table, with the engine's and the whole step's sums."""
-    lines = [f"{'part':<32}{'us per robot-step':>18}{'share':>8}{'calls per step':>16}{'us per call':>13}"]
+def table_of(rows: list[PartTime]) -> list[list[str]]:
+    """The parts as cells of a table, with a head, and the sums of the engine and of the whole step."""
+    cells = [["part", "us per robot-step", "share", "calls per step", "us per call"]]
     for r in rows:
-        call = f"{r.call_us:>13.0f}" if r.calls_per_step else f"{'-':>13}"
-        lines.append(f"{r.part:<32}{r.robot_step_us:>18.1f}{r.share:>8.1%}{r.calls_per_step:>16.2f}{call}")
+        call = f"{r.call_us:.0f}" if r.calls_per_step else "-"
+        cells.append([r.part, f"{r.robot_step_us:.1f}", f"{r.share:.1%}", f"{r.calls_per_step:.2f}", call])
     for name, chosen in (("the engine", [r for r in rows if r.is_engine]), ("the whole step", rows)):
-        lines.append(f"{name:<32}{sum(r.robot_step_us for r in chosen):>18.1f}{sum(r.share for r in chosen):>8.1%}")
-    return "\n".join(lines)
+        spent_us, share = sum(r.robot_step_us for r in chosen), sum(r.share for r in chosen)
+        cells.append([name, f"{spent_us:.1f}", f"{share:.1%}", "", ""])
+    return cells

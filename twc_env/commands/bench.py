@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from twc_env.records.json_values import write_json
+from twc_env.records.text_tables import aligned_text
 from twc_env.running.learning_libraries import learning_libraries
 from twc_env.running.options import add_json, add_ray, add_set, assignments, count, natural
 from twc_env.running.terminal import aligned, tell, terminal_width
@@ -153,7 +154,7 @@ def _bench_parts(config: EnvConfig, options: argparse.Namespace) -> None:
     from twc_env.bench.parts import bench_parts, table_of
 
     rows = bench_parts(config, options.episodes, report=tell)
-    print(table_of(rows))
+    print(aligned_text(table_of(rows), terminal_width()))
     write_json(options.json, {row.part: round(row.robot_step_us, 3) for row in rows})
 
 

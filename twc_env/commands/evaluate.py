@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "best scripted team and the informed one they close."
     )
     parser.epilog = (
-        "examples:\n  twc-env evaluate --model runs/ppo --seeds 0-4 --films runs/ppo/films\n"
+        "examples:\n  twc-env evaluate --model runs/ppo --seeds 0-4 --films\n"
         "  twc-env evaluate --suite v1 --model runs/quick --buildings 20 --json runs/quick/test.json"
     )
     parser.add_argument(
@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seeds", default="0-19", help="of held-out buildings: numbers and ranges such as 0-4 or 1,5,7-9"
     )
     parser.add_argument(
-        "--films", type=Path, metavar="FOLDER", help="write a film of the trained team in each building"
+        "--films", action="store_true", help="write a film of the trained team in each building, to films in --out"
     )
     parser.add_argument("--jobs", type=count, default=1, help="worker processes")
     add_ray(parser)
@@ -83,8 +83,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _evaluate(options: argparse.Namespace) -> int:
     refuse_jobs_with_ray(options)
-    if options.ray is not None and options.films is not None:
-        raise DataError(f"--films {options.films}: machines of a cluster would keep them; leave out --ray")
+    if options.films and (options.ray is not None or options.suite):
+        other = "--ray: machines of a cluster would keep them" if options.ray is not None else "--suite draws none"
+        raise DataError(f"--films with {other}; leave one of them out")
     if options.suite:
         return _evaluate_suite(options)
     with learning_libraries():
@@ -98,12 +99,13 @@ def _evaluate(options: argparse.Namespace) -> int:
     check_folder(options.out)
     model = options.model[0]
     where = options.jobs, options.ray
-    found = evaluate(model, seeds, not options.quiet, options.films, options.allow_code, where)
+    folder = options.out or (model if model.is_dir() else model.parent) / "evaluation"
+    films = folder / "films" if options.films else None
+    found = evaluate(model, seeds, not options.quiet, films, options.allow_code, where)
     if options.json != TERMINAL:
         print(aligned_text(found.rows(), terminal_width()))
     write_json(options.json, found.as_json())
-    folder = options.out or (model if model.is_dir() else model.parent) / "evaluation"
-    for path in found.write(folder, picture_options(options)):
+    for path in [*found.write(folder, picture_options(options)), *([films] if films else [])]:
         tell(f"written: {path}")
     return 0
 

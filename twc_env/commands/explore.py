@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run folder (default: runs/MAP-AGENT-seedSEED, plus a digest of the settings if they are not the "
         "defaults)",
     )
-    parser.add_argument("--no-gif", action="store_true", help="do not write the film")
+    parser.add_argument("--no-film", action="store_true", help="do not write the film")
     add_pictures(parser)
     parser.set_defaults(run=_explore)
     add_agent(parser)
@@ -64,12 +64,12 @@ def _explore(options: argparse.Namespace) -> int:
     from twc_env.exploration.assessment.result_table import text_of
 
     config = override(team_config(options, options.map, options.steps), prior_setting(options))
-    has_gif = not (options.no_gif or options.no_pictures)
+    has_film = not (options.no_film or options.no_pictures)
     if not options.no_pictures:
-        picture.require_libraries(has_gif)
+        picture.require_libraries(has_film)
     folder = options.out or _run_folder(config, options.agent, options.seed)
     check_folder(folder)
-    film = picture.Film() if has_gif else None
+    film = picture.Film() if has_film else None
     bar = Bar(config.max_cycles, "steps", f"on {folder_name(config.map)}, seed {options.seed}", every=20)
 
     def watch(done: int, share: float) -> None:

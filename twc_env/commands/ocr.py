@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from twc_env.running.argument_parser import add_verbosity
-from twc_env.running.options import add_folder, count, natural, number
+from twc_env.running.options import add_folder, add_pictures, count, natural
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         epilog="example:\n  twc-env ocr show --out runs/ocr.png",
     )
     show.add_argument("--out", type=Path, required=True, metavar="FILE", help="picture to write: .png, .pdf or .svg")
-    show.add_argument("--dpi", type=number(20, 1200), help="dots per inch (default: 130)")
+    add_pictures(show)
     add_verbosity(show)
     show.set_defaults(run=_show)
 
@@ -54,4 +54,5 @@ def _measure(options: argparse.Namespace) -> None:
 def _show(options: argparse.Namespace) -> None:
     from twc_env.reproduce.ocr.ocr_picture import draw_table
 
-    print(f"written: {draw_table(options.out, options.dpi)}")
+    path = options.out if options.out.suffix else options.out.with_name(f"{options.out.name}.{options.format}")
+    print(f"written: {draw_table(path, options.dpi)}")

@@ -13,11 +13,14 @@ import numpy as np
 from twc_env.errors import DataError
 from twc_env.records.json_values import TERMINAL, check_folder, check_writable, write_json
 from twc_env.running.options import (
+    PICTURE_FORMATS,
     add_allow_code,
     add_json,
     add_lasting,
+    add_pictures,
     add_set,
     assignments,
+    picture_options,
     prior_setting,
     refuse_code,
 )
@@ -28,7 +31,6 @@ if TYPE_CHECKING:
     from twc_env.replaying.inputs import Asked, ReplayInput
     from twc_env.replaying.run import Replay
 
-FORMATS = ("png", "pdf", "svg")
 SAMPLE = "sample"
 SCANS_ALONE = (
     "robots share a map by their scans alone, and rooms that look alike fit, too: look at the picture, or give WiFi or "
@@ -47,8 +49,8 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         "uses nothing but the logs.\n\n"
         "With --out, the folder gets map.pgm + .yaml (ROS map_server; map_2 ... of robots whose maps are not merged), "
         "pose_graph.g2o, trajectories/*.tum (for evo), table.csv, map.png and the page replay.html. Of a run "
-        "folder, --html and --rerun without --out run nothing: they convert its trace.npz and report.json to a web "
-        "page with a time slider, or to a recording for the Rerun viewer (`rerun RUN/replay.rrd`)."
+        "folder, --html and --rerun run nothing: they convert its trace.npz and report.json to a web page with a time "
+        "slider, replay.html, or to a recording for the Rerun viewer, replay.rrd, in that folder or in --out."
     )
     replay.epilog = (
         "examples:\n  twc-env replay sample --out runs/sample\n"
@@ -57,7 +59,7 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         "  twc-env replay rosbag2_folder --scan-topic /front/scan --odom-topic none --out runs/mine\n"
         "  twc-env replay runs/log/frames.npz --truth runs/log/truth.npz\n"
         "  twc-env replay runs/demo --set slam.place_recognition.recogniser=text --out runs/text\n"
-        "  twc-env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel --format png,pdf\n"
+        "  twc-env replay intel.log.gz --set slam.pose_graph.robust=dcs --out runs/intel --format pdf\n"
         "  twc-env replay monday.log tuesday.log --out runs/both\n"
         "  twc-env replay tuesday.log --prior monday.npz --save both.npz\n"
         "  twc-env replay tuesday.log --prior building.yaml --localise --out runs/tuesday\n"
@@ -104,10 +106,10 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         "date=dmy|mdy",
     )
     for option, what in (
-        ("--html", "write the web page (default: RUN/replay.html)"),
-        ("--rerun", "write a recording for the Rerun viewer (default: RUN/replay.rrd; pip install 'twc_env[rerun]')"),
+        ("--html", "of a run folder: write only the web page; of other logs: write the page beside them without --out"),
+        ("--rerun", "of a run folder: write only the recording for the Rerun viewer (pip install 'twc_env[rerun]')"),
     ):
-        replay.add_argument(option, type=Path, nargs="?", const=Path(), metavar="FILE", help=what)
+        replay.add_argument(option, action="store_true", help=what)
     replay.add_argument(
         "--truth", type=Path, metavar="FILE", help="truth.npz, to also print the team's trajectory error"
     )
@@ -132,12 +134,8 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="write maps, pose graph, trajectories, table, picture and page, see above",
     )
-    replay.add_argument(
-        "--format",
-        default="png",
-        metavar="LIST",
-        help="formats of the picture of the map: png, pdf, svg, or several, as png,pdf; none for no picture",
-    )
+    add_pictures(replay)
+    replay.add_argument("--no-pictures", action="store_true", help="do not draw the map")
     replay.add_argument(
         "--bag",
         type=Path,
@@ -154,11 +152,11 @@ def _replay(options: argparse.Namespace) -> None:
     from twc_env.datasets.ros.bag_file import is_bag
 
     is_run = options.logs[0].is_dir() and not is_bag(options.logs[0])
-    is_export = (is_run or options.logs[0].suffix == ".npz") and not options.out
-    is_export = is_export and (options.html is not None or options.rerun is not None)
+    is_of_run = is_run or options.logs[0].suffix == ".npz"
+    is_export = is_of_run and (options.html or options.rerun)
     for log in options.logs:
         if not log.exists() and [str(each) for each in options.logs] != [SAMPLE]:
-            if options.html is not None or options.rerun is not None:
+            if options.html or options.rerun:
                 raise DataError(f"there is no run folder {log}: `twc-env explore --out RUN` writes one")
             raise DataError(f"there is no run folder or log {log}: check the path; `sample` is a log of the package")
         is_own_run = log.is_dir() and not is_bag(log)
@@ -175,16 +173,25 @@ def _replay(options: argparse.Namespace) -> None:
         return
     log = options.logs[0]
     run = log if log.is_dir() else log.parent
-    if is_export and options.html is not None:
+    if is_export:
+        _convert(options, run)
+    elif options.rerun:
+        raise DataError(f"--rerun converts a run folder of `explore --out`; {log} is a log: leave it out")
+    else:
+        _replay_frames(options, [log / "frames.npz"] if is_run else options.logs)
+
+
+def _convert(options: argparse.Namespace, run: Path) -> None:
+    """Write the page, the recording, or both, of a run folder."""
+    folder = options.out or run
+    if options.html:
         from twc_env.pictures.replay_page import write_page
 
-        print(f"written: {write_page(run, run / 'replay.html' if options.html == Path() else options.html)}")
-    if options.rerun is not None:
+        print(f"written: {write_page(run, folder / 'replay.html')}")
+    if options.rerun:
         from twc_env.pictures.rerun_export import write_rerun
 
-        print(f"written: {write_rerun(run, run / 'replay.rrd' if options.rerun == Path() else options.rerun)}")
-    if not is_export:
-        _replay_frames(options, [log / "frames.npz"] if is_run else options.logs)
+        print(f"written: {write_rerun(run, folder / 'replay.rrd')}")
 
 
 def _asked(options: argparse.Namespace, beam_count: object) -> Asked:
@@ -211,17 +218,6 @@ def _list_contents(options: argparse.Namespace) -> None:
     write_json(options.json, tables)
 
 
-def _formats(text: str) -> list[str]:
-    """Formats of the picture. Raises DataError for others."""
-    named = [each.strip().lower() for each in text.split(",") if each.strip()]
-    if named == ["none"]:
-        return []
-    for each in named:
-        if each not in FORMATS:
-            raise DataError(f"--format takes {', '.join(FORMATS)} or none; got {each!r}")
-    return list(dict.fromkeys(named))
-
-
 def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     from twc_env.config import digest, override
     from twc_env.datasets.lasting_maps import prior_of, save_map
@@ -233,7 +229,6 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     from twc_env.replaying.run import groups_by_size, run
     from twc_env.slam.map_localisation import MapLocalisation
 
-    formats = _formats(options.format)
     check_folder(options.out)
     check_writable(options.bag)
     if options.bag is not None and options.bag.exists():
@@ -256,9 +251,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     _say_what_is_ignored(config)
     for note in source.notes if is_told else ():
         print(note)
-    page_path = options.html if options.html not in (None, Path()) else None
-    if page_path is None and (options.out or options.html is not None):
-        page_path = (options.out or logs[0].parent) / "replay.html"
+    page_path = (options.out or logs[0].parent) / "replay.html" if options.out or options.html else None
     has_page = page_path is not None and config.slam.mode != "off"
     read_s = time.monotonic() - begun_s
     page = None
@@ -306,7 +299,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
             print(f"\n{SCANS_ALONE}")
     write_json(options.json, figures | {"robots": done.table()})
     if options.out:
-        _write_folder(options.out, done, formats)
+        _write_folder(options.out, done, options)
     if page is not None and page_path is not None:
         _write_page(page, page_path, done, figures)
     if options.bag is not None:
@@ -314,7 +307,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     if is_told:
         for place in (options.out, page_path if has_page and not options.out else None, options.bag):
             if place is not None:
-                print(f"\nwritten: {_named(place, formats) if place is options.out else place}")
+                print(f"\nwritten: {_named(place) if place is options.out else place}")
 
 
 def _rests_on_scans(source: ReplayInput, groups: Sequence[Sequence[int]]) -> bool:
@@ -323,9 +316,10 @@ def _rests_on_scans(source: ReplayInput, groups: Sequence[Sequence[int]]) -> boo
     return not has_readings and any(len(robots) > 1 for robots in groups)
 
 
-def _named(folder: Path, formats: Sequence[str]) -> str:
+def _named(folder: Path) -> str:
     """A folder, and what in it one looks at first."""
-    shown = [name for name in (*(f"map.{each}" for each in formats), "replay.html") if (folder / name).exists()]
+    names = (*(f"map.{each}" for each in PICTURE_FORMATS), "replay.html")
+    shown = [name for name in names if (folder / name).exists()]
     return f"{folder}: {', '.join([*shown, 'table.csv'])} and more"
 
 
@@ -377,20 +371,18 @@ def _error_of_log(done: Replay, true_poses: np.ndarray) -> float:
     return team_error_m(done.engine, done.odom_poses, true_poses)
 
 
-def _write_folder(folder: Path, done: Replay, formats: Sequence[str]) -> None:
-    from importlib.util import find_spec
-
+def _write_folder(folder: Path, done: Replay, options: argparse.Namespace) -> None:
     from twc_env.replaying.outputs import write_maps, write_paths, write_table
 
     write_maps(folder, done.engine.team)
     write_paths(folder, done)
     write_table(folder / "table.csv", done.table())
-    if formats and find_spec("matplotlib") is None:
-        tell("no picture of the map: it needs `pip install 'twc_env[viz]'`")
-    elif formats:
+    if (asked := picture_options(options)) is not None:
         from twc_env.pictures.log_picture import draw_log
 
-        draw_log(done, [folder / f"map.{each}" for each in formats])
+        draw_log(done, folder / f"map.{asked[0]}", asked[1])
+    elif not options.no_pictures:
+        tell("no picture of the map: it needs `pip install 'twc_env[viz]'`")
 
 
 def _write_page(page, path: Path, done: Replay, figures: dict) -> None:

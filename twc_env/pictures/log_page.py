@@ -11,7 +11,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.exploration.drawing import palette
 from twc_env.exploration.trace import MOMENTS_MAX, layer_of
-from twc_env.pictures.replay_page import PALETTE, base64_of, fill_page, rounded
+from twc_env.pictures.replay_page import base64_of, fill_page, rounded
 from twc_env.records.geometry import compose
 from twc_env.records.messages import GridMap
 from twc_env.slam.modes import Engine
@@ -83,7 +83,6 @@ class LogPage:
             "times_s": rounded(times_s),
             "subtitle": subtitle,
             "colours": list(palette.ROBOTS),
-            "palette": PALETTE,
             "figures": [[name, name, text] for name, text in told],
             "remarks": [],
             "bounds_m": _bounds(corners),

@@ -24,7 +24,6 @@ from twc_env.slam.places.text_similarity import text_similarity
 if TYPE_CHECKING:
     from twc_env.replaying.run import Replay
 
-FORMATS = ("png", "pdf", "svg")
 PANELS_MAX = 6
 """Maps that are drawn, the largest first."""
 SIGNS_MAX = 80
@@ -33,17 +32,17 @@ SIGN_M, ALIKE = 1.0, 0.5
 _WIDTH_INCHES, _HEIGHT_MAX_INCHES, _MARGIN_M = 11.0, 14.0, 1.0
 
 
-def draw_log(replay: Replay, paths: list[Path]) -> list[Path]:
-    """Draw the maps with paths and closures to files of the formats that their names tell; returns them.
+def draw_log(replay: Replay, path: Path, dpi: float | None = None) -> Path:
+    """Draw the maps with paths and closures to a file of the format that its name tells; returns it.
 
-    Raises DataError without matplotlib, or if a file cannot be written.
+    Raises DataError without matplotlib, or if the file cannot be written.
     """
     try:
         with style():
             figure = _figure(replay)
     except ConfigError as error:
         raise DataError(str(error)) from error
-    return [save_figure(figure, path) for path in paths]
+    return save_figure(figure, path, dpi)
 
 
 def _figure(replay: Replay) -> Any:

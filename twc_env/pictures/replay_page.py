@@ -21,6 +21,7 @@ from twc_env.datasets.logs.arrays_file import read_arrays
 from twc_env.errors import UNFIT, DataError, TwcError
 from twc_env.exploration.assessment.result_table import keyed_rows, remarks_of
 from twc_env.exploration.drawing import palette
+from twc_env.exploration.drawing.smooth_map import NUMBERS
 from twc_env.exploration.trace import FORMAT, TRACE_KEYS
 from twc_env.records.whole_file import whole_file
 from twc_env.world.sensors.signal_map import SIGNAL_SPAN_DBM
@@ -37,7 +38,7 @@ PALETTE = {
     "closure": palette.CLOSURE,
     "ink": palette.INK,
     "any_robot": palette.ANY_ROBOT,
-    "tint": palette.TINT,
+    "tints": [palette.hex_of(palette.tinted_floor(robot)) for robot in range(len(palette.ROBOTS))],
 }
 """Colours of the page's script."""
 
@@ -56,16 +57,21 @@ def write_page(run: Path, path: Path) -> Path:
 
 def fill_page(path: Path, title: str, data: dict[str, Any]) -> Path:
     """Write the page of these data. Raises DataError if it cannot be written."""
+    data = {**data, "palette": PALETTE, "strokes": NUMBERS}
     content = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    template = files("twc_env.pictures").joinpath("replay_page.html").read_text(encoding="utf-8")
+    texts = {"TITLE": escape(title), "DATA": content, "STROKES": _shipped("wall_strokes.js")}
     try:
-        filled = re.sub("__(TITLE|DATA)__", lambda gap: {"TITLE": escape(title), "DATA": content}[gap[1]], template)
+        filled = re.sub(f"__({'|'.join(texts)})__", lambda gap: texts[gap[1]], _shipped("replay_page.html"))
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as beside:
             beside.write_text(filled, encoding="utf-8")
     except OSError as error:
-        raise DataError(f"cannot write {path}: {error.strerror}; choose another place with --html FILE") from error
+        raise DataError(f"cannot write {path}: {error.strerror}; choose another place with --out FOLDER") from error
     return path
+
+
+def _shipped(name: str) -> str:
+    return files("twc_env.pictures").joinpath(name).read_text(encoding="utf-8")
 
 
 def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]:
@@ -91,7 +97,6 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
         "Grey: the true building. Black and white: the estimated map. Disc: true pose; ring: estimated pose. "
         "Violet: closures; thick with crosses: accepted, but false.",
         "colours": list(palette.ROBOTS),
-        "palette": PALETTE,
         "figures": [list(row) for row in keyed_rows(report)],
         "remarks": remarks_of(report),
         "bounds_m": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()],

@@ -13,6 +13,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, from_dict, robot_configs
 from twc_env.errors import ConfigError, DataError
+from twc_env.exploration.drawing.palette import tinted_floor
 from twc_env.exploration.drawing.rendering import CLOSURE, COLOURS
 from twc_env.exploration.trace import UNKNOWN, WALL
 from twc_env.pictures.replay_page import contradictions, read_report, read_trace
@@ -20,7 +21,7 @@ from twc_env.records.geometry import transform_points
 from twc_env.records.whole_file import whole_file
 
 TRUE_WALL = (158, 164, 173)
-FLOOR_RGB, WALL_RGB = np.array([235, 238, 245]), np.array([60, 70, 90])
+WALL_RGB = np.array([60, 70, 90])
 _LIFT_M = 0.02
 """Height between layers, so that the viewer draws them in order."""
 
@@ -58,7 +59,7 @@ def write_rerun(run: Path, path: Path) -> Path:
                 _log_robots(rerun, trace, config)
             recording.disconnect()
     except (OSError, RuntimeError) as error:
-        raise DataError(f"cannot write {path}: {error}; choose another place with --rerun FILE") from error
+        raise DataError(f"cannot write {path}: {error}; choose another place with --out FOLDER") from error
     return path
 
 
@@ -136,7 +137,7 @@ def _map_mesh(rerun: Any, layer: dict, kinds: Array, level: int) -> Any:
     corners = boxes[:, [[0, 2], [1, 2], [1, 3], [0, 3]]].reshape(-1, 2)
     corners_m = np.asarray(layer["origin_m"]) + corners * layer["resolution_m"]
     placed_m = transform_points(np.asarray(layer["pose_building_map"], float), corners_m)
-    floor = 0.85 * FLOOR_RGB + 0.15 * COLOURS[layer["robots"][0] % len(COLOURS)]
+    floor = tinted_floor(layer["robots"][0])
     colours = np.where((kind == WALL)[:, None], WALL_RGB, floor).astype(np.uint8)
     return rerun.Mesh3D(
         vertex_positions=_lifted(placed_m, level * 0.5),

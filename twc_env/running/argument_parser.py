@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -79,6 +80,14 @@ def folded(line: str, width: int) -> list[str]:
 
 
 USAGE_LINES_MAX = 4
+RENAMED = {"--no-gif": "--no-film"}
+"""Options that have another name now, which the error tells."""
+WITHOUT_VALUE = {
+    "--films": "they are written to films in --out FOLDER",
+    "--html": "the page is replay.html in --out FOLDER",
+    "--rerun": "the recording is replay.rrd in --out FOLDER",
+}
+"""Options that once named a file or folder."""
 
 Fill = Callable[[argparse.ArgumentParser], None]
 """Adds description and arguments to a parser."""
@@ -111,10 +120,20 @@ class Parser(argparse.ArgumentParser):
         """Unknown arguments are rejected by the command itself, which shows its own usage."""
         namespace, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            options = [word.partition("=")[0] for word in unknown if word.startswith("-")]
-            hint = did_you_mean(options[0], self._option_string_actions) if options else ""
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{self._hint(unknown, args)}")
         return namespace, unknown
+
+    def _hint(self, unknown: Sequence[str], args: Sequence[str] | None) -> str:
+        """What the user may have meant: the new name of an option, what became of its value, or a similar option."""
+        options = [word.partition("=")[0] for word in unknown if word.startswith("-")]
+        if options:
+            new = RENAMED.get(options[0])
+            is_known = new in self._option_string_actions
+            return f": it is {new} now" if is_known else did_you_mean(options[0], self._option_string_actions)
+        words = list(sys.argv[1:] if args is None else args)
+        before = [words[k - 1] for k in range(1, len(words)) if words[k] == unknown[0]]
+        lost = [option for option in before if option in WITHOUT_VALUE]
+        return f": {lost[0]} takes no value now, {WITHOUT_VALUE[lost[0]]}" if lost else ""
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         choices = action.choices

@@ -15,6 +15,7 @@ from twc_env.records.json_values import check_folder
 if TYPE_CHECKING:
     from twc_env.config import EnvConfig
 
+PICTURE_FORMATS = ("png", "pdf", "svg")
 SEEDS_MAX = 100_000
 """Largest range of seeds on a command line."""
 SEED_DIGITS_MAX = 20
@@ -23,8 +24,15 @@ SEED_DIGITS_MAX = 20
 
 def add_pictures(parser: argparse.ArgumentParser) -> None:
     """The options `--format` and `--dpi` of commands that write pictures, which `picture_options` reads."""
-    parser.add_argument("--format", choices=("png", "pdf", "svg"), default="png", help="of pictures")
+    parser.add_argument("--format", type=_picture_format, default="png", metavar="{png,pdf,svg}", help="of pictures")
     parser.add_argument("--dpi", type=number(20, 1200), help="of pictures: dots per inch (default: 130)")
+
+
+def _picture_format(text: str) -> str:
+    if text not in PICTURE_FORMATS:
+        remedy = "; for no pictures say --no-pictures" if text == "none" else ""
+        raise argparse.ArgumentTypeError(f"must be one of {', '.join(PICTURE_FORMATS)}; got {text!r}{remedy}")
+    return text
 
 
 def picture_options(options: argparse.Namespace) -> tuple[str, float | None] | None:

@@ -71,7 +71,7 @@ def test_tables_of_pandas_hold_the_figures_and_the_paths_in_the_building_frame(r
 
 def test_without_pandas_the_error_names_the_remedy(result, monkeypatch):
     monkeypatch.setattr("twc_env.exploration.assessment.result_files.find_spec", lambda name: None)
-    with pytest.raises(twc_env.ConfigError, match="pip install pandas"):
+    with pytest.raises(twc_env.ConfigError, match=r"pip install 'twc_env\[viz\]'"):
         result.to_frame()
 
 

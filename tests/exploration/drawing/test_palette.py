@@ -22,6 +22,10 @@ APART = 16.0
 """Least distance in CIELAB; 2.3 is just noticeable (Mahy et al., 1994)."""
 
 
+FLOORS_APART = 7.0
+"""The same of floors, which are pale so that texts on them can be read: three times what is just noticeable."""
+
+
 def linear(colour: str) -> np.ndarray:
     share = palette.rgb(colour) / 255
     return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
@@ -63,13 +67,20 @@ def test_colours_of_teams_are_told_apart(sight):
     assert {pair: distance(*pair, sight) for pair in pairs if distance(*pair, sight) < APART} == {}
 
 
+@pytest.mark.parametrize("sight", SIGHT)
+def test_floors_of_the_maps_of_eight_robots_are_told_apart(sight):
+    floors = [palette.hex_of(palette.tinted_floor(robot)) for robot in range(8)]
+    pairs = list(itertools.combinations([*floors, palette.UNKNOWN], 2))
+    assert min(distance(*pair, sight) for pair in pairs) > FLOORS_APART
+
+
 def test_no_colour_has_two_meanings():
     assert len(set(palette.MEANINGS.values())) == len(palette.MEANINGS)
 
 
 def test_texts_have_the_contrast_that_wcag_asks_for():
     grounds = [palette.FLOOR, palette.UNKNOWN]
-    grounds += ["#" + bytes(palette.tinted_floor(k).astype(np.uint8)).hex() for k in range(len(palette.ROBOTS))]
+    grounds += [palette.hex_of(palette.tinted_floor(k)) for k in range(len(palette.ROBOTS))]
     for text, ground in itertools.product((palette.INK, palette.TRUE_TEXT), grounds):
         assert contrast(text, ground) >= 4.5, (text, ground)
 

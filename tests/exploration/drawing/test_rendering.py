@@ -141,7 +141,7 @@ def test_walls_of_a_turned_map_cover_the_true_walls_and_little_else(turn_rad):
     drawn = render(scene)[..., 0] < 138  # also pixels that a wall covers by half
     empty = Scene(cells.wall, cells.origin_m, cells.resolution_m)
     true = (render(empty) == TRUE_WALL).all(axis=2)
-    assert np.count_nonzero(drawn & true) / np.count_nonzero(drawn | true) > 0.65
+    assert np.count_nonzero(drawn & true) / np.count_nonzero(drawn | true) > 0.76
     near = ndimage.binary_dilation(true, iterations=3)  # a cell of 0.1 m has 3 pixels
     assert np.count_nonzero(drawn & ~near) < 0.01 * np.count_nonzero(drawn)
     assert np.count_nonzero(true & ~ndimage.binary_dilation(drawn, iterations=3)) < 0.02 * np.count_nonzero(true)

@@ -105,7 +105,7 @@ class EpisodeResult:
         """A pandas table: "figures", one row, to be put below those of other episodes by `pandas.concat`; or "paths",
         one row per time step and robot, in the building frame.
 
-        Raises ConfigError without pandas, and for another table.
+        Raises ConfigError without pandas (extra `viz`), and for another table.
         """
         from twc_env.exploration.assessment.result_files import frame_of
 

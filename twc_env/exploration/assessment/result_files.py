@@ -26,7 +26,9 @@ def frame_of(result: Any, what: str) -> Any:
     if not isinstance(what, str) or what not in TABLES:
         raise ConfigError(f"tables are {' and '.join(TABLES)}; got {what!r}")
     if find_spec("pandas") is None:
-        raise ConfigError("to_frame() needs pandas: run `pip install pandas`; save(FOLDER) writes the same as CSV")
+        raise ConfigError(
+            "to_frame() needs pandas: run `pip install 'twc_env[viz]'`; save(FOLDER) writes the same as CSV"
+        )
     pandas = import_module("pandas")
     if what == "figures":
         return pandas.DataFrame([flat(result.figures)])

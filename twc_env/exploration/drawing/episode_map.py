@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from twc_env.exploration.drawing import palette
 from twc_env.exploration.drawing.figures import fit_height, legend_below, new_figure, set_title, settle, style
 from twc_env.exploration.drawing.labels import place_names
 from twc_env.exploration.drawing.path_ends import end_entries, mark_ends
-from twc_env.exploration.drawing.primitives import draw_strokes
+from twc_env.exploration.drawing.primitives import OUTSIDE, raise_to_strokes
 from twc_env.exploration.drawing.smooth_map import BORDER, KNOWN_LEVEL, known_field, wall_strokes
 from twc_env.records.geometry import compose, transform_points
 from twc_env.records.messages import GridMap
@@ -58,8 +59,9 @@ def map_figure(result: Any, dpi: float | None = None) -> Any:
         signs = result.floorplan.signs[:NAMES_MAX]
         places_m = np.array([sign.position_m for sign in signs]).reshape(-1, 2)
         facing_rad = [sign.facing_rad for sign in signs]
-        ends_m = result.true_poses[[0, -1], :, :2].reshape(-1, 2)
-        place_names(axes, [sign.text for sign in signs], places_m, facing_rad, numbers, ends_m)
+        points_m = np.array([point.position_m for point in result.floorplan.access_points]).reshape(-1, 2)
+        marks_m = np.vstack([points_m, result.true_poses[[0, -1], :, :2].reshape(-1, 2)])
+        place_names(axes, [sign.text for sign in signs], places_m, facing_rad, numbers, marks_m)
     return figure
 
 
@@ -102,7 +104,14 @@ def _draw_grids(axes: Any, result: Any) -> list[tuple[Any, str]]:
         draw_smoothly(axes, grid, pose, floor, 1 + 0.01 * (99 - min(k, 98)))
     if len(result.grids) == 1:
         return []
-    return [(Patch(color=tuple(palette.tinted_floor(result.groups[0][0]) / 255)), "mapped floor, a tint per map")]
+    return [
+        (Patch(color=tuple(palette.tinted_floor(own[0]) / 255)), f"map of robot{'s' * (len(own) > 1)} {_listed(own)}")
+        for own in result.groups
+    ]
+
+
+def _listed(robots: Sequence[int]) -> str:
+    return ", ".join(map(str, robots))
 
 
 def draw_smoothly(axes: Any, grid: GridMap, pose: Array, floor: Array, order: float = 1.0) -> None:
@@ -118,26 +127,26 @@ def draw_smoothly(axes: Any, grid: GridMap, pose: Array, floor: Array, order: fl
     place = Affine2D().rotate(pose[2]).translate(pose[0], pose[1]) + axes.transData
     look: dict[str, Any] = {"antialiased": True, "zorder": order}
     axes.contourf(x, y, known, [KNOWN_LEVEL, 99.0], colors=[tuple(floor / 255)], transform=place, **look)
-    cover, left_m, bottom_m = wall_cover(grid, pose)
-    if cover.max() > 0.5:
+    field, left_m, bottom_m = wall_field(grid, pose)
+    if field.max() > 0.0:
         x, y = (start + (np.arange(n) + 0.5) * cell / FINER for start, n in
-                ((left_m, cover.shape[1]), (bottom_m, cover.shape[0])))  # fmt: skip
-        axes.contourf(x, y, cover, [0.5, 99.0], colors=[palette.WALL], **{**look, "zorder": order + 0.005})
+                ((left_m, field.shape[1]), (bottom_m, field.shape[0])))  # fmt: skip
+        axes.contourf(x, y, field, [0.0, 99.0], colors=[palette.WALL], **{**look, "zorder": order + 0.005})
 
 
-def wall_cover(grid: GridMap, pose_building_map: Array) -> tuple[Array, float, float]:
-    """(rows, columns) how much of each small cell, `FINER` to a cell, the walls of a map cover, in the building frame
-    with the lowest y first; and the x and y [m] of its lower left corner."""
+def wall_field(grid: GridMap, pose_building_map: Array) -> tuple[Array, float, float]:
+    """(rows, columns) how far each small cell, `FINER` to a cell, lies within the walls of a map, in small cells and
+    negative outside, in the building frame with the lowest y first; and the x and y [m] of its lower left corner."""
     strokes, cell = wall_strokes(grid.log_odds), grid.resolution_m / FINER
     ends_m = _wall_ends_m(grid, strokes, pose_building_map)
     if not len(ends_m):
-        return np.zeros((2, 2)), 0.0, 0.0
+        return np.full((2, 2), OUTSIDE), 0.0, 0.0
     corner_m = ends_m.min(axis=0) - 2 * grid.resolution_m
     columns, rows = np.ceil((ends_m.max(axis=0) + 2 * grid.resolution_m - corner_m) / cell).astype(int)
-    image = np.zeros((rows, columns, 1))
+    field = np.full((rows, columns), OUTSIDE)
     pixels = np.column_stack([((ends_m - corner_m) / cell - 0.5).reshape(-1, 4), strokes[:, 4] * FINER])
-    draw_strokes(image, pixels, np.ones(1))
-    return image[..., 0], float(corner_m[0]), float(corner_m[1])
+    raise_to_strokes(field, pixels)
+    return field, float(corner_m[0]), float(corner_m[1])
 
 
 def _draw_building(axes: Any, result: Any) -> list[tuple[Any, str]]:

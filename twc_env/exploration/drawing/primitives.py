@@ -6,6 +6,9 @@ import math
 
 from twc_env.kernels.compiled import kernel
 
+OUTSIDE = -2.0
+"""What fields of `raise_to_strokes` begin with."""
+
 
 @kernel
 def draw_line(image, u0, v0, u1, v1, half_width, colour, opacity):
@@ -47,7 +50,27 @@ def draw_ring(image, u0, v0, radius, half_width, colour):
 
 
 @kernel
-def draw_strokes(image, strokes, colour):
-    """Draw opaque lines (n, 5): pixels u1, v1, u2, v2, and half width."""
+def raise_to_strokes(field, strokes):
+    """Raise a field (height, width) to how far each pixel lies within lines with round ends, in pixels and negative
+    outside; beyond 2 pixels it stays as it is. strokes: (n, 5) u1, v1, u2, v2 and half width."""
+    height, width = field.shape
     for k in range(strokes.shape[0]):
-        draw_line(image, strokes[k, 0], strokes[k, 1], strokes[k, 2], strokes[k, 3], strokes[k, 4], colour, 1.0)
+        u0, v0, du, dv = strokes[k, 0], strokes[k, 1], strokes[k, 2] - strokes[k, 0], strokes[k, 3] - strokes[k, 1]
+        reach, length2 = strokes[k, 4] + 2.0, du * du + dv * dv
+        for v in range(max(0, int(min(v0, v0 + dv) - reach)), min(height, int(max(v0, v0 + dv) + reach) + 2)):
+            for u in range(max(0, int(min(u0, u0 + du) - reach)), min(width, int(max(u0, u0 + du) + reach) + 2)):
+                t = 0.0 if length2 == 0.0 else min(1.0, max(0.0, ((u - u0) * du + (v - v0) * dv) / length2))
+                inside = strokes[k, 4] - math.hypot(u - u0 - t * du, v - v0 - t * dv)
+                field[v, u] = max(field[v, u], inside)
+
+
+@kernel
+def paint_field(image, field, colour):
+    """Paint where a field (height, width) of `raise_to_strokes` is positive; its edge is as wide as a pixel."""
+    height, width, depth = image.shape
+    for v in range(height):
+        for u in range(width):
+            cover = min(1.0, field[v, u] + 0.5)
+            if cover > 0.0:
+                for k in range(depth):
+                    image[v, u, k] += cover * (colour[k] - image[v, u, k])

@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.exploration.drawing import palette
-from twc_env.exploration.drawing.primitives import draw_line, draw_path, draw_ring, draw_strokes
+from twc_env.exploration.drawing.primitives import (
+    OUTSIDE,
+    draw_line,
+    draw_path,
+    draw_ring,
+    paint_field,
+    raise_to_strokes,
+)
 from twc_env.exploration.drawing.smooth_map import BORDER, KNOWN_LEVEL, known_field, wall_strokes
 from twc_env.kernels.compiled import kernel
 from twc_env.records.geometry import inverse, transform_points
@@ -192,7 +199,9 @@ def _paint_estimate(image: Array, view: tuple, scene: Scene, group: int) -> None
         ends_m = strokes[:, first : first + 2] * cell + np.asarray(grid.origin_m)
         strokes[:, first : first + 2] = to_pixels(transform_points(pose_building_map, ends_m), view)
     strokes[:, 4] *= cell / view[2]
-    draw_strokes(image, strokes, _WALL)
+    field = np.full(image.shape[:2], OUTSIDE)
+    raise_to_strokes(field, strokes)
+    paint_field(image, field, _WALL)
 
 
 def _paint_closures(image: Array, view: tuple, scene: Scene) -> None:
