@@ -161,6 +161,7 @@ class Episode:
 
     def map_scores(self) -> list[map_scores.GroupScore]:
         """All maps of the team evaluated now, see `scores_of`; cached until the engine's next update."""
+        self._record_all()
         believed = self.engine.beliefs()  # a new object after each update of the engine
         if self._evaluated[0] is not believed:
             self._evaluated = believed, map_scores.scores_of(self.engine, self.record, self.world.cells)
@@ -168,6 +169,7 @@ class Episode:
 
     def numbers(self) -> dict[str, float]:
         """The scalar figures of `result`."""
+        self._record_all()
         paths = evaluation.EpisodePaths.of(self.engine, self.record)
         return evaluation.numbers(
             self.config, self.seed, self.world.cells, self.engine, self.record, self.map_scores(), paths
@@ -175,6 +177,7 @@ class Episode:
 
     def result(self) -> evaluation.EpisodeResult:
         """Evaluate the episode so far against ground truth."""
+        self._record_all()
         return evaluation.evaluate(
             self.config, self.seed, self.floorplan, self.world.cells, self.engine, self.record, self.map_scores()
         )
@@ -194,6 +197,12 @@ class Episode:
         self.is_over = self.steps == self.config.max_cycles
         self._think(self.world.tick(commands))
         return self._reward_terms()
+
+    def _record_all(self) -> None:
+        """Record also a time step that a signal has cut off: the engine may have a keyframe of it."""
+        if len(self.record.true_poses) <= self.steps:
+            still = np.zeros_like(self.world.poses)
+            self.record.append(self.world.poses, self.engine.poses_odom, still, self.world.contacts)
 
     def _think(self, frames: TeamFrames) -> None:
         """Process the frames of one time step: link, front ends, mappers, record and memory of observations."""
