@@ -77,6 +77,10 @@ SECONDS = 900.0
 """A command that takes longer hangs, also on a machine that others use."""
 
 
+_EVERY_S = 0.1
+"""How often the processor time of a command is looked at, which costs some itself."""
+
+
 def pairs() -> list[tuple[str, str]]:
     """Command and accident, all pairs that exist: a worker can be killed only where there are some."""
     names = [name for name in COMMANDS if name != "train" or find_spec("torch")]
@@ -89,9 +93,9 @@ def accidents(count: int, seed: int = 0, kept: Path | None = None) -> Iterator[A
     A moment is a share of the processor time that the command takes undisturbed: on a busy machine, seconds would all
     lie in its start. kept: a file of outcomes, a line each, which are not played again."""
     random = np.random.default_rng(seed)
-    taken_s: dict[str, float] = {}
     rows = [] if kept is None else kept_rows(kept)
     known = {(row["number"], row["accident"]): row["wrong"] for row in rows if row.get("accident_seed") == seed}
+    taken_s = {row["undisturbed"]: row["taken_s"] for row in rows if "undisturbed" in row}
     every = pairs()
     with workplace() as folder:
         log = folder / "log" / "frames.npz"
@@ -106,7 +110,10 @@ def accidents(count: int, seed: int = 0, kept: Path | None = None) -> Iterator[A
                     _started(("record", "--robots", "1", "--steps", "30", *SETTINGS, "--out", log.parent), folder)
                 )
             if name not in taken_s:
-                taken_s[name] = _undisturbed_s(_arguments(name, folder / name, log), folder)
+                for out in (f"{name}-first", name):  # the first run may compile
+                    taken_s[name] = _undisturbed_s(_arguments(name, folder / out, log), folder)
+                if kept is not None:
+                    append_row(kept, {"undisturbed": name, "taken_s": taken_s[name]})
             place = folder / f"{number}"
             place.mkdir()
             row = {"accident": what, "number": number, "accident_seed": seed, "moment_s": share * taken_s[name]}
@@ -142,7 +149,7 @@ def _undisturbed_s(arguments: tuple[str, ...], place: Path) -> float:
     running, used_s = _started(arguments, place), 0.0
     while running.poll() is None:
         used_s = max(used_s, _used_s(running.pid))
-        time.sleep(0.05)
+        time.sleep(_EVERY_S)
     told = running.communicate()[0]
     assert running.returncode == 0, f"undisturbed it ends with status {running.returncode}: {told[-300:]}"
     return used_s
@@ -230,7 +237,7 @@ def _signalled(signals: tuple[int, ...], arguments: tuple[str, ...], out: Path, 
     """Send signals at a moment of the work."""
     running = _started(arguments, out.parent)
     while running.poll() is None and _used_s(running.pid) < moment_s:
-        time.sleep(0.02)
+        time.sleep(_EVERY_S)
     for number in signals:
         if running.poll() is None:
             running.send_signal(number)
@@ -263,12 +270,12 @@ def _worker_killed(arguments: tuple[str, ...], out: Path, moment_s: float) -> tu
     """Kill a worker process, as the system does where memory ends."""
     running = _started(arguments, out.parent)
     while running.poll() is None and _used_s(running.pid) < moment_s:
-        time.sleep(0.02)
+        time.sleep(_EVERY_S)
     while running.poll() is None:
         if workers := _workers(running.pid):
             os.kill(workers[0], signal.SIGKILL)
             break
-        time.sleep(0.02)
+        time.sleep(_EVERY_S)
     return _finished(running)
 
 
