@@ -57,6 +57,8 @@ class TextTable:
         self._path = path
         self.notes: list[str] = []
         """What was assumed or left out, one line each."""
+        self._numbers: list[int] = []
+        """Line of each row in the file."""
         text = read_text(path, errors="replace")
         if "\x00" in text:
             raise DataError(f"{path} is no table of text; give one with the columns {', '.join(needed)}")
@@ -99,9 +101,7 @@ class TextTable:
     def _cells(self, text: str, separator: str, is_strict: bool = False) -> list[list[str]]:
         """The cells of each row that is not empty."""
         reader = csv.reader(io.StringIO(text), delimiter=separator, strict=is_strict)
-        self._numbers: list[int] = []
-        """Line of each row in the file."""
-        rows = []
+        rows, self._numbers = [], []
         try:
             for row in reader:
                 if any(map(str.strip, row)):
