@@ -71,9 +71,9 @@ coverage: .venv/installed-test ## lines that the tests run, room by room, but fo
 
 soak: .venv/installed-test ## hours: 1,000,000 steps, malformed input of every kind, observations; counts in runs/soak
 	$(PY) -m tests.soak --actions 100000 --maps 10000 --logs 10000 --bags 10000 --tables 10000 --settings 10000 \
-		--graphs 10000 --arrays 10000 --calls 10000 --bombs 50 --doors 1000 --accidents 70 --instructions 140 \
-		--observations 10000 --json runs/soak/input.json
-	$(PY) -m tests.soak --steps 1000000 --resume runs/soak/episodes.jsonl --json runs/soak/steps.json
+		--graphs 10000 --arrays 10000 --calls 10000 --bombs 50 --doors 1000 --accidents 74 --instructions 140 \
+		--observations 10000 --resume runs/soak/rows.jsonl --json runs/soak/trust.json
+	$(PY) -m tests.soak --steps 1000000 --resume runs/soak/episodes.jsonl --json runs/soak/trust.json
 
 .venv-ray/installed: pyproject.toml
 	@$(PYTHON) -m venv .venv-ray || { rm -rf .venv-ray; exit 1; }

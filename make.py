@@ -26,10 +26,10 @@ DEV = [*PINS, "-e", ".[viz,dev]"]
 TEST = [*PINS, "torch", "-e", ".[viz,dev,train,ocr]"]
 SOAK = (
     "--actions 100000 --maps 10000 --logs 10000 --bags 10000 --tables 10000 --settings 10000 --graphs 10000 "
-    "--arrays 10000 --calls 10000 --bombs 50 --doors 1000 --accidents 70 --instructions 140 --observations 10000 "
-    "--json runs/soak/input.json"
+    "--arrays 10000 --calls 10000 --bombs 50 --doors 1000 --accidents 74 --instructions 140 --observations 10000 "
+    "--resume runs/soak/rows.jsonl --json runs/soak/trust.json"
 )
-STEPS = "--steps 1000000 --resume runs/soak/episodes.jsonl --json runs/soak/steps.json"
+STEPS = "--steps 1000000 --resume runs/soak/episodes.jsonl --json runs/soak/trust.json"
 PYTEST = "-m pytest -q -n auto --maxprocesses 4 --dist worksteal".split()
 TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
     "demo": (

@@ -61,6 +61,23 @@ def test_pictures_that_ros_reads_are_read(tmp_path, suffix):
     assert load_map(tmp_path / "map.yaml").floor_area_m2 == pytest.approx(28.2, rel=0.02)
 
 
+def test_a_picture_of_more_floor_than_is_possible_is_refused_at_once(tmp_path, monkeypatch):
+    from PIL import Image
+
+    from twc_env.datasets.buildings import raster
+
+    white = Image.fromarray(np.pad(np.full((100, 90), 255, np.uint8), 40))
+    white.save(tmp_path / "known.png")
+    white.save(tmp_path / "white.png")
+    load_map(tmp_path / "known.png")
+    monkeypatch.setattr(raster, "FLOOR_CELLS_MAX", 8999)
+    monkeypatch.setattr(raster, "parts", lambda *_: pytest.fail("looked at"))
+    with pytest.raises(
+        MapError, match=r"white\.png: 9000 pixels of floor, 8999 are possible; make the picture coarser"
+    ):
+        load_map(tmp_path / "white.png")
+
+
 def test_a_picture_of_noise_is_refused_at_once(tmp_path, monkeypatch):
     from PIL import Image
 

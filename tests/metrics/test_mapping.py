@@ -157,6 +157,13 @@ def test_untouched_blocks_are_not_recounted():
     assert mapping.recount_free(log_odds, mask, touched, known, counts) == 8000 - 16 * 64
 
 
+class Odd:
+    """Of another library."""
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("no array")
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -169,6 +176,7 @@ def test_untouched_blocks_are_not_recounted():
         ({"truth_resolution_m": -0.1}, "a size above 0"),
         ({"log_odds": np.zeros(9, np.int16)}, "log_odds must be a grid"),
         ({"log_odds": [[1], [2, 3]]}, "log_odds must be a grid .rows, columns.: "),
+        ({"log_odds": Odd()}, "log_odds must be a grid .rows, columns.: no array"),
         ({"truth_wall": np.zeros((3, 4), bool)}, "must have one shape"),
     ],
 )

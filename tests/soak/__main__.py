@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -26,8 +27,9 @@ class Kind(NamedTuple):
     error: type[TwcError]
     """What may be raised."""
     what: str
-    is_watched: bool = True
-    """Whether time, files and processes are watched; not if each attempt is a command of its own."""
+    is_long: bool = False
+    """Whether each attempt is a command of its own: time, files and processes are not watched, and outcomes are kept
+    in the file of --resume."""
 
 
 KINDS = {
@@ -57,9 +59,9 @@ KINDS = {
         "odd teams in files, tables in other forms, and finished parts to go on from",
     ),
     "instructions": Kind(
-        "same_bytes.episodes", TwcError, "pairs of a task and a set of instructions, whose bytes must be equal", False
+        "same_bytes.episodes", TwcError, "pairs of a task and a set of instructions, whose bytes must be equal", True
     ),
-    "accidents": Kind("accidents.accidents", TwcError, "commands that meet kills, full disks and the like", False),
+    "accidents": Kind("accidents.accidents", TwcError, "commands that meet kills, full disks and the like", True),
 }
 
 
@@ -74,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Run episodes of 500 steps over all tasks, effects and kinds of action; count those that raise, "
         "with the memory, open files and step time of the process. With one of the options that say COUNT, test "
         "malformed input instead: each attempt must succeed or be refused in one line that says what to do, within 2 s "
-        "and 1 GB, and touch no file elsewhere. JSON: tried, refused, accepted, wrong.",
+        "and 1 GB, and touch no file elsewhere. JSON: tried, refused, accepted, wrong; the file keeps other kinds.",
         epilog="examples:\n  python -m tests.soak --steps 100000 --resume runs/soak.jsonl --json soak.json\n"
         "  python -m tests.soak --actions 100000 --maps 10000 --json input.json",
     )
@@ -83,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
         "--resume",
         type=Path,
         metavar="FILE",
-        help="a line per episode, of steps or instructions; a run goes on after the last line that is there",
+        help="a line per episode of steps or instructions and per accident; a run goes on after the last one there",
     )
     long.add_argument("--observations", type=count, metavar="STEPS", help="random steps whose observations are checked")
     for name, kind in KINDS.items():
@@ -98,16 +100,29 @@ def _parser() -> argparse.ArgumentParser:
 def _soak(options: argparse.Namespace) -> None:
     asked = {name: getattr(options, name) for name in KINDS if getattr(options, name) is not None}
     figures: dict[str, dict] = {}
+    before = _kept(options.json)
     for name, tries in asked.items():
         figures[name] = _tried(name, tries, options)
-        write_json(options.json, figures)
+        write_json(options.json, before | figures)
     if options.observations is not None:
         figures["observations"] = _observed(options.observations, options.seed)
     if not figures:
-        figures["soak"] = _long_run(options)
-    write_json(options.json, figures)
+        figures["steps"] = _long_run(options)
+    write_json(options.json, before | figures)
     if faults := [f"{name}: {fault}" for name, own in figures.items() for fault in own["faults"]]:
         raise TwcError("; ".join(faults))
+
+
+def _kept(file: Path | None) -> dict[str, dict]:
+    """Counts of earlier runs in a file."""
+    if file is None or not file.is_file():
+        return {}
+    try:
+        figures = json.loads(file.read_text())
+    except ValueError:
+        return {}
+    known = (*KINDS, "observations", "steps")
+    return {name: own for name, own in figures.items() if name in known} if isinstance(figures, dict) else {}
 
 
 def _tried(name: str, tries: int, options: argparse.Namespace) -> dict:
@@ -115,13 +130,13 @@ def _tried(name: str, tries: int, options: argparse.Namespace) -> dict:
 
     module, _, function = KINDS[name].generator.rpartition(".")
     generator: Callable[[int, int], Iterator] = getattr(import_module(f"tests.soak.{module}"), function)
-    if name == "instructions":
+    if KINDS[name].is_long:
         generator = partial(generator, kept=options.resume)
     done = attempt_all(
         generator(tries, options.seed),
         KINDS[name].error,
         lambda tried: show_count(tried, tries, f" {name}", every=20),
-        is_watched=KINDS[name].is_watched,
+        is_watched=not KINDS[name].is_long,
     )
     print(
         f"{name}: {done.tried} tried, {done.refused} refused, {done.accepted} accepted, {len(done.wrong)} wrong; "

@@ -1,13 +1,16 @@
 """Accidents that meet commands: kills, Ctrl-C, no room, no right to write, closed pipes, two at once, another time.
 
-After each: no traceback, no half file where one was said to be written, and the same command once more in the same
-folder ends as if nothing had happened.
+After each: no traceback, no half file, every file that was said to be written is there, and the same command once more
+in the same folder ends as if nothing had happened. All pairs take hours: a file keeps the outcomes of one version of
+the code, and a run goes on with those that it lacks.
 """
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -20,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.soak.attempts import Attempt, workplace
+from tests.soak.attempts import Attempt, append_row, kept_rows, workplace
 from twc_env.records.seal import is_unbroken
 
 SETTINGS = ("--set", "lidar.beam_count=60")
@@ -41,9 +44,24 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     ),
     "benchmark": ("benchmark", "--maps", "twin-01", "--seeds", "0-1", "--steps", "60", "--no-pictures"),
     "train": ("train", "mappo", "--steps", "300", "--workers", "0", "--max-cycles", "40", "--references", "0"),
-    "reproduce": ("reproduce", "bare-places", "--seeds", "0", "--steps", "60"),
+    "reproduce": (
+        "reproduce",
+        "reality",
+        "--effects",
+        "lost frames",
+        "--buildings",
+        "2",
+        "--area",
+        "150",
+        "--robots",
+        "1",
+        "--steps",
+        "60",
+    ),
 }
 """Small runs; each gets `--out`, but `reproduce`, which gets `--json` in the folder."""
+WORKERS = {**dict.fromkeys(("compare", "benchmark", "reproduce"), ("--jobs", "2")), "train": ("--workers", "2")}
+"""Of commands that start processes, how to have two; `train` names that option once more, and the last one counts."""
 RESUMED = ("train",)
 """Commands that go on with `--resume`; others find what is finished by themselves, or begin anew."""
 PROGRAM = (
@@ -52,31 +70,71 @@ PROGRAM = (
 )
 ROOM = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000)); sys.dont_write_bytecode = True"
 MEMORY = "import resource; resource.setrlimit(resource.RLIMIT_AS, (700_000_000,) * 2)"
-CLOCK = "import time; real = time.time; time.time = lambda: real() - 86400.0"
+CLOCK = "import time; real = time.time; time.time = lambda: real() - 86400.0 * (time.process_time() > {moment_s})"
+_PR_CAPBSET_DROP, _CAP_DAC_OVERRIDE = 24, 1
+"""Of prctl(2): without this capability the rights of folders count for root too."""
 SECONDS = 900.0
 """A command that takes longer hangs, also on a machine that others use."""
 
 
-def accidents(count: int, seed: int = 0) -> Iterator[Attempt]:
+_EVERY_S = 0.1
+"""How often the processor time of a command is looked at, which costs some itself."""
+
+
+def pairs() -> list[tuple[str, str]]:
+    """Command and accident, all pairs that exist: a worker can be killed only where there are some."""
+    names = [name for name in COMMANDS if name != "train" or find_spec("torch")]
+    return [(name, kind) for kind in ACCIDENTS for name in names if kind != WORKER_KILLED or name in WORKERS]
+
+
+def accidents(count: int, seed: int = 0, kept: Path | None = None) -> Iterator[Attempt]:
     """Up to `count` of all pairs of a command and an accident, kills at random moments; equal seeds, equal order.
 
     A moment is a share of the processor time that the command takes undisturbed: on a busy machine, seconds would all
-    lie in its start."""
+    lie in its start. kept: a file of outcomes, a line each, which are not played again."""
     random = np.random.default_rng(seed)
-    taken_s: dict[str, float] = {}
-    pairs = [(name, kind) for kind in ACCIDENTS for name in COMMANDS if name != "train" or find_spec("torch")]
+    rows = [] if kept is None else kept_rows(kept)
+    known = {(row["number"], row["accident"]): row["wrong"] for row in rows if row.get("accident_seed") == seed}
+    taken_s = {row["undisturbed"]: row["taken_s"] for row in rows if "undisturbed" in row}
+    every = pairs()
     with workplace() as folder:
-        log = folder / "log"
-        _finished(_started(("record", "--robots", "1", "--steps", "30", *SETTINGS, "--out", str(log)), folder))
+        log = folder / "log" / "frames.npz"
         for number in range(count):
-            name, kind = pairs[number % len(pairs)]
+            name, kind = every[number % len(every)]
+            share, what = float(random.uniform(0.05, 1)), f"{name}, {kind}"
+            if (number, what) in known:
+                yield what, partial(_as_before, known[number, what])
+                continue
+            if not log.exists():
+                _finished(
+                    _started(("record", "--robots", "1", "--steps", "30", *SETTINGS, "--out", log.parent), folder)
+                )
             if name not in taken_s:
-                taken_s[name] = _undisturbed_s(_arguments(name, folder / name, log / "frames.npz"), folder)
+                for out in (f"{name}-first", name):  # the first run may compile
+                    taken_s[name] = _undisturbed_s(_arguments(name, folder / out, log), folder)
+                if kept is not None:
+                    append_row(kept, {"undisturbed": name, "taken_s": taken_s[name]})
             place = folder / f"{number}"
             place.mkdir()
-            moment_s = float(random.uniform(0.05, 1)) * taken_s[name]
-            yield f"{name}, {kind}, {moment_s:.1f} s", partial(meet, name, kind, place, log / "frames.npz", moment_s)
+            row = {"accident": what, "number": number, "accident_seed": seed, "moment_s": share * taken_s[name]}
+            yield what, partial(_met, name, kind, place, log, row, kept)
             shutil.rmtree(place, ignore_errors=True)
+
+
+def _met(name: str, kind: str, place: Path, log: Path, row: dict, kept: Path | None) -> None:
+    """Play a pair, and keep its outcome."""
+    try:
+        meet(name, kind, place, log, row["moment_s"])
+        row["wrong"] = ""
+    except (AssertionError, OSError, ValueError) as error:
+        row["wrong"] = f"{type(error).__name__} after {row['moment_s']:.1f} s: {error}"
+    if kept is not None:
+        append_row(kept, row)
+    _as_before(row["wrong"])
+
+
+def _as_before(wrong: str) -> None:
+    assert not wrong, wrong
 
 
 def _arguments(name: str, out: Path, log: Path) -> tuple[str, ...]:
@@ -91,7 +149,7 @@ def _undisturbed_s(arguments: tuple[str, ...], place: Path) -> float:
     running, used_s = _started(arguments, place), 0.0
     while running.poll() is None:
         used_s = max(used_s, _used_s(running.pid))
-        time.sleep(0.05)
+        time.sleep(_EVERY_S)
     told = running.communicate()[0]
     assert running.returncode == 0, f"undisturbed it ends with status {running.returncode}: {told[-300:]}"
     return used_s
@@ -114,10 +172,13 @@ def meet(name: str, kind: str, place: Path, log: Path, moment_s: float) -> None:
     """Let a command meet an accident (signals after so much processor time), look at what is left, and run it again."""
     out = place / "out"
     arguments = _arguments(name, out, log)
-    status, told = ACCIDENTS[kind](arguments, out, moment_s)
+    hurt = (*arguments, *WORKERS[name]) if kind == WORKER_KILLED else arguments
+    status, told = ACCIDENTS[kind](hurt, out, moment_s)
     assert "Traceback" not in told, f"a traceback: {told[-300:]}"
     assert status != 1, f"status 1: {told[-300:]}"
     look_at(out, may_have_parts=kind == "kill -9")
+    if lost := [path for path in written(told, out) if not path.exists()]:
+        raise AssertionError(f"said to be written, and not there: {lost[0]}")
     again = (*arguments, "--resume") if name in RESUMED and (out / "model.safetensors").exists() else arguments
     status, told = _finished(_started(again, place))
     refused = status == 2 and name in RESUMED and "--resume" in told
@@ -146,10 +207,18 @@ def look_at(folder: Path, may_have_parts: bool = False) -> None:
             load(path)
 
 
-def _started(arguments: tuple[str, ...], place: Path, before: str = "pass", **options) -> subprocess.Popen:
+def written(told: str, out: Path) -> list[Path]:
+    """Files and folders within a folder that a command's last words name, but for those of its errors."""
+    lines = [line for line in told.splitlines() if not line.startswith(("error:", "warning:"))]
+    return [
+        Path(path.rstrip(".,:;")) for line in lines for path in re.findall(rf"{re.escape(str(out))}[^\s'\"()]*", line)
+    ]
+
+
+def _started(arguments: tuple, place: Path, before: str = "pass", **options) -> subprocess.Popen:
     place.mkdir(parents=True, exist_ok=True)
     before = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n" + before
-    call = [sys.executable, "-c", PROGRAM.format(before), *arguments]
+    call = [sys.executable, "-c", PROGRAM.format(before), *map(str, arguments)]
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, **options}
     return subprocess.Popen(call, text=True, start_new_session=True, **streams)
 
@@ -168,7 +237,7 @@ def _signalled(signals: tuple[int, ...], arguments: tuple[str, ...], out: Path, 
     """Send signals at a moment of the work."""
     running = _started(arguments, out.parent)
     while running.poll() is None and _used_s(running.pid) < moment_s:
-        time.sleep(0.02)
+        time.sleep(_EVERY_S)
     for number in signals:
         if running.poll() is None:
             running.send_signal(number)
@@ -177,19 +246,51 @@ def _signalled(signals: tuple[int, ...], arguments: tuple[str, ...], out: Path, 
     return (0 if status == -signal.SIGKILL else status), told
 
 
-def _limited(before: str, arguments: tuple[str, ...], out: Path, _: float) -> tuple[int, str]:
-    status, told = _finished(_started(arguments, out.parent, before))
-    return status, told if "MemoryError" not in told else ""
+def _limited(before: str, arguments: tuple[str, ...], out: Path, moment_s: float) -> tuple[int, str]:
+    return _finished(_started(arguments, out.parent, before.replace("{moment_s}", str(moment_s))))
 
 
 def _read_only(arguments: tuple[str, ...], out: Path, _: float) -> tuple[int, str]:
-    """A file where the folder should be, since root may write everywhere."""
-    out.parent.mkdir(exist_ok=True)
-    out.write_text("in the way")
-    status, told = _finished(_started(arguments, out.parent))
-    assert status == 2, f"status {status}"
-    out.unlink()
+    """In a folder of a run before, that nobody may write to."""
+    out.mkdir(parents=True)
+    (out / "kept.json").write_text("{}\n")
+    out.chmod(0o555)
+    status, told = _finished(_started(arguments, out.parent, preexec_fn=_without_rights_of_root))
+    out.chmod(0o755)
+    assert status == 2, f"status {status}: {told[-300:]}"
+    assert [path.name for path in out.iterdir()] == ["kept.json"], "it wrote to a folder that is read-only"
     return status, told
+
+
+def _without_rights_of_root() -> None:
+    ctypes.CDLL(None).prctl(_PR_CAPBSET_DROP, _CAP_DAC_OVERRIDE, 0, 0, 0)
+
+
+def _worker_killed(arguments: tuple[str, ...], out: Path, moment_s: float) -> tuple[int, str]:
+    """Kill a worker process, as the system does where memory ends."""
+    running = _started(arguments, out.parent)
+    while running.poll() is None and _used_s(running.pid) < moment_s:
+        time.sleep(_EVERY_S)
+    while running.poll() is None:
+        if workers := _workers(running.pid):
+            os.kill(workers[0], signal.SIGKILL)
+            break
+        time.sleep(_EVERY_S)
+    return _finished(running)
+
+
+def _workers(session: int) -> list[int]:
+    """Worker processes that a command has started."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (path / "stat").read_text().rpartition(")")[2].split()
+            is_worker = int(fields[3]) == session and b"spawn_main" in (path / "cmdline").read_bytes()
+        except OSError:  # it has ended
+            continue
+        if is_worker:
+            found.append(int(path.name))
+    return sorted(found)
 
 
 def _closed_pipe(arguments: tuple[str, ...], out: Path, _: float) -> tuple[int, str]:
@@ -206,6 +307,7 @@ def _two_at_once(arguments: tuple[str, ...], out: Path, _: float) -> tuple[int, 
     return max(first, second), told + also
 
 
+WORKER_KILLED = "a worker killed"
 Accident = Callable[[tuple[str, ...], Path, float], tuple[int, str]]
 ACCIDENTS: dict[str, Accident] = {
     "kill -9": partial(_signalled, (signal.SIGKILL,)),
@@ -213,9 +315,10 @@ ACCIDENTS: dict[str, Accident] = {
     "Ctrl-C": partial(_signalled, (signal.SIGINT,)),
     "Ctrl-C twice": partial(_signalled, (signal.SIGINT, signal.SIGINT)),
     "no room": partial(_limited, ROOM),
-    "no folder": _read_only,
+    "read-only folder": _read_only,
     "closed pipe": _closed_pipe,
     "two at once": _two_at_once,
     "clock set back": partial(_limited, CLOCK),
     "little memory": partial(_limited, MEMORY),
+    WORKER_KILLED: _worker_killed,
 }

@@ -71,7 +71,7 @@ def found_digests(switch: str, tasks: list[str], seed: int, kept: Path | None = 
     each in a process of its own, and appended to it."""
     if kept is None:
         return _digests(SWITCHES.get(switch, {}), tasks, seed) if tasks else {}
-    rows = [row for row in kept_rows(kept) if (row["switch"], row["seed"]) == (switch, seed)]
+    rows = [row for row in kept_rows(kept) if (row.get("switch"), row.get("seed")) == (switch, seed)]
     found = {row["task"]: row["digest"] for row in rows}
     for task in tasks:
         if task not in found:

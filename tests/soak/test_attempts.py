@@ -114,6 +114,13 @@ def test_what_takes_long_or_much_memory_is_found(monkeypatch):
     assert any("slow: took" in fault for fault in done.wrong) and "memory grew by" in done.wrong[-1]
 
 
+def test_a_wait_for_another_process_that_compiles_is_no_hang_and_one_that_comes_again_is(monkeypatch):
+    monkeypatch.setattr(attempts, "WALL_SECONDS_MAX", 0.1)
+    waits = iter((0.2, 0.0, 0.2, 0.2))
+    done = attempt_all([("once", lambda: time.sleep(next(waits))), ("again", lambda: time.sleep(next(waits)))])
+    assert len(done.wrong) == 1 and done.wrong[0].startswith("again: took 0.0 s and waited 0 s, more than 2 or 0.1 s")
+
+
 def test_the_command_writes_counts_and_ends_with_an_error_if_anything_is_wrong(tmp_path, monkeypatch, capsys):
     file = tmp_path / "a.json"
     assert main(["--maps", "20", "--graphs", "3", "--json", str(file)]) == 0
@@ -121,9 +128,12 @@ def test_the_command_writes_counts_and_ends_with_an_error_if_anything_is_wrong(t
     assert found["maps"]["tried"] == 20 and found["graphs"]["tried"] == 3
     assert all(own["wrong"] == 0 and own["refused"] + own["accepted"] == own["tried"] for own in found.values())
     assert "maps: 20 tried" in capsys.readouterr().out
+    assert main(["--maps", "5", "--json", str(file)]) == 0  # what the file has of others stays
+    again = json.loads(file.read_text())
+    assert again["maps"]["tried"] == 5 and again["graphs"] == found["graphs"]
     monkeypatch.setattr(attempts, "SECONDS_MAX", 0.0)
     assert main(["--maps", "3"]) == 2
-    assert "more than 0 s" in capsys.readouterr().err
+    assert "more than 0 or 30 s" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("line", graph_fuzz._ODD_LINES)

@@ -29,7 +29,7 @@ def test_a_run_that_was_interrupted_goes_on_and_reports_what_the_process_holds(t
     assert main(["--steps", "20", *SMALL, "--resume", str(rows)]) == 0
     rows.write_text(rows.read_text() + '{"number": 2, "cut')  # by a kill
     assert main(["--steps", "40", *SMALL, "--resume", str(rows), "--json", str(path)]) == 0
-    figures = json.loads(path.read_text())["soak"]
+    figures = json.loads(path.read_text())["steps"]
     assert (figures["steps"], figures["tried"], figures["accepted"], figures["wrong"]) == (48, 4, 4, 0)
     assert figures["combinations"] == 4 and figures["processes"] == 2
     assert 50 < figures["memory_at_end_mb"] < 5000 and figures["children_left"] == 0

@@ -49,10 +49,11 @@ def plain_value(value):
     return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
-def whole_number(name: str, value, least: int) -> int:
-    """The argument as an int. Raises ConfigError if it is no integer of at least `least`."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise ConfigError(f"{name} must be a whole number of at least {least}; got {value!r}")
+def whole_number(name: str, value, least: int, most: float = math.inf) -> int:
+    """The argument as an int. Raises ConfigError if it is no integer from `least` to `most`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not least <= value <= most:
+        limits = f"of at least {least}" if most == math.inf else f"from {least} to {most}"
+        raise ConfigError(f"{name} must be a whole number {limits}; got {value!r:.100}")
     return int(value)
 
 

@@ -116,7 +116,7 @@ def validated_grid(values: ArrayLike, name: str) -> Array:
     """The values as an array (h, w). Raises DataError for rows of unlike length, or another number of axes."""
     try:
         grid = np.asarray(values)
-    except ValueError as error:
+    except Exception as error:  # an object of another library may raise any
         raise DataError(f"{name} must be a grid (rows, columns): {error}") from None
     if grid.ndim != 2:
         raise DataError(f"{name} must be a grid (rows, columns); got shape {grid.shape}")

@@ -16,7 +16,7 @@ from twc_env.records.whole_file import write_text
 
 TERMINAL = Path("-")
 """Path that stands for standard output."""
-LISTS_MAX = 1_000_000
+LISTS_MAX = 250_000
 """Lists and tables of a JSON file; every corner of a map is one, and the largest known plans have twenty thousand."""
 
 

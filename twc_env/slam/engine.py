@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import CuesConfig, EnvConfig, shared_config
+from twc_env.config import ROBOTS_MAX, CuesConfig, EnvConfig, shared_config
 from twc_env.config.checks import whole_number
 from twc_env.errors import ConfigError, DataError, TwcError
 from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of
@@ -98,7 +98,7 @@ class CooperativeSlam(CopiedWhole):
             raise ConfigError(
                 f"config must be an EnvConfig; got {config!r}: twc_env.config.override makes one of a dict"
             )
-        robot_count = whole_number("robot_count", robot_count, 1)
+        robot_count = whole_number("robot_count", robot_count, 1, ROBOTS_MAX)
         if prior is not None or config.slam.prior:
             _check_prior(config, prior)
         if config.robot and robot_count != config.robots:

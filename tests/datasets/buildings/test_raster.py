@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import ndimage
 
+from twc_env.datasets.buildings import raster
 from twc_env.datasets.buildings.picture import read_picture
 from twc_env.datasets.buildings.raster import deepest_cell, free_edges, largest_part, plan_from_free, read_grey
 from twc_env.errors import MapError
@@ -98,6 +100,22 @@ def test_strips_too_narrow_for_a_robot_are_dropped_and_passages_kept():
     free[20:30, 45:50] = False
     free[20:23, 45:50] = True
     assert plan_from_free(free, 0.1, "rooms").bounds_m[2] == pytest.approx(9.0)
+
+
+@pytest.mark.parametrize("side", range(1, 8))
+def test_what_is_left_without_strips_is_a_morphological_opening(side):
+    random = np.random.default_rng(side)
+    for shape in ((1, 1), (5, 40), (30, 17)):
+        free = random.random(shape) < 0.9
+        opened = ndimage.binary_opening(free, np.ones((side, side)))
+        assert (raster._without_strips(free, raster.STRIP_M / (side - 0.5)) == opened).all()
+
+
+def test_a_margin_around_a_plan_moves_it_and_changes_nothing_else():
+    free = rooms()
+    wide = np.pad(free, ((300, 0), (0, 200)))
+    plan, moved = plan_from_free(free, 0.1, "a"), plan_from_free(wide, 0.1, "a", (0.0, -30.0))
+    assert np.allclose(plan.walls_m, moved.walls_m) and np.allclose(plan.interior_m, moved.interior_m)
 
 
 def test_the_deepest_cell_is_the_middle_of_the_widest_room():

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.soak.attempts import Attempt, workplace
+from tests.soak.attempts import Attempt, load_anew, workplace
 from twc_env.config import load
 from twc_env.datasets.buildings.osm_level import ROOMS_MAX
-from twc_env.datasets.buildings.raster import EDGES_MAX
+from twc_env.datasets.buildings.raster import EDGES_MAX, FLOOR_CELLS_MAX
 from twc_env.datasets.lasting_maps import read_lasting_map
 from twc_env.datasets.logs.column_units import Span
 from twc_env.datasets.logs.frame_log import read_frame_log
@@ -28,13 +28,13 @@ from twc_env.datasets.logs.pose_graph_file import read_pose_graph
 from twc_env.datasets.logs.readings_table import read_wifi
 from twc_env.datasets.logs.scan_log import read_any_log
 from twc_env.datasets.ros.bag_writer import RobotRecording, write_recording
-from twc_env.maps import load_map
 from twc_env.offline.map_merge import read_saved_maps
 from twc_env.records.input_file import PACKED_BYTES_FREE
 from twc_env.records.json_values import LISTS_MAX
 from twc_env.records.scanner import Scanner
 from twc_env.replaying.inputs import Asked, read_input
 from twc_env.replaying.run import run
+from twc_env.world.building.floor_cells import CELLS_MAX
 
 HUGE = 1_500_000_000
 """Bytes of a bomb, unpacked."""
@@ -62,7 +62,7 @@ Kind = tuple[str, Callable[[Path], Path | None], Callable[[Path], object]]
 
 def _all() -> Iterator[Kind]:
     for suffix in (".json.gz", ".geojson.gz", ".pgm.gz"):
-        yield f"zeros{suffix}", _gzipped, load_map
+        yield f"zeros{suffix}", _gzipped, load_anew
     for suffix in (".log.gz", ".clf.gz"):
         yield f"zeros{suffix}", _gzipped, _replay
     yield "zeros.log.xz", _xz, _replay
@@ -79,24 +79,24 @@ def _all() -> Iterator[Kind]:
         yield "huge.safetensors", _safetensors, load_model
         yield "sparse.safetensors", _sparse, load_model
     if find_spec("PIL"):
-        yield "wide.png", _png, load_map
+        yield "wide.png", _png, load_anew
         yield "wide-grid.png", _png, lambda path: read_saved_maps([str(path)])
-    yield "wide.pgm", lambda path: _text(path, "P5 60000 60000 255\n"), load_map
-    yield "wide-text.pgm", lambda path: _text(path, "P2 5000 4900 255\n" + "0 " * 100), load_map
+    yield "wide.pgm", lambda path: _text(path, "P5 60000 60000 255\n"), load_anew
+    yield "wide-text.pgm", lambda path: _text(path, "P2 5000 4900 255\n" + "0 " * 100), load_anew
     for opening, name in (("[", "list"), ('{"a":', "table")):
-        yield f"deep-{name}.json", partial(_text, text=opening * 500_000), load_map
+        yield f"deep-{name}.json", partial(_text, text=opening * 500_000), load_anew
         yield f"deep-{name}-settings.json", partial(_text, text=opening * 500_000), load
     yield "deep.toml", lambda path: _text(path, "a = " + "[" * 200_000), load
     yield "dotted.toml", lambda path: _text(path, ".".join("a" * 20_000) + " = 1"), load
-    yield "deep.yaml", lambda path: _text(path, "image: " + "[" * 100_000), load_map
-    yield "references.yaml", lambda path: _text(path, _laughs()), load_map
-    yield "wide.json", lambda path: _text(path, _wide_plan()), load_map
+    yield "deep.yaml", lambda path: _text(path, "image: " + "[" * 100_000), load_anew
+    yield "references.yaml", lambda path: _text(path, _laughs()), load_anew
+    yield "wide.json", lambda path: _text(path, _wide_plan()), load_anew
     yield "far.g2o", lambda path: _text(path, "EDGE_SE2 0 999999999999 1 0 0 1 0 0 1 0 1\n"), read_pose_graph
     yield "beams.log", lambda path: _text(path, f"FLASER {10**9} 1.0 0 0 0 0 0 0 1 h 1\n"), _replay
     for suffix in (".json", ".log", ".toml", ".yaml"):
-        yield f"zeros{suffix}", _sparse, load if suffix == ".toml" else _replay if suffix == ".log" else load_map
+        yield f"zeros{suffix}", _sparse, load if suffix == ".toml" else _replay if suffix == ".log" else load_anew
     for number, other in enumerate(ELSEWHERE):
-        yield f"image-{number}.yaml", partial(_text, text=_map_of(other)), load_map
+        yield f"image-{number}.yaml", partial(_text, text=_map_of(other)), load_anew
         yield f"grid-{number}.yaml", partial(_text, text=_map_of(other)), lambda path: read_saved_maps([str(path)])
         if find_spec("rosbags"):
             yield f"bag-{number}", partial(_bag_elsewhere, other=other), _replay
@@ -116,15 +116,18 @@ def _just_below() -> Iterator[Kind]:
     yield "cells.csv.gz", partial(_repeated, begin=b"timestamp,bssid,rssi\n1", piece=b","), read_table
     few = BELOW * min(1.0, LISTS_MAX * 3 / PACKED_BYTES_FREE)
     for share, name in ((BELOW, "many"), (few, "fewer")):
-        yield f"{name}.json.gz", partial(_repeated, begin=plan, piece=b"[],", end=b"1]}", share=share), load_map
+        yield f"{name}.json.gz", partial(_repeated, begin=plan, piece=b"[],", end=b"1]}", share=share), load_anew
     features = b'{"type":"FeatureCollection","features":['
-    yield "features.geojson.gz", partial(_repeated, begin=features, piece=b"{},", end=b"{}]}", share=few), load_map
+    yield "features.geojson.gz", partial(_repeated, begin=features, piece=b"{},", end=b"{}]}", share=few), load_anew
     rooms = int(BELOW * ROOMS_MAX)
-    yield "rooms.geojson", lambda path: _text(path, _level_of(rooms, "room", 5e-5)), load_map
-    yield "open.geojson", lambda path: _text(path, _level_of(rooms, "area", 5e-5)), load_map
-    yield "heap.geojson", lambda path: _text(path, _level_of(rooms, "area", 1e-6)), load_map
+    yield "rooms.geojson", lambda path: _text(path, _level_of(rooms, "room", 5e-5)), load_anew
+    yield "open.geojson", lambda path: _text(path, _level_of(rooms, "area", 5e-5)), load_anew
+    yield "heap.geojson", lambda path: _text(path, _level_of(rooms, "area", 1e-6)), load_anew
     if find_spec("PIL"):
-        yield "dots.png", _dots, load_map
+        yield "dots.png", _dots, load_anew
+        yield "white.png", _white, load_anew
+        yield "white-in-grey.png", partial(_white, side=int(math.sqrt(CELLS_MAX))), load_anew
+        yield "white-grid.png", _white, lambda path: read_saved_maps([str(path)])
 
 
 def _replay(path: Path) -> None:
@@ -160,6 +163,18 @@ def _dots(path: Path) -> None:
     side = int(math.sqrt(BELOW * EDGES_MAX / 4)) * apart
     grey = np.full((side, side), 255, np.uint8)
     grey[::apart, ::apart] = grey[[0, -1]] = grey[:, [0, -1]] = 0
+    Image.fromarray(grey).save(path)
+
+
+def _white(path: Path, side: int = 0) -> None:
+    """White floor of nine tenths of what is possible, in the middle of a picture of so many pixels squared."""
+    from PIL import Image
+
+    floor = int(math.sqrt(BELOW * FLOOR_CELLS_MAX))
+    side = side or floor
+    grey = np.full((side, side), 205, np.uint8)
+    begin = (side - floor) // 2
+    grey[begin : begin + floor, begin : begin + floor] = 255
     Image.fromarray(grey).save(path)
 
 

@@ -10,7 +10,7 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
-from tests.soak.attempts import Attempt, workplace
+from tests.soak.attempts import Attempt, load_anew, workplace
 from tests.soak.malformed.mutations import OF_JSON, OF_TEXT, mutated
 from twc_env.datasets.buildings.map_export import export_map
 from twc_env.maps import load_map
@@ -38,7 +38,7 @@ def mutated_maps(count: int, seed: int = 0) -> Iterator[Attempt]:
             target = folder / "mutated" / sample.name
             target.write_bytes(raw)
             is_grid = sample.suffix in (".yaml", ".pgm", ".png") and random.random() < 0.5
-            yield f"#{number} {sample.name}: {what}", partial(_as_saved_map if is_grid else load_map, target)
+            yield f"#{number} {sample.name}: {what}", partial(_as_saved_map if is_grid else load_anew, target)
 
 
 def _as_saved_map(path: Path) -> None:

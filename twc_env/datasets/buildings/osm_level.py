@@ -39,9 +39,9 @@ _WALL_THICKNESS_MAX_M = 0.6
 _PLATE_OFFSET_M = 0.3
 _SHARED_M, _PARALLEL = 0.1, 0.05
 """Sides of areas this near and (sine) this parallel are one border."""
-ROOMS_MAX, DOORS_MAX = 1500, 3000
-"""Of one level."""
-_NEIGHBOURS_MAX, PAIRS_MAX = 50, 15_000
+ROOMS_MAX, DOORS_MAX = 600, 1200
+"""Of one level; the largest real one in `docs/real_data.md` has 34 rooms."""
+_NEIGHBOURS_MAX, PAIRS_MAX = 50, 6000
 """Outlines around one door, and pairs of areas without walls that touch: rooms do not lie upon one another."""
 _LOG = logging.getLogger(__name__)
 
@@ -195,6 +195,8 @@ def _without_border(walls: Array, begin: Array, end: Array) -> Array:
     normal = np.array([-along[1], along[0]])
     ways = walls[:, 1] - walls[:, 0]
     is_beside = (np.abs((walls - begin) @ normal) < _SHARED_M).all(axis=1)
+    if not is_beside.any():
+        return walls
     is_beside &= np.abs(ways @ normal) < _PARALLEL * np.linalg.norm(ways, axis=1)
     return np.concatenate([walls[~is_beside], _cut(walls[is_beside], begin, along, 0.0, length)])
 

@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from twc_env.datasets.buildings.furnish import furnish_picture
 from twc_env.datasets.buildings.outline import outer_ring, simplified_ring
-from twc_env.datasets.buildings.raster import check_closed, name_marks, parts, plan_from_free, read_grey
+from twc_env.datasets.buildings.raster import checked_floor, name_marks, parts, plan_from_free, read_grey
 from twc_env.errors import MapError
 from twc_env.world.building.floorplan import Floorplan, Room
 from twc_env.world.building.floorplan_check import validate
@@ -41,9 +41,9 @@ def read_picture(path: str | Path, seed: int = 0, resolution_m: float | None = N
     free = read_grey(path)[::-1] > FREE_ABOVE
     if resolution_m is None:
         resolution_m = assumed_resolution_m(path.name, free.shape, "`maps import --resolution`")
-    check_closed(free, resolution_m, path.name)
-    name_marks(free, resolution_m, path.name)
-    plan = validate(plan_from_free(free, resolution_m, path.name.split(".")[0]))
+    floor = checked_floor(free, resolution_m, path.name)
+    name_marks(floor, resolution_m, path.name)
+    plan = validate(plan_from_free(floor, resolution_m, path.name.split(".")[0]))
     plan = dataclasses.replace(plan, rooms=_rooms_beside(path, plan, free.shape, resolution_m))
     return validate(furnish_picture(plan, seed, resolution_m, np.zeros(3)))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import math
 import re
 import warnings
 from collections.abc import Sequence
@@ -27,8 +28,10 @@ STRIP_M = 0.2
 """Free strips up to this width, too narrow for a robot, are removed as stray beams and gaps of the scan."""
 LEFT_OUT_MIN_M2 = 1.0
 """Parts of the floor of this size are named if they are left out."""
-EDGES_MAX = 500_000
-"""Edges of pixels between floor and others: 25 km of walls at 5 cm, where the largest real map has 1.6 km."""
+EDGES_MAX = 250_000
+"""Edges of pixels between floor and others: 12.5 km of walls at 5 cm, where the largest real map has 1.6 km."""
+FLOOR_CELLS_MAX = 6_000_000
+"""Pixels of floor: 15,000 m2 at 5 cm; the largest real picture has a million pixels in all."""
 _OUTSIDE_SHARE = 0.9
 """A floor that takes more of the border of a picture goes around the building."""
 _MARK_MAX_M, _MARKS_MIN = 1.5, 2
@@ -45,7 +48,9 @@ def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Sequen
     Only the largest connected part is kept; specks and narrow strips are dropped, and what is behind them, which is
     said. Raises MapError when nothing is free.
     """
-    wide = _without_strips(_without_specks(largest_part(free), resolution_m), resolution_m)
+    box = _box(free, math.ceil(math.sqrt(SPECK_M2) / resolution_m))
+    free, low = largest_part(free[box]), np.array([box[1].start, box[0].start])
+    wide = _without_strips(_without_specks(free, resolution_m), resolution_m)
     free = largest_part(wide)
     all_m2, kept_m2 = (part.sum() * resolution_m**2 for part in (wide, free))
     name_left_out(name, all_m2 - kept_m2, all_m2, f"no passage wider than {STRIP_M:g} m leads there")
@@ -55,8 +60,8 @@ def plan_from_free(free: Array, resolution_m: float, name: str, origin_m: Sequen
             "or check the thresholds and the resolution"
         )
     origin = np.asarray(origin_m, float)
-    walls = free_edges(free) * resolution_m + origin
-    row, column = deepest_cell(free)
+    walls = (free_edges(free) + low) * resolution_m + origin
+    row, column = np.array(deepest_cell(free)) + low[::-1]
     return Floorplan(
         name=name,
         walls_m=walls,
@@ -71,18 +76,24 @@ def name_left_out(where: str, lost_m2: float, all_m2: float, why: str, what: str
         _LOG.warning("%s: %.0f of %.0f m2 %s left out: %s", where, lost_m2, all_m2, what, why)
 
 
-def check_closed(free: Array, resolution_m: float, where: str) -> None:
-    """Raise MapError if the largest part of the floor goes around the building, or if it is a pattern.
+def checked_floor(free: Array, resolution_m: float, where: str) -> Array:
+    """The largest part of the floor. Raises MapError if it goes around the building, is a pattern, or is too large.
 
     free: (rows, columns) bool. Named, in warnings, are floor at the border of the picture and floor that is left out.
     """
-    edges = int((free[1:] != free[:-1]).sum() + (free[:, 1:] != free[:, :-1]).sum())
+    if (pixels := int(free.sum())) > FLOOR_CELLS_MAX:
+        raise MapError(f"{where}: {pixels} pixels of floor, {FLOOR_CELLS_MAX} are possible; make the picture coarser")
+    box = _box(free, 1)
+    piece = free[box]
+    edges = int((piece[1:] != piece[:-1]).sum() + (piece[:, 1:] != piece[:, :-1]).sum())
     if edges > EDGES_MAX:
         raise MapError(
             f"{where}: {edges} edges of pixels between floor and walls, {EDGES_MAX} are possible: it is a photo or a "
             "pattern; draw the floor in plain white and the walls in plain black"
         )
-    kept = largest_part(free)
+    labels, sizes = parts(piece)
+    kept = np.zeros_like(free)
+    kept[box] = _largest_of(labels, sizes)
     border = np.concatenate([kept[0], kept[-1], kept[1:-1, 0], kept[1:-1, -1]])
     if border.mean() > _OUTSIDE_SHARE and _has_inside_walls(kept):
         raise MapError(
@@ -94,12 +105,12 @@ def check_closed(free: Array, resolution_m: float, where: str) -> None:
             "%s: the floor reaches the border of the picture at %d of %d pixels, where a wall is assumed; check that "
             "the outer wall has no gap", where, border.sum(), border.size,
         )  # fmt: skip
-    labels, sizes = parts(free)
     outside = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     sizes[outside[outside > 0] - 1] = 0
     lost = sizes[sizes * resolution_m**2 >= LEFT_OUT_MIN_M2].sum() - (0 if border.any() else kept.sum())
     all_m2 = (kept.sum() + lost) * resolution_m**2
     name_left_out(where, lost * resolution_m**2, all_m2, f"not connected; draw doors of at least {STRIP_M:g} m")
+    return kept
 
 
 def _has_inside_walls(free: Array) -> bool:
@@ -108,9 +119,8 @@ def _has_inside_walls(free: Array) -> bool:
 
 
 def name_marks(free: Array, resolution_m: float, where: str) -> None:
-    """Warn of small obstacles that stand free on the largest part of the floor (rows, columns), as letters do."""
-    free = largest_part(free)
-    labels, _ = ndimage.label(~free, np.ones((3, 3)))
+    """Warn of small obstacles that stand free on a floor (rows, columns) of one part, as letters do."""
+    labels, _ = ndimage.label(~free[_box(free, math.ceil(_MARK_MAX_M / resolution_m) + 1)], np.ones((3, 3)))
     sizes = [max(box[0].stop - box[0].start, box[1].stop - box[1].start) for box in ndimage.find_objects(labels)]
     count = int((np.array(sizes, float) * resolution_m <= _MARK_MAX_M).sum())
     if count >= _MARKS_MIN:
@@ -118,6 +128,19 @@ def name_marks(free: Array, resolution_m: float, where: str) -> None:
             "%s: %d shapes of at most %g m stand free on the floor and become walls; if they are writing, erase it",
             where, count, _MARK_MAX_M,
         )  # fmt: skip
+
+
+def _box(free: Array, margin: int) -> tuple[slice, slice]:
+    """Where the free cells lie in a picture, which is mostly grey if it is large, with a margin where there is room.
+
+    With a margin, what lies around the floor is connected and no small obstacle.
+    """
+    pieces = []
+    for axis in (1, 0):
+        taken = np.flatnonzero(free.any(axis=axis))
+        begin, end = (int(taken[0]), int(taken[-1]) + 1) if len(taken) else (0, 0)
+        pieces.append(slice(max(begin - margin, 0), end + margin))
+    return pieces[0], pieces[1]
 
 
 def free_edges(free: Array) -> Array:
@@ -133,8 +156,11 @@ def free_edges(free: Array) -> Array:
 
 def largest_part(free: Array) -> Array:
     """(rows, columns) bool: only the largest 4-connected part of the free cells, of equal ones the first."""
-    labels, sizes = parts(free)
-    return labels == np.argmax(sizes) + 1 if len(sizes) else np.zeros_like(free)
+    return _largest_of(*parts(free))
+
+
+def _largest_of(labels: Array, sizes: Array) -> Array:
+    return labels == np.argmax(sizes) + 1 if len(sizes) else np.zeros(labels.shape, bool)
 
 
 def parts(free: Array, neighbours: Array | None = None) -> tuple[Array, Array]:
@@ -230,7 +256,22 @@ def _without_specks(free: Array, resolution_m: float) -> Array:
 def _without_strips(free: Array, resolution_m: float) -> Array:
     """The area that a square slightly wider than STRIP_M covers (a morphological opening)."""
     side = int(STRIP_M / resolution_m + 1e-6) + 1
-    return np.asarray(ndimage.binary_opening(free, np.ones((side, side))))
+    if min(free.shape) < side:
+        return np.zeros_like(free)
+    fits = _of_squares(np.logical_and, free, side)
+    return _of_squares(np.logical_or, np.pad(fits, side - 1), side)
+
+
+def _of_squares(operation: np.ufunc, cells: Array, side: int) -> Array:
+    """(r, c) bool -> (r - side + 1, c - side + 1): all or any of the cells of each square."""
+    rows, columns = (count - side + 1 for count in cells.shape)
+    lying = cells[:, :columns].copy()
+    for k in range(1, side):
+        operation(lying, cells[:, k : k + columns], out=lying)
+    out = lying[:rows].copy()
+    for k in range(1, side):
+        operation(out, lying[k : k + rows], out=out)
+    return out
 
 
 @kernel

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.datasets.buildings.furnish import furnish_picture
-from twc_env.datasets.buildings.raster import check_closed, plan_from_free, read_grey
+from twc_env.datasets.buildings.raster import checked_floor, plan_from_free, read_grey
 from twc_env.errors import MapError
 from twc_env.records.messages import GridMap
 from twc_env.records.whole_file import whole_file
@@ -57,8 +57,8 @@ def read_ros_map(path: str | Path, seed: int = 0) -> Floorplan:
     """
     path = Path(path)
     ros_map = read_ros_cells(path)
-    check_closed(ros_map.free, ros_map.resolution_m, path.name)
-    plan = plan_from_free(ros_map.free, ros_map.resolution_m, path.stem)
+    floor = checked_floor(ros_map.free, ros_map.resolution_m, path.name)
+    plan = plan_from_free(floor, ros_map.resolution_m, path.stem)
     return validate(furnish_picture(plan, seed, ros_map.resolution_m, ros_map.origin))
 
 

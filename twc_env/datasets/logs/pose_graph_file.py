@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from array import array
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
@@ -30,9 +31,10 @@ _TORO_ORDER = [0, 1, 4, 2, 5, 3]
 ID_MAX, FAR_MAX_M, INFORMATION_MAX = 2**63 - 1, 1e8, 1e16
 SINGULAR = 1e-9
 """The least eigenvalue of an information matrix, as a share of the largest: less is raised to this."""
-NAMED_MAX, _KINDS_MAX = 3, 20
-LINES_MAX = 1_000_000
-"""Edges, vertices, landmarks or observations: the largest public graphs in two dimensions have a hundred thousand."""
+NAMED_MAX, _KINDS_MAX, _OTHERS = 3, 20, ""
+LINES_MAX = 300_000
+"""Edges, vertices, landmarks, observations or lines of other kinds: the largest public graphs in two dimensions have a
+hundred thousand."""
 _JUMP = 10
 """Ids further apart than so many times the usual difference belong to different robots."""
 _STANDS_OUT, _STEPS_AWAY = 100.0, 3.0
@@ -64,64 +66,79 @@ class _Lines:
         self.path = path
         self.vertices: dict[int, tuple[float, ...]] = {}
         self.landmarks: dict[int, tuple[float, ...]] = {}
-        self.edges: list[tuple[int, int, list[float], int]] = []
-        self.landmark_observations: list[tuple[int, int, list[float], int]] = []
+        self.edges: list[tuple[int, int, int]] = []
+        self.landmark_observations: list[tuple[int, int, int]] = []
+        """Both ends, and the number of the line."""
+        self.edge_values, self.observation_values = array("d"), array("d")
+        """Their numbers, one after the other."""
         self.held: list[int] = []
         self.selves: list[int] = []
         self.unknown: Counter[str] = Counter()
-        self.others = 0
-        """Lines of unknown kinds beyond the first few, as no graph has them."""
+        """Lines of each kind, and of those beyond the first few, as no graph has them."""
+        self.left_out = 0
+        """All of these."""
 
     def add(self, words: list[str], number: int) -> None:
         kind = words[0] if words else "#"
         if kind.startswith(("#", "%")):
             return
         if kind == "FIX":
-            self.held += [self._id(word, words, number) for word in words[1:]]
+            self.held += [self._id(words, at, number) for at in range(1, len(words))]
         elif kind in _WORDS:
             self._add_known(words, number)
-        elif kind[:40] in self.unknown or len(self.unknown) < _KINDS_MAX:
-            self.unknown[kind[:40]] += 1
         else:
-            self.others += 1
+            self.unknown[kind[:40] if kind[:40] in self.unknown or len(self.unknown) < _KINDS_MAX else _OTHERS] += 1
+            self.left_out += 1
+            if self.left_out > LINES_MAX:
+                raise self._error(number, f"more than {LINES_MAX} lines of unknown kinds; name a pose graph")
 
     def _add_known(self, words: list[str], number: int) -> None:
         kind, is_edge = words[0], words[0] in _EDGES or words[0] == "EDGE_SE2_XY"
-        ends = [self._id(word, words, number) for word in words[1 : 3 if is_edge else 2]]
+        first = self._id(words, 1, number)
+        second = self._id(words, 2, number) if is_edge else first
         values = self._values(words, 3 if is_edge else 2, number)
+        of_kind: dict | list = self.selves
         if kind in _VERTICES or kind == "VERTEX_XY":
-            places = self.landmarks if kind == "VERTEX_XY" else self.vertices
+            of_kind = places = self.landmarks if kind == "VERTEX_XY" else self.vertices
             other = self.vertices if kind == "VERTEX_XY" else self.landmarks
-            if places.setdefault(ends[0], tuple(values)) != tuple(values) or ends[0] in other:
-                raise self._error(number, f"vertex {ends[0]} stands elsewhere in a line before; number them anew")
-        elif ends[0] == ends[1]:
-            self.selves.append(ends[0])
+            if places.setdefault(first, tuple(values)) != tuple(values) or first in other:
+                raise self._error(number, f"vertex {first} stands elsewhere in a line before; number them anew")
+        elif first == second:
+            self.selves.append(first)
         elif kind == "EDGE_SE2_XY":
-            self.landmark_observations.append((ends[0], ends[1], values, number))
+            of_kind = self.landmark_observations
+            self.landmark_observations.append((first, second, number))
+            self.observation_values.extend(values)
         else:
-            if kind == "EDGE2":
-                values = values[:3] + [values[3 + k] for k in _TORO_ORDER]
-            self.edges.append((ends[0], ends[1], values, number))
-        if max(map(len, (self.edges, self.landmark_observations, self.vertices, self.landmarks))) > LINES_MAX:
+            of_kind = self.edges
+            self.edges.append((first, second, number))
+            self.edge_values.extend(values if kind != "EDGE2" else values[:3] + [values[3 + k] for k in _TORO_ORDER])
+        if len(of_kind) > LINES_MAX:
             raise self._error(number, f"more than {LINES_MAX} lines of a kind; cut the graph into parts")
 
-    def _id(self, word: str, words: list[str], number: int) -> int:
+    def _id(self, words: list[str], at: int, number: int) -> int:
+        if at >= len(words):
+            return 0  # what lacks is told with the other numbers
+        word = words[at]
         try:
             vertex = int(word)
         except ValueError:
             raise self._error(number, f"{words[0]} names a vertex {word[:40]!r}; ids are whole numbers") from None
-        if abs(vertex) > ID_MAX:
+        if not -ID_MAX <= vertex <= ID_MAX:
             raise self._error(number, f"vertex {word[:40]} has too many digits; ids have 18 at most")
         return vertex
 
     def _values(self, words: list[str], begin: int, number: int) -> list[float]:
         try:
-            values = [float(word) for word in words[begin:]]
+            values = list(map(float, words[begin:]))
         except ValueError:
             values = []
         if len(words) != _WORDS[words[0]] or not all(map(math.isfinite, values)) or not values:
             got = " ".join(words[1:])[:80]
             raise self._error(number, f"expected {_WORDS[words[0]] - 1} finite numbers after {words[0]}; got {got!r}")
+        least, most = min(values), max(values)
+        if least >= -FAR_MAX_M and most <= FAR_MAX_M:
+            return values
         place, rest = (values[:2], values[2:]) if "XY" in words[0] else (values[:3], values[3:])
         if max(map(abs, place)) > FAR_MAX_M or max(map(abs, rest), default=0.0) > INFORMATION_MAX:
             raise self._error(number, f"values must be metres, radians and inverse covariances; got {max(values):.3g}")
@@ -134,20 +151,17 @@ class _Lines:
         """The graph of all lines. Raises DataError if there is none in two dimensions."""
         if not self.edges and (not self.vertices or any(kind in _SPATIAL for kind in self.unknown)):
             self._refuse()
-        known = {
-            *self.vertices,
-            *(end for edge in self.edges for end in edge[:2]),
-            *(s[0] for s in self.landmark_observations),
-        }
-        observations = [s for s in self.landmark_observations if s[1] not in known]
+        known = {*self.vertices, *self._ends(), *(s[0] for s in self.landmark_observations)}
+        is_of_landmark = [s[1] not in known for s in self.landmark_observations]
+        observations = list(itertools.compress(self.landmark_observations, is_of_landmark))
         remarks = self._remarks(len(self.landmark_observations) - len(observations))
         ids = sorted(known)
         index = {vertex: k for k, vertex in enumerate(ids)}
         poses = np.array([self.vertices.get(vertex, (math.nan,) * 3) for vertex in ids], float).reshape(-1, 3)
-        edges = np.array([(index[i], index[j]) for i, j, *_ in self.edges], np.int64).reshape(-1, 2)
-        values = np.array([v for _, _, v, _ in self.edges], float).reshape(-1, 9)
+        edges = np.array([(index[i], index[j]) for i, j, _ in self.edges], np.int64).reshape(-1, 2)
+        values = np.array(self.edge_values).reshape(-1, 9)
         information = _symmetric(values[:, 3:], _UPPER3, 3)
-        raised = self._check_information(information, [edge[3] for edge in self.edges])
+        raised = self._check_information(information, [number for *_, number in self.edges])
         if raised:
             remarks.append(f"{raised} edges have singular information, which is raised a little")
         measured = values[:, :3].copy()
@@ -163,9 +177,9 @@ class _Lines:
         is_odometry = self._along(poses, edges, measured, information, ids)
         landmark_ids = sorted({*self.landmarks, *(s[1] for s in observations)})
         place_of = {landmark: k for k, landmark in enumerate(landmark_ids)}
-        seen = np.array([v for _, _, v, _ in observations], float).reshape(-1, 5)
+        seen = np.array(self.observation_values).reshape(-1, 5)[np.array(is_of_landmark, bool)]
         seen_information = _symmetric(seen[:, 2:], _UPPER2, 2)
-        self._check_information(seen_information, [s[3] for s in observations])
+        self._check_information(seen_information, [number for *_, number in observations])
         named = list(dict.fromkeys(self.held))
         held = [index[vertex] for vertex in named if vertex in index]
         if lost := [vertex for vertex in named if vertex not in index and vertex not in self.landmarks]:
@@ -181,13 +195,17 @@ class _Lines:
             held_landmarks=np.array([place_of[k] for k in named if k in self.landmarks], np.int64),
             landmark_ids=np.array(landmark_ids, np.int64),
             landmarks_m=np.array([self.landmarks.get(k, (math.nan,) * 2) for k in landmark_ids], float).reshape(-1, 2),
-            landmark_observations=np.array([(index[a], place_of[b]) for a, b, *_ in observations], np.int64).reshape(
+            landmark_observations=np.array([(index[a], place_of[b]) for a, b, _ in observations], np.int64).reshape(
                 -1, 2
             ),
             seen_m=seen[:, :2],
             seen_information=seen_information,
             remarks=tuple(remarks),
         )
+
+    def _ends(self) -> set[int]:
+        """Vertices that edges join."""
+        return {edge[0] for edge in self.edges} | {edge[1] for edge in self.edges}
 
     def _refuse(self) -> None:
         if spatial := [kind for kind in self.unknown if kind in _SPATIAL]:
@@ -208,11 +226,12 @@ class _Lines:
         if of_poses:
             out.append(f"{of_poses} observations of poses as landmarks left out")
         for kind, number in self.unknown.items():
+            if kind == _OTHERS:
+                out.append(f"{number} lines of other kinds left out")
+                continue
             what = " (three dimensions)" if kind in _SPATIAL else ""
             out.append(f"{number} {'line' if number == 1 else 'lines'} of the kind {kind!r}{what} left out")
-        if self.others:
-            out.append(f"{self.others} lines of other kinds left out")
-        if lacking := {end for edge in self.edges for end in edge[:2]} - self.vertices.keys():
+        if lacking := self._ends() - self.vertices.keys():
             out.append(f"{len(lacking)} vertices have no line and are laid along the edges: {_some(sorted(lacking))}")
         return out
 

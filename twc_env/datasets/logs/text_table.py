@@ -7,6 +7,7 @@ import io
 import math
 import re
 from collections.abc import Callable, Collection, Sequence
+from operator import methodcaller
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,8 @@ _SEPARATORS = ";\t|,"
 _NUMBER = re.compile(r"([+-]?[\d.,]+(?:e[+-]?\d+)?)\s*(dbm|m|rad|deg|°)", re.IGNORECASE)
 """A number with its unit in the cell."""
 _MAC = re.compile(r"[0-9a-fA-F]{2}([:-])(?:[0-9a-fA-F]{2}\1){4}[0-9a-fA-F]{2}")
+_DIGITS_MAX = 40
+"""Characters of a number."""
 CELLS_MAX = 10_000_000
 """Cells of a table, all rows together."""
 
@@ -54,6 +57,8 @@ class TextTable:
         self._path = path
         self.notes: list[str] = []
         """What was assumed or left out, one line each."""
+        self._numbers: list[int] = []
+        """Line of each row in the file."""
         text = read_text(path, errors="replace")
         if "\x00" in text:
             raise DataError(f"{path} is no table of text; give one with the columns {', '.join(needed)}")
@@ -62,19 +67,16 @@ class TextTable:
         separator = max(_SEPARATORS, key=first.count)
         if separator not in first and len(first.split()) >= len(needed):
             separator, lines = " ", [" ".join(line.split()) for line in lines]
-        cells = sum(line.count(separator) for line in lines) + len(lines)
+        cells = sum(map(methodcaller("count", separator), lines)) + len(lines)
         if cells > CELLS_MAX:
             raise DataError(f"{path} has {cells} cells, {CELLS_MAX} are possible; cut it into parts")
-        found = self._cells("\n".join(lines), separator)
-        if any("\n" in cell for _, row in found for cell in row):  # of quotes that are not closed, too
-            found = self._cells("\n".join(lines), separator, is_strict=True)
-        rows = [row for _, row in found]
+        rows = self._cells("\n".join(lines), separator)
+        if '"' in text and any("\n" in cell for row in rows for cell in row):  # of quotes that are not closed, too
+            rows = self._cells("\n".join(lines), separator, is_strict=True)
         if not rows:
             raise DataError(f"{path} is empty; a table has the columns {', '.join(needed)}")
         self._decimal_comma = separator == ";"
         self._units: dict[str, str] = {}
-        self._numbers = [number for number, _ in found]
-        """Line of each row in the file."""
         self._check_widths(rows)
         rows = _with_dates(self._with_whole_stamps(rows))
         rows = self._one_per_reading(rows, needed)
@@ -96,19 +98,25 @@ class TextTable:
                 raise DataError(f"{path}, row {number}: {len(row)} columns, expected {width + 1}; fix or delete it")
         self._rows = rows
 
-    def _cells(self, text: str, separator: str, is_strict: bool = False) -> list[tuple[int, list[str]]]:
-        """Line number and cells of each row that is not empty."""
+    def _cells(self, text: str, separator: str, is_strict: bool = False) -> list[list[str]]:
+        """The cells of each row that is not empty."""
         reader = csv.reader(io.StringIO(text), delimiter=separator, strict=is_strict)
+        rows, self._numbers = [], []
         try:
-            return [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
+            for row in reader:
+                if any(map(str.strip, row)):
+                    rows.append(row)
+                    self._numbers.append(reader.line_num)
+            return rows
         except csv.Error as error:
             told = f"{self._path} is no table of text: row {reader.line_num}: {error}"
             raise DataError(f"{told}; separate columns by commas, and close every quote") from error
 
     def _check_widths(self, rows: Sequence[Sequence[str]]) -> None:
         """Refuse rows with more cells than the first: a separator in a text would move all that follows."""
+        width = len(rows[0])
         for number, row in zip(self._numbers, rows, strict=True):
-            if any(cell.strip() for cell in row[len(rows[0]) :]):
+            if len(row) > width and any(map(str.strip, row[width:])):
                 raise DataError(
                     f"{self._path}, row {number}: {len(row)} columns, the first row has {len(rows[0])}; put texts that "
                     "hold a separator in quotes"
@@ -178,6 +186,9 @@ class TextTable:
 
     def numbers(self, name: str, missing: float | None = None) -> Array:
         """A column as numbers; an empty cell is `missing`, or an error. Notes the unit that its cells tell."""
+        if (plain := _plain_numbers(self.column(name))) is not None:
+            self._take_unit(name, set())
+            return plain
         values, units = [], set()
         for k, cell in zip(self._numbers, self.column(name), strict=True):
             word = cell.strip().replace(",", ".") if self._decimal_comma else cell.strip()
@@ -189,7 +200,7 @@ class TextTable:
                 number = float(with_unit[1] if with_unit else word)
             except ValueError:
                 number = math.nan
-            if not math.isfinite(number) or len(word) > 40:
+            if not math.isfinite(number) or len(word) > _DIGITS_MAX:
                 raise DataError(f"{self._path}, row {k}: {name} must be a number; got {cell[:30]!r}; fix or delete it")
             values.append(number)
             units.add(with_unit[2].lower() if with_unit else "")
@@ -317,6 +328,15 @@ def _names_time(line: str) -> bool:
 
 def _moments(first_s: float, last_s: float) -> str:
     return f"{first_s:.1f} to {last_s:.1f} s"
+
+
+def _plain_numbers(cells: Sequence[str]) -> Array | None:
+    """Cells as numbers, if each is finite and nothing else, such as a decimal comma or a unit, is in it."""
+    try:
+        values = np.array(list(map(float, cells)))
+    except ValueError:
+        return None
+    return values if np.isfinite(values).all() and max(map(len, cells), default=0) <= _DIGITS_MAX else None
 
 
 def _is_number(cell: str) -> bool:
