@@ -30,7 +30,7 @@ SOAK = (
     "--resume runs/soak/rows.jsonl --json runs/soak/trust.json"
 )
 STEPS = "--steps 1000000 --resume runs/soak/episodes.jsonl --json runs/soak/trust.json"
-PYTEST = "-m pytest -q -n auto --maxprocesses 4 --dist worksteal".split()
+PYTEST = ["-m", "pytest", "-q", "-n", "auto", "--maxprocesses", "4", "--dist", "worksteal"]
 TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
     "demo": (
         ".venv/installed-demo",
