@@ -4,8 +4,6 @@ PYTHON ?= python3
 PY := .venv/bin/python
 INSTALL := $(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt
 PINS := pyproject.toml constraints.txt
-# One worker per core, four at most: each takes a gigabyte.
-PYTEST := $(PY) -m pytest -q -n auto --maxprocesses 4 --dist worksteal
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test docs test-bounds coverage test-ray train-torchrl train-benchmarl soak check clean
 
@@ -46,7 +44,7 @@ check: .venv/installed-dev ## format, lint, types, import arrows and costs
 	$(PY) -m pytest -q tests/test_architecture.py tests/test_import.py
 
 test: .venv/installed-test ## all tests, training and OCR included (installs torch and onnxruntime)
-	$(PYTEST)
+	$(PY) -m pytest -q -n auto --maxprocesses 4 --dist worksteal
 
 .venv/installed-docs: $(PINS) | .venv/bin/python
 	@echo "installing into .venv (a minute or more)"
@@ -58,7 +56,7 @@ docs: .venv/installed-docs ## the documentation site in build/site, built strict
 	@echo "The site: build/site/index.html"
 
 test-bounds: .venv/installed-test ## the engine's tests with numba's bounds checks (own kernel cache; slow)
-	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_bounds $(PYTEST) tests/slam tests/exploration
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_bounds $(PY) -m pytest -q -n auto --maxprocesses 4 --dist worksteal tests/slam tests/exploration
 
 coverage: .venv/installed-test ## lines that the tests run, room by room, but for reproduce and compiled kernels (hours); goes on where it was
 	@mkdir -p runs/coverage
