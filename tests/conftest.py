@@ -42,6 +42,12 @@ def wander():
     return wander_by_scan
 
 
+@pytest.fixture(scope="session")
+def slowdown() -> float:
+    """How much more processor time than alone a test may take: workers of pytest-xdist share caches and cores."""
+    return 3.0 if "PYTEST_XDIST_WORKER" in os.environ else 1.0
+
+
 @pytest.fixture
 def refusal(capsys):
     """A function that runs a command with invalid arguments; returns its error message, which must be one line."""

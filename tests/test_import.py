@@ -29,10 +29,10 @@ def test_an_environment_needs_no_slow_part_of_scipy_to_start():
     assert run(code).strip() == "[]"
 
 
-def test_a_warm_import_takes_less_than_its_limit():
+def test_a_warm_import_takes_less_than_its_limit(slowdown):
     best_s = min(float(run(TIMED)) for _ in range(5))
     print(f"import twc_env: {best_s:.2f} s of CPU time warm, best of 5")
-    assert best_s < WARM_IMPORT_MAX_S
+    assert best_s < WARM_IMPORT_MAX_S * slowdown
 
 
 @pytest.mark.parametrize("name", ["config", "records.messages", "records.geometry", "vector"])

@@ -299,7 +299,7 @@ def test_a_frontier_ends_when_the_unknown_beside_it_becomes_known():
     assert not is_frontier(grid_of(room()), point(30, 49), 0.3)
 
 
-def test_planning_on_a_large_map_stays_within_a_few_milliseconds():
+def test_planning_on_a_large_map_stays_within_a_few_milliseconds(slowdown):
     import time
 
     rng = np.random.default_rng(2)
@@ -317,7 +317,7 @@ def test_planning_on_a_large_map_stays_within_a_few_milliseconds():
     for _ in range(5):
         Terrain(grid_of(kind), 0.2)
         finder.cheapest(terrain, point(20, 20), labels, np.zeros(2))
-    assert (time.process_time() - start) / 5 < 0.05
+    assert (time.process_time() - start) / 5 < 0.05 * slowdown
 
 
 def scan_in(kind, row, column, heading_rad, beams=360, reach_m=10.0):

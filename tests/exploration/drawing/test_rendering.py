@@ -112,14 +112,14 @@ def test_objects_outside_the_picture_are_clipped():
     assert image.shape[2] == 3
 
 
-def test_a_picture_of_a_large_hall_takes_less_than_50_ms():
+def test_a_picture_of_a_large_hall_takes_less_than_50_ms(slowdown):
     walls = hall(200, 400)
     scene = Scene(walls, np.zeros(2), 0.1, (estimate(walls),), np.zeros((1, 3)))
     render(scene)
     start = time.process_time()
     for _ in range(10):
         render(scene)
-    assert (time.process_time() - start) / 10 < 0.05
+    assert (time.process_time() - start) / 10 < 0.05 * slowdown
 
 
 @pytest.mark.parametrize("turn_rad", [0.0, 0.3, 0.7])
