@@ -42,6 +42,7 @@ check: .venv/installed-dev ## format, lint, types, import arrows and costs
 	$(PY) -m ruff check .
 	$(PY) -m mypy
 	$(PY) -m pytest -q tests/test_architecture.py tests/test_import.py
+	$(PY) -m pytest -q -m timed tests/world/building tests/planning tests/exploration/drawing
 
 test: .venv/installed-test ## all tests, training and OCR included (installs torch and onnxruntime)
 	$(PY) -m pytest -q -n auto --maxprocesses 4 --dist worksteal

@@ -44,7 +44,8 @@ def wander():
 
 @pytest.fixture(scope="session")
 def slowdown() -> float:
-    """How much more processor time than alone a test may take: workers of pytest-xdist share caches and cores."""
+    """How much more processor time than alone a test may take: workers of pytest-xdist share caches and cores. In `make
+    check`, which runs the tests marked `timed` one by one, the limits hold as they stand."""
     return 3.0 if "PYTEST_XDIST_WORKER" in os.environ else 1.0
 
 

@@ -299,6 +299,7 @@ def test_a_frontier_ends_when_the_unknown_beside_it_becomes_known():
     assert not is_frontier(grid_of(room()), point(30, 49), 0.3)
 
 
+@pytest.mark.timed
 def test_planning_on_a_large_map_stays_within_a_few_milliseconds(slowdown):
     import time
 

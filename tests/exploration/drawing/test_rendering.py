@@ -112,6 +112,7 @@ def test_objects_outside_the_picture_are_clipped():
     assert image.shape[2] == 3
 
 
+@pytest.mark.timed
 def test_a_picture_of_a_large_hall_takes_less_than_50_ms(slowdown):
     walls = hall(200, 400)
     scene = Scene(walls, np.zeros(2), 0.1, (estimate(walls),), np.zeros((1, 3)))

@@ -98,6 +98,7 @@ def test_equal_arguments_give_equal_buildings_and_different_ones_do_not():
     assert len({generate(*other).digest for other in [("ring", 400, 5), *others]}) == 4
 
 
+@pytest.mark.timed
 @pytest.mark.parametrize("kind", KINDS)
 def test_ten_thousand_square_metres_are_drawn_in_two_seconds_and_reset_in_one(kind, slowdown):
     World(EnvConfig(), generate(kind, 100, 0)).reset(0)  # kernels compile before the clock runs
