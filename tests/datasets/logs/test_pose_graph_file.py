@@ -114,17 +114,16 @@ def test_of_lines_of_very_many_kinds_the_first_are_named_and_the_others_counted(
     assert len(remarks) < 25
 
 
-def test_a_text_of_too_many_other_lines_is_no_pose_graph(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("ab", "more than 3 lines of unknown kinds; name a pose graph"),
+        ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1", "more than 3 lines of a kind; cut the graph into parts"),
+    ],
+)
+def test_too_many_lines_are_refused_at_the_line(line, told, tmp_path, monkeypatch):
     monkeypatch.setattr(pose_graph_file, "LINES_MAX", 3)
     path = tmp_path / "a.g2o"
-    path.write_text("ab\n" * 9)
-    with pytest.raises(DataError, match="line 4: more than 3 lines of unknown kinds; name a pose graph"):
-        read_pose_graph(path)
-
-
-def test_a_graph_of_too_many_edges_is_refused_at_the_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(pose_graph_file, "LINES_MAX", 3)
-    path = tmp_path / "a.g2o"
-    path.write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n" * 9)
-    with pytest.raises(DataError, match="line 4: more than 3 lines of a kind; cut the graph into parts"):
+    path.write_text(f"{line}\n" * 9)
+    with pytest.raises(DataError, match=f"line 4: {told}"):
         read_pose_graph(path)
