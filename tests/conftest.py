@@ -4,7 +4,8 @@ import os
 import signal
 import threading
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # with several threads, operations on small matrices are slow
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the workers of pytest-xdist share the cores
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pytest

@@ -1,5 +1,7 @@
 """`twc-env warm-up`."""
 
+import subprocess
+import sys
 from unittest.mock import Mock
 
 import pytest
@@ -14,7 +16,7 @@ from twc_env.kernels import cache_folder
 @pytest.mark.parametrize("count, expected", [(12, "12 functions compiled"), (0, "nothing to compile")])
 @pytest.mark.parametrize("kept", [True, False])
 def test_it_says_what_was_compiled_and_where_it_is_kept(monkeypatch, capsys, count, expected, kept):
-    monkeypatch.setattr(episode, "compile_all", lambda: count)
+    monkeypatch.setattr(episode, "compile_all", lambda total: count)
     monkeypatch.setattr(warm_up, "compile_for_commands", lambda: 0)
     monkeypatch.setattr(cache_folder, "is_kept", lambda: kept)
     assert main(["warm-up"]) == 0
@@ -37,4 +39,31 @@ def test_it_also_plays_a_scripted_team_and_choices_of_frontiers_draws_them_and_r
         "twc_env.replaying.run.run", lambda source, config, note: played.append(config.robots) or Mock()
     )
     assert warm_up.compile_for_commands(steps=20) >= 0
-    assert played == ["nearest-frontier", "frontier", 2]
+    assert played == ["nearest-frontier", "informed", "informed", "voronoi", "frontier", 2]
+
+
+LOADED = """
+import gc
+from numba.core.registry import CPUDispatcher
+from twc_env.agents.explore import explore
+from twc_env.commands import warm_up
+from twc_env.config import EnvConfig, override
+def kernels():
+    found = [each for each in gc.get_objects() if isinstance(each, CPUDispatcher) and each.overloads]
+    return {f"{each.py_func.__module__}.{each.__name__}" for each in found}
+warm_up._run(None)
+before = kernels()
+for team, own in (
+    ("rendezvous", {"world": "office", "robots": 3}),
+    ("nearest-frontier", {"world": "warehouse", "lidar.preset": "lms-200"}),
+    ("voronoi", {"map": "twin-01", "lidar.preset": "lds-01", "team": ["handheld", "wheeled"]}),
+):
+    explore(override(EnvConfig(), {"map": "gen:office:200:7", "robots": 2, "max_cycles": 100, **own}), team, 2)
+print(*sorted(name for name in kernels() - before if name.startswith("twc_env.")))
+"""
+
+
+@pytest.mark.slow
+def test_after_it_other_worlds_scanners_and_teams_use_no_other_kernels():
+    done = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[1:] == [""]

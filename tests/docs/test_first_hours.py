@@ -1,8 +1,6 @@
 """The commands of docs/first_hours run in their order, on smaller settings, and write what the pages name: in a fresh
 clone, and with nothing but the wheel."""
 
-import hashlib
-import json
 import os
 import re
 import shlex
@@ -14,8 +12,8 @@ import pytest
 
 from tests.docs.test_commands import ROOT
 from tests.forks import Forks
+from tests.given_kernels import give_kernels
 from tests.test_wheel import unpacked_wheel
-from twc_env.kernels.cache_folder import cache_folder
 
 PAGES = ("student", "researcher", "lecturer")
 SMALLER = (
@@ -52,30 +50,6 @@ def programs(page: str) -> list[str]:
                 f"import sys, twc_env.__main__\nsys.argv[0] = 'twc-env'\nassert not twc_env.__main__.main({words})"
             )
     return found
-
-
-def give_kernels(site: Path, cache: Path) -> None:
-    """Copy compiled kernels to where they are found for the files in `site`, which spares minutes: numba names folders
-    by the path of the source, and looks at its time. Without them all runs as well."""
-    there = {}
-    for source in (path for top in ("twc_env", "agents", "training") for path in (ROOT / top).rglob("*.py")):
-        inside = source.relative_to(ROOT)
-        installed = site / inside if (site / inside).exists() else site / "twc_env" / inside
-        os.utime(installed, ns=(source.stat().st_atime_ns, source.stat().st_mtime_ns))
-        there[numba_folder(source)] = numba_folder(installed)
-    copy = shutil.copytree(cache_folder(), cache / "twc_env" / "kernels" / cache_folder().name)
-    for file in copy.glob("*/sums.json"):
-        for folder in [path for path in file.parent.iterdir() if path.is_dir()]:
-            if folder.name in there:
-                folder.rename(file.parent / there[folder.name])
-            else:
-                shutil.rmtree(folder)
-        sums = {tuple(name.split("/")): value for name, value in json.loads(file.read_text()).items()}
-        file.write_text(json.dumps({f"{there[at]}/{name}": value for (at, name), value in sums.items() if at in there}))
-
-
-def numba_folder(source: Path) -> str:
-    return f"{source.parent.name}_{hashlib.sha1(str(source.parent).encode()).hexdigest()}"
 
 
 def fresh_clone(folder: Path) -> Path:

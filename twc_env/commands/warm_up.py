@@ -7,14 +7,23 @@ import time
 
 STEPS = 600
 """Of each episode of `compile_for_commands`."""
+EPISODES = (
+    ("nearest-frontier", {"slam.cues.text": False, "slam.cues.wifi": False}),
+    ("informed", {"world": "ward", "lidar.preset": "rplidar-a1", "slam.place_recognition.recogniser": "fused"}),
+    ("informed", {"world": "mall", "lidar.preset": "rplidar-a1"}),
+    ("voronoi", {"world": "office"}),
+)
+"""Teams and settings that between them need what no other episode of `twc-env warm-up` does: planning by the map and by
+the true plan, scan descriptors, people, doors, furniture, a scanner's errors and WiFi alone."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.description = (
-        "Compile everything that an episode needs and keep it on disk. The first episode on a machine does so anyway; "
-        "this is for images and clusters, whose processes then start at once. What few episodes need, such as the "
-        "errors of a scanner preset, is compiled when it is first used."
+        "Compile what episodes need, in every world, with every scanner, team and learner, and what replays of logs "
+        "need, and keep it on disk: some minutes. The first episode on a machine does so anyway; this is for images "
+        "and clusters, whose processes then start at once. What few commands need (walls from WiFi, localisation in "
+        "saved maps) is compiled when it is first used."
     )
     parser.epilog = (
         "examples:\n  twc-env warm-up\n  NUMBA_CACHE_DIR=/opt/kernels twc-env warm-up\n\n"
@@ -27,10 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(_arguments: argparse.Namespace) -> None:
     from twc_env.exploration.warm_up import compile_all
     from twc_env.kernels.cache_folder import cache_folder, is_kept
+    from twc_env.kernels.compilation import EVERYTHING
     from twc_env.kernels.compile_events import ARE_KNOWN
 
     begin_s = time.perf_counter()
-    count = compile_all() + compile_for_commands()
+    count = compile_all(EVERYTHING) + compile_for_commands()
     done = f"{count} functions compiled" if count else "nothing to compile: all kernels were there"
     if not ARE_KNOWN:
         done = "all kernels are there; this numba does not tell how many it compiled"
@@ -39,8 +49,8 @@ def _run(_arguments: argparse.Namespace) -> None:
 
 
 def compile_for_commands(steps: int = STEPS) -> int:
-    """Compile what velocity commands with all cues do not need: planning, scan descriptors, drawing and logs; the
-    number of functions compiled."""
+    """Compile what velocity commands with all cues in the clean world do not need (`EPISODES`, choices of frontiers,
+    drawing, logs); the number of functions compiled."""
     from twc_env.agents.explore import explore
     from twc_env.config import EnvConfig, override
     from twc_env.exploration.environment import ExplorationEnv
@@ -49,9 +59,8 @@ def compile_for_commands(steps: int = STEPS) -> int:
 
     before = compilation.announcer().count
     settings = {"map": MAP, "robots": 2, "max_cycles": steps}
-    explore(
-        override(EnvConfig(), {**settings, "slam.cues.text": False, "slam.cues.wifi": False}), "nearest-frontier", SEED
-    )
+    for team, own in EPISODES:
+        explore(override(EnvConfig(), {**settings, **own}), team, SEED)
     env = ExplorationEnv(config=override(EnvConfig(), {**settings, "action.kind": "frontier"}), render_mode="rgb_array")
     seen, _ = env.reset(seed=SEED)
     while env.agents:

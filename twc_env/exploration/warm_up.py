@@ -12,10 +12,11 @@ MAP, ROBOTS, STEPS, SEED = "gen:office:100:1", 3, 1000, 1
 """An episode in which robots meet early, so that places are recognised and maps are merged."""
 
 
-def compile_all() -> int:
-    """Compile for an episode and rare events of the engine; the number of functions compiled (0: all were there)."""
+def compile_all(total: int = compilation.EPISODE) -> int:
+    """Compile for an episode and rare events of the engine; the number of functions compiled (0: all were there).
+    `total` is the length of the bar."""
     announcer = compilation.announcer()
-    announcer.total = compilation.EPISODE
+    announcer.total = total
     before = announcer.count
     warm_up.main()
     play()

@@ -7,28 +7,16 @@ step may stall. So it gets one thread, too, and sums have one order: results do 
 from __future__ import annotations
 
 import math
-from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.kernels.blas_threads import one_blas_thread
 from twc_env.kernels.compiled import kernel
-
-if TYPE_CHECKING:
-    from threadpoolctl import ThreadpoolController
 
 ROWS_MAX = 400
 """Rows of matrices that are factorised here; larger ones are left to LAPACK."""
 PIVOT_MIN = 1e-300
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    """What shares matrices among threads; made once, as it looks for all loaded libraries."""
-    from threadpoolctl import ThreadpoolController  # needed for large matrices alone
-
-    return ThreadpoolController()
 
 
 def inverse_of(matrix: Array) -> Array:
@@ -37,7 +25,7 @@ def inverse_of(matrix: Array) -> Array:
         return _inverse(matrix)
     from scipy.linalg.lapack import dpotrf, dpotri  # imported here: a tenth of the start-up time, not needed there
 
-    with _libraries().limit(limits=1, user_api="blas"):
+    with one_blas_thread():
         factor, _ = dpotrf(matrix.T, lower=0, overwrite_a=1)
         lower = np.tril(dpotri(factor, lower=0, overwrite_c=1)[0].T)
     return lower + np.tril(lower, -1).T
@@ -52,7 +40,7 @@ def solution_of(matrix: Array, right: Array) -> Array | None:
         return right if _solve(matrix, right) else None
     from scipy.linalg.lapack import dpotrf, dpotrs  # imported late: takes a tenth of the start-up time
 
-    with _libraries().limit(limits=1, user_api="blas"):
+    with one_blas_thread():
         factor, failed = dpotrf(np.asfortranarray(matrix), lower=1, overwrite_a=1)
         if failed or np.isnan(factor.diagonal()).any():  # LAPACK's libraries differ in whether they look for NaN
             return None

@@ -22,6 +22,7 @@ from scipy.stats import spearmanr
 
 from twc_env.config import RadioSlamConfig
 from twc_env.errors import UNFIT, DataError
+from twc_env.kernels.blas_threads import one_blas_thread
 from twc_env.records.fingerprint_validation import validated_fingerprints
 from twc_env.records.geometry import between, compose, inverse, poses_along, wrap_angle
 from twc_env.records.messages import Fingerprint, Keyframe
@@ -126,6 +127,7 @@ class _Candidate:
         return self.strain - EVIDENCE_WEIGHT * self.evidence
 
 
+@one_blas_thread()
 def solve(
     log: RadioLog, config: RadioSlamConfig, cues: Sequence[str] = CUES, false_closures: Distances | None = None
 ) -> RadioResult:
