@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from twc_env.config import EnvConfig, override
 from twc_env.config.people import PeopleConfig
@@ -7,7 +8,7 @@ from twc_env.errors import MapError
 from twc_env.maps import load_map
 from twc_env.world.clutter.doorways import doorways_of
 from twc_env.world.people.crowd import Crowd
-from twc_env.world.people.walking import BODY_RADIUS_M, SITTING, WALKING
+from twc_env.world.people.walking import BODY_RADIUS_M, SEAT_RADIUS_M, SITTING, WALKING
 from twc_env.world.world import World
 
 RADIUS_M, DT_S = 0.2, 0.1
@@ -98,6 +99,25 @@ def test_nobody_sits_or_stands_in_a_doorway_for_good():
     doorways = doorways_of(home)
     middles = 0.5 * (doorways[:, :2] + doorways[:, 2:])
     assert np.hypot(*(crowd.bodies[:, None] - middles).transpose(2, 0, 1)).min() >= 0.8
+
+
+@pytest.mark.parametrize("seed", [1423, 1435])
+def test_who_sits_leaves_robots_a_way_past(seed):
+    """Two chairs side by side closed the corridors of these offices."""
+    world = World(override(EnvConfig(), {"robots": 3, "people.count": 30}), load_map(f"gen:office:400:{seed}"))
+    world.reset(seed)
+    assert world.crowd is not None
+    home, crowd = world.plan.home, world.crowd
+    seats, radius_m = crowd.bodies[crowd._kinds == SITTING], world.config.dynamics.robot_radius_m
+    cells = home.cells()
+    places = cells.centre_of(np.argwhere(cells.free))
+    floor = cells.free.copy()
+    floor[cells.free] = home.wall_index.distance_m(places, 1.0) >= radius_m
+    shared = np.bincount(ndimage.label(floor)[0][floor]).max()
+    beside = np.hypot(*np.moveaxis(places[:, None] - seats, -1, 0)).min(axis=1) >= radius_m + SEAT_RADIUS_M
+    floor[cells.free] &= beside
+    assert np.bincount(ndimage.label(floor)[0][floor]).max() > 0.9 * shared
+    assert len(seats) == 8
 
 
 def test_nobody_sits_where_an_open_door_leaves_too_little_of_the_way():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -26,6 +27,7 @@ from twc_env.world.people.walking import (
     HOME_Y,
     LEFT,
     PAUSE,
+    SEAT_RADIUS_M,
     SITTING,
     SPEED,
     STANDING,
@@ -58,6 +60,8 @@ _FROM_DOORWAYS_M = 0.8
 """Nobody sits or stands nearer to the middle of a doorway for the whole episode ..."""
 _FROM_LEAVES_M = EGRESS_M + BODY_RADIUS_M
 """... or to an open leaf."""
+_ROOM_M, _POCKET_M2 = 0.05, 1.0
+"""People who sit leave this room on either side of the largest robot on its way past them to more floor than this."""
 _SPEED_MIN_M_S = 0.3
 
 
@@ -192,6 +196,7 @@ def _placed(
     state[:, SPEED] = np.maximum(wanted, _SPEED_MIN_M_S)
     state[:, LEFT] = np.inf
     middle, standing = np.zeros(2), 0
+    passages = _Passages(home, float(radii_m.max(initial=0.0)) + _ROOM_M) if sitting else None
     for i in range(count):
         is_free = (away >= _APART_M) & (is_beside | (kinds[i] == WALKING))
         if kinds[i] == SITTING:
@@ -202,6 +207,8 @@ def _placed(
         if not is_free.any():
             raise MapError(f"map {home.name!r} has no room for {count} people; reduce people.count")
         place = places[int(np.argmax(is_free))]
+        if kinds[i] == SITTING and passages is not None:
+            place = next(filter(passages.takes, places[is_free]), place)
         if kinds[i] == STANDING:
             if standing % _GROUP == 0:
                 angle = state[i, FACING]
@@ -212,3 +219,41 @@ def _placed(
         state[i, [VX, VY]] = 0.0
         away = np.minimum(away, np.hypot(*(places - place).T))
     return state, kinds
+
+
+class _Passages:
+    """Where the middle of a robot may be, and whether it still gets everywhere when somebody sits down."""
+
+    def __init__(self, home: Floorplan, radius_m: float):
+        self._radius_m, self._cells = radius_m, home.cells()
+        self._is_open = _open_floor(home, radius_m).copy()
+
+    def takes(self, place: Array) -> bool:
+        """Seat somebody at a place (2,) unless that cuts floor off."""
+        from scipy import ndimage  # slow to import
+
+        reach_m, cells = SEAT_RADIUS_M + self._radius_m, self._cells
+        low = np.maximum(np.floor((place - reach_m - cells.origin_m) / cells.resolution_m).astype(int)[::-1], 0)
+        high = np.floor((place + reach_m - cells.origin_m) / cells.resolution_m).astype(int)[::-1] + 1
+        around = slice(low[0], high[0]), slice(low[1], high[1])
+        is_open = self._is_open.copy()
+        centres = cells.centre_of(np.moveaxis(np.indices(is_open[around].shape), 0, -1) + low)
+        is_open[around] &= np.hypot(*np.moveaxis(centres - place, -1, 0)) >= reach_m
+        before, _ = ndimage.label(self._is_open)
+        after, _ = ndimage.label(is_open)
+        for own in set(before[around].flat) - {0}:
+            sizes = np.bincount(after[(before == own) & is_open])
+            if sizes.sum() - sizes.max(initial=0) > _POCKET_M2 / cells.resolution_m**2:
+                return False
+        self._is_open = is_open
+        return True
+
+
+@lru_cache(maxsize=8)
+def _open_floor(home: Floorplan, radius_m: float) -> Array:
+    """(rows, columns) free cells whose centre is so far from all walls."""
+    cells = home.cells()
+    is_open = cells.free.copy()
+    is_open[is_open] = home.wall_index.distance_m(cells.centre_of(np.argwhere(is_open)), radius_m) >= radius_m
+    is_open.flags.writeable = False
+    return is_open
