@@ -221,6 +221,8 @@ class Explorer(ABC):
             plan, kind = self._planned(
                 agent, beliefs, self._terrain(agent, beliefs, self.explorer.squeeze, self._has_doors)
             )
+        if plan is None and self._has_doors:
+            plan, kind = self._to_elsewhere(robot, beliefs[agent], self._terrain(agent, beliefs)), "place"
         if plan is None:  # no goal: drop failures, look around, and try again
             robot.goal_kind = ""
             robot.failures.clear()
@@ -235,6 +237,22 @@ class Explorer(ABC):
 
     def _planned(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> tuple[Plan | None, str]:
         return self.best_plan(agent, beliefs, terrain, self._discs(self.robots[agent], beliefs[agent], terrain))
+
+    def _to_elsewhere(self, robot: ExplorerRobot, belief: Belief, terrain: Terrain) -> Plan | None:
+        """A shut in robot that waited in vain goes to any other place that it can reach: a leaf that opens may have
+        met it, or stand open between it and the doorway."""
+        tick_s = self.dynamics.time_step_s
+        if (belief.step - robot.track_step[-1]) * tick_s < self.explorer.retry_s:
+            return None
+        self.finder.spread(terrain, robot.pose[:2])
+        cells = np.argwhere(terrain.cost > 0)
+        is_away = np.hypot(*(terrain.to_metres(cells + 0.5) - robot.pose[:2]).T) > self.explorer.tour_arrival_m
+        cells = cells[is_away & np.isfinite(self.finder.ways_to(terrain, cells))]
+        if not len(cells):
+            return None
+        labels = terrain.no_labels()
+        labels[tuple(cells[self.random.integers(len(cells))])] = 1
+        return self.finder.cheapest(terrain, robot.pose[:2], labels, np.zeros(2))
 
     @abstractmethod
     def best_plan(
