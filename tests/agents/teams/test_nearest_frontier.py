@@ -1,5 +1,6 @@
 """The nearest-frontier team: exploration, spreading out, unreachable goals, tours, and termination."""
 
+import itertools
 import math
 
 import numpy as np
@@ -268,3 +269,16 @@ def test_a_robot_shut_in_a_closet_looks_around_and_then_waits_for_the_door(share
         turns.append(abs(math.remainder(maze.poses[0][2] - before, 2 * math.pi)) > 0.01)
     assert np.mean(turns[:30]) > 0.9
     assert (np.mean(turns) < 0.5) == (share > 0.0)
+
+
+def test_a_robot_shut_in_a_room_waits_in_one_place_after_another():
+    """A leaf that opens may have met it, or stand open between it and the doorway."""
+    maze = with_doors(Maze(["#######", *["#     #"] * 5, "#######"], [(1.0, 1.0, 0.0)]))
+    path = []
+    for _ in range(900):
+        maze.advance()
+        path.append(maze.poses[0][:2].copy())
+    stands = np.hypot(*np.diff(path, axis=0).T) < 1e-6
+    assert stands.mean() > 0.6
+    waited = [path[k] for k in range(150, 900) if stands[k - 100 : k].all()]
+    assert sum(np.hypot(*(a - b)) > 0.6 for a, b in itertools.pairwise(waited)) >= 2
