@@ -106,7 +106,8 @@ class Explorer(ABC):
 
     def _has_arrived(self, robot: ExplorerRobot, belief: Belief) -> bool:
         """Handle arrival; a frontier that still exists although the robot is there counts as failed."""
-        limit = self.explorer.arrival_m if robot.goal_kind == "frontier" else self.explorer.tour_arrival_m
+        is_near = robot.goal_kind in ("frontier", "elsewhere")
+        limit = self.explorer.arrival_m if is_near else self.explorer.tour_arrival_m
         if math.hypot(robot.goal_m[0] - robot.pose[0], robot.goal_m[1] - robot.pose[1]) > limit:
             robot.arrived_step = -1
             return False
@@ -222,7 +223,7 @@ class Explorer(ABC):
                 agent, beliefs, self._terrain(agent, beliefs, self.explorer.squeeze, self._has_doors)
             )
         if plan is None and self._has_doors:
-            plan, kind = self._to_elsewhere(robot, beliefs[agent], self._terrain(agent, beliefs)), "place"
+            plan, kind = self._to_elsewhere(robot, step, self._terrain(agent, beliefs)), "elsewhere"
         if plan is None:  # no goal: drop failures, look around, and try again
             robot.goal_kind = ""
             robot.failures.clear()
@@ -232,27 +233,27 @@ class Explorer(ABC):
         goal = plan.path_m[-1]
         if not robot.goal_kind or math.hypot(*(goal - robot.pose[:2])) > self.explorer.arrival_m:
             robot.arrived_step = -1
-        robot.goal_m, robot.goal_kind = goal, kind
+        robot.goal_m, robot.goal_kind, robot.goal_step = goal, kind, step
         robot.follower.start(plan.path_m)
 
     def _planned(self, agent: str, beliefs: dict[str, Belief], terrain: Terrain) -> tuple[Plan | None, str]:
         return self.best_plan(agent, beliefs, terrain, self._discs(self.robots[agent], beliefs[agent], terrain))
 
-    def _to_elsewhere(self, robot: ExplorerRobot, belief: Belief, terrain: Terrain) -> Plan | None:
+    def _to_elsewhere(self, robot: ExplorerRobot, step: int, terrain: Terrain) -> Plan | None:
         """A shut in robot that waited in vain goes to any other place that it can reach: a leaf that opens may have
         met it, or stand open between it and the doorway."""
-        tick_s = self.dynamics.time_step_s
-        if (belief.step - robot.track_step[-1]) * tick_s < self.explorer.retry_s:
-            return None
-        self.finder.spread(terrain, robot.pose[:2])
-        cells = np.argwhere(terrain.cost > 0)
-        is_away = np.hypot(*(terrain.to_metres(cells + 0.5) - robot.pose[:2]).T) > self.explorer.tour_arrival_m
-        cells = cells[is_away & np.isfinite(self.finder.ways_to(terrain, cells))]
-        if not len(cells):
-            return None
         labels = terrain.no_labels()
-        labels[tuple(cells[self.random.integers(len(cells))])] = 1
-        return self.finder.cheapest(terrain, robot.pose[:2], labels, np.zeros(2))
+        if robot.goal_kind == "elsewhere":
+            part = terrain.patch(robot.goal_m, 0.5 * self.explorer.arrival_m)
+            labels[part][terrain.cost[part] > 0] = 1
+        elif (step - robot.goal_step) * self.dynamics.time_step_s >= self.explorer.retry_s:
+            self.finder.spread(terrain, robot.pose[:2])
+            cells = np.argwhere(terrain.cost > 0)
+            is_away = np.hypot(*(terrain.to_metres(cells + 0.5) - robot.pose[:2]).T) > self.explorer.tour_arrival_m
+            cells = cells[is_away & np.isfinite(self.finder.ways_to(terrain, cells))]
+            if len(cells):
+                labels[tuple(cells[self.random.integers(len(cells))])] = 1
+        return self.finder.cheapest(terrain, robot.pose[:2], labels, np.zeros(2)) if labels.any() else None
 
     @abstractmethod
     def best_plan(

@@ -81,8 +81,10 @@ class ExplorerRobot:
     """Changes whenever the map frame jumps: version of the map and number of teammates in it."""
     goal_m: Array = field(default_factory=lambda: np.zeros(2))
     goal_kind: str = ""
-    """"frontier", "tour" (nothing is left to explore), "place" (for another purpose), "wait" (on the spot); "" when
-    there is no goal."""
+    """"frontier", "tour" (nothing is left to explore), "place" (for another purpose), "wait" (on the spot),
+    "elsewhere" (another place of a closed room); "" when there is no goal."""
+    goal_step: int = 0
+    """Last step at which it had one."""
     arrived_step: int = -1
     stuck_count: int = 0
     track_m: list[Array] = field(default_factory=list)
