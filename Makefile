@@ -26,9 +26,9 @@ help: ## list the commands
 
 .venv/installed-test: $(PINS) | .venv/bin/python
 	@echo "installing torch and more into .venv (several minutes)"
-	@$(INSTALL) torch -e '.[viz,dev,train,ocr,ros,docs,torchrl,rerun]' sb3-contrib || { $(INSTALL) torch -e '.[viz,dev,train,ocr]'; \
-		$(INSTALL) -e '.[viz,ros,docs]' || echo "rosbags or mkdocs-material is not to be had here: their tests are skipped"; \
-		$(INSTALL) -e '.[torchrl,rerun]' sb3-contrib || echo "TorchRL, Rerun or sb3-contrib is not to be had here: their tests are skipped"; }
+	@$(INSTALL) torch -e '.[viz,dev,train,ocr]'
+	@$(INSTALL) -e '.[viz,ros,docs]' || echo "rosbags or mkdocs-material is not to be had here: their tests are skipped"
+	@$(INSTALL) -e '.[torchrl,rerun]' sb3-contrib || echo "TorchRL, Rerun or sb3-contrib is not to be had here: their tests are skipped"
 	@touch $@
 
 setup: .venv/installed-dev ## .venv with everything but torch
@@ -45,7 +45,7 @@ check: .venv/installed-dev ## format, lint, types, import arrows and costs
 	$(PY) -m pytest -q -m timed tests/world/building tests/planning tests/exploration/drawing
 
 test: .venv/installed-test ## all tests, training and OCR included (installs torch and onnxruntime)
-	$(PY) -m twc_env warm-up
+	.venv/bin/twc-env warm-up
 	$(PY) -m pytest -q -n auto --maxprocesses 4 --dist worksteal
 
 .venv/installed-docs: $(PINS) | .venv/bin/python

@@ -57,7 +57,7 @@ TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
             ],
         ],
     ),
-    "test": (".venv/installed-test", TEST, [PYTEST]),
+    "test": (".venv/installed-test", TEST, [["-m", "twc_env", "warm-up"], PYTEST]),
     "test-bounds": (".venv/installed-test", TEST, [[*PYTEST, "tests/slam", "tests/exploration"]]),
     "soak": (
         ".venv/installed-test",
