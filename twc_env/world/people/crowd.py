@@ -61,7 +61,9 @@ _FROM_DOORWAYS_M = 0.8
 _FROM_LEAVES_M = EGRESS_M + BODY_RADIUS_M
 """... or to an open leaf."""
 _ROOM_M, _POCKET_M2 = 0.05, 1.0
-"""People who sit leave this room on either side of the largest robot on its way past them to more floor than this."""
+"""People who sit leave this room on either side of the largest robot on its way past to more floor than this ..."""
+_SEATS_TRIED = 50
+"""... if one of so many places does."""
 _SPEED_MIN_M_S = 0.3
 
 
@@ -208,7 +210,7 @@ def _placed(
             raise MapError(f"map {home.name!r} has no room for {count} people; reduce people.count")
         place = places[int(np.argmax(is_free))]
         if kinds[i] == SITTING and passages is not None:
-            place = next(filter(passages.takes, places[is_free]), place)
+            place = next(filter(passages.takes, places[is_free][:_SEATS_TRIED]), place)
         if kinds[i] == STANDING:
             if standing % _GROUP == 0:
                 angle = state[i, FACING]
