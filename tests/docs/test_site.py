@@ -2,7 +2,6 @@
 
 import functools
 import http.server
-import importlib.util
 import json
 import os
 import re
@@ -44,12 +43,12 @@ class Page(HTMLParser):
             self.loads.append(given["href"])
 
 
-def built(folder: Path) -> Path:
+def built(folder: Path, repository: str = "") -> Path:
     """The folder of the built site."""
     for module in ("mkdocs", "material", "mkdocstrings"):
         pytest.importorskip(module, reason="needs the extra 'docs'")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
-    env = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "GITHUB_REPOSITORY": ""}
+    env = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "GITHUB_REPOSITORY": repository}
     done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "WARNING" not in done.stdout + done.stderr
@@ -168,26 +167,17 @@ def test_pictures_open_in_full_size_and_options_are_not_broken_at_their_hyphens(
     assert all('class="whole">--' in code for code in re.findall(r"<code>.*?</code>", page) if " --" in code)
 
 
-def test_where_the_repository_is_known_notebooks_open_in_colab_and_install_from_it(monkeypatch):
-    pytest.importorskip("pymdownx", reason="needs the extra 'docs'")
-    spec = importlib.util.spec_from_file_location("hooks", ROOT / "docs" / "site" / "hooks.py")
-    assert spec is not None and spec.loader is not None
-    spec.loader.exec_module(hooks := importlib.util.module_from_spec(spec))
-    monkeypatch.chdir(ROOT)
-    monkeypatch.setenv("GITHUB_REPOSITORY", "some-one/twc.env")
-    made = hooks._notebooks()
+def test_where_the_repository_is_known_notebooks_open_in_colab_and_install_from_it(tmp_path):
+    site = built(tmp_path, "some-one/twc.env")
     for path in (ROOT / "notebooks").glob("*.ipynb"):
+        page = (site / "notebooks" / f"{path.stem}.html").read_text(encoding="utf-8")
         place = f"github/some-one/twc.env/blob/gh-pages/notebooks/{path.name}"
-        assert f'href="https://colab.research.google.com/{place}"' in made[f"notebooks/{path.stem}.md"]
-        shown, kept = json.loads(made[f"notebooks/{path.name}"]), json.loads(path.read_text(encoding="utf-8"))
+        assert f'href="https://colab.research.google.com/{place}"' in page
+        shown, kept = (json.loads(p.read_text(encoding="utf-8")) for p in (site / "notebooks" / path.name, path))
         line = "".join(shown["cells"][1]["source"]).splitlines()[-1]
         assert re.fullmatch(r" +%pip .* 'twc_env\[[\w,]+\] @ git\+https://github.com/some-one/twc.env'", line)
         assert shown["cells"][2:] == kept["cells"][2:]
-    config = hooks.on_config({"copyright": "MIT licence", "mdx_configs": {}})
-    assert 'href="https://github.com/some-one/twc.env"' in config["copyright"]
-    monkeypatch.setenv("GITHUB_REPOSITORY", "no name")
-    with pytest.raises(Exception, match="must be OWNER/NAME"):
-        hooks._notebooks()
+    assert 'href="https://github.com/some-one/twc.env"' in (site / "index.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

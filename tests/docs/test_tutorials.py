@@ -34,7 +34,7 @@ def test_a_tutorial_runs_and_writes_its_curve(name, tmp_path):
         if importlib.util.find_spec(module) is None:
             pytest.skip(f"needs {module}")
     path = os.pathsep.join([str(FOLDER.parents[1]), os.environ.get("PYTHONPATH", "")])
-    command = [sys.executable, str(FOLDER / f"{name}.py"), "200", str(tmp_path)]
+    command = [sys.executable, str(FOLDER / f"{name}.py"), "600", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path})
     assert done.returncode == 0, done.stderr
     (written,) = tmp_path.glob("*.json")

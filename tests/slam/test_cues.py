@@ -50,7 +50,7 @@ def driven(seed):
 
 @pytest.fixture(scope="module")
 def drives():
-    return [driven(seed) for seed in range(5)]
+    return [driven(seed) for seed in range(10)]
 
 
 def errors_m(subset, drives):

@@ -1,7 +1,7 @@
 """One thread for the matrix libraries of NumPy and SciPy, where several only wait for each other.
 
 They share even small products among threads. Beside another busy program each waits for the slowest, so a fit of a
-thousand of them takes ten times as long; and sums of other parts round differently, so results depend on the cores.
+thousand of them takes many times as long; and sums of other parts round differently, so results depend on the cores.
 """
 
 from __future__ import annotations
