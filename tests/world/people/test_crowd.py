@@ -108,7 +108,7 @@ def test_who_sits_leaves_robots_a_way_past(seed):
     world.reset(seed)
     assert world.crowd is not None
     home, crowd = world.plan.home, world.crowd
-    seats, radius_m = crowd.bodies[crowd._kinds == SITTING], world.config.dynamics.robot_radius_m
+    seats, radius_m = crowd.bodies[crowd._kinds == SITTING], world.config.dynamics.robot_radius_m + 0.05
     cells = home.cells()
     places = cells.centre_of(np.argwhere(cells.free))
     floor = cells.free.copy()
