@@ -61,3 +61,58 @@ def test_a_tree_grows_over_free_floor_and_reports_where_it_meets_the_unknown():
     assert len(points) > 10
     on_edge = np.min(np.abs(np.column_stack([points[:, 0] - 5.0, points, points[:, 1] - 10.0])), axis=1)
     assert on_edge.max() < 0.2
+
+
+def test_the_best_views_are_those_of_all_scans():
+    random = np.random.default_rng(3)
+    found_any = 0
+    for trial in range(30):
+        log_odds = random.choice(np.array([-400, 0, 400], np.int16), (40, 50), p=[0.5, 0.3, 0.2])
+        terrain = Terrain(GridMap(log_odds, np.array([-1.0, 2.0]), 0.125), 0.05)
+        open_cells = np.argwhere(terrain.kind == 1)
+        cells = open_cells[random.permutation(len(open_cells))[:60]]
+        places_m, factors = terrain.to_metres(cells + 0.5), random.uniform(0.2, 1.0, 60)
+        views = ViewGain(terrain, 1.5, beams=28, closes_walls=bool(trial % 2))
+        is_claimed = np.zeros((40 + 60, 50 + 60), bool)
+        if trial % 3 == 0:
+            views.claim(places_m[0])
+            _scan(terrain, cells[0], bool(trial % 2), is_claimed, claims=True)
+        areas_m2 = np.array([_scan(terrain, cell, bool(trial % 2), is_claimed) for cell in cells]) * 0.125**2
+        worth, expected = np.where(areas_m2 >= 0.3, areas_m2 * factors, 0.0), []
+        while len(expected) < 4 and worth.max() > 0.0:
+            expected.append(int(np.argmax(worth)))
+            worth[np.hypot(*(places_m - places_m[expected[-1]]).T) < 0.5] = 0.0
+        chosen, gains_m2 = views.best(places_m, factors, 0.3, 4, 0.5)
+        assert chosen.tolist() == expected
+        assert np.allclose(gains_m2, areas_m2[expected])
+        found_any += len(expected)
+    assert found_any > 60
+
+
+def _scan(terrain, cell, closes_walls, is_claimed, claims=False):
+    """Unknown cells that 28 rays of 12 cells from the middle of a cell show, counted one by one."""
+    kind, seen = np.pad(terrain.kind, 30), set()
+    if closes_walls:
+        walls = kind == 2
+        for down, right in ((0, 1), (1, 0), (1, 1)):
+            kind = np.where(np.roll(walls, (down, right), (0, 1)), 2, kind)
+    for beam in range(28):
+        angle = 2.0 * math.pi * beam / 28
+        for k in range(1, 13):
+            row, column = np.floor(cell + 0.5 + k * np.array([math.sin(angle), math.cos(angle)])).astype(int) + 30
+            if kind[row, column] == 2:
+                break
+            if kind[row, column] == 0 and not is_claimed[row, column]:
+                seen.add((row, column))
+    if claims:
+        is_claimed[tuple(np.array(sorted(seen)).reshape(-1, 2).T)] = True
+    return len(seen)
+
+
+def test_places_outside_the_map_show_nothing_and_break_nothing():
+    terrain, far_m = half_known(), np.array([[1e5, -1e5], [-300.0, 2.0]])
+    views = ViewGain(terrain, 2.0, closes_walls=True)
+    views.claim(far_m[0])
+    assert views.area_m2(far_m).tolist() == [0.0, 0.0]
+    chosen, gains_m2 = views.best(far_m, np.ones(2), 0.1, 2, 1.0)
+    assert len(chosen) == len(gains_m2) == 0

@@ -103,30 +103,24 @@ def find_views(
     open_rows = np.nonzero(terrain.cost[stride // 2 :: stride, stride // 2 :: stride])
     cells = np.column_stack([stride * each + stride // 2 for each in open_rows])
     ways_m = finder.ways_to(terrain, cells)
-    places_m = np.vstack([terrain.to_metres(cells + 0.5), places_m[usable]])
     last_m = np.sort(lengths_m[usable])[count_max - 1] if len(usable) >= count_max else np.inf
-    lengths_m = np.concatenate([ways_m, lengths_m[usable]])
-    sizes_m = np.concatenate([np.zeros(len(cells)), sizes[usable] * terrain.resolution_m])
-    is_free = np.isfinite(lengths_m) & (lengths_m <= last_m)
+    near, usable = np.flatnonzero(np.isfinite(ways_m) & (ways_m <= last_m)), usable[lengths_m[usable] <= last_m]
+    places_m = np.vstack([terrain.to_metres(cells[near] + 0.5), places_m[usable]])
+    is_free = np.ones(len(places_m), bool)
     for place in spent_m:
         is_free &= np.hypot(*(places_m - place).T) >= SPENT_M
+    places_m = places_m[is_free]
+    lengths_m = np.concatenate([ways_m[near], lengths_m[usable]])[is_free]
+    sizes_m = np.concatenate([np.zeros(len(near)), sizes[usable] * terrain.resolution_m])[is_free]
     views = ViewGain(terrain, range_m, closes_walls=True)
     for place in claimed_m:
         views.claim(place)
-    free = np.flatnonzero(is_free)
-    gains_m2 = np.zeros(len(places_m))
-    gains_m2[free] = views.area_m2(places_m[free])
-    worth = gains_m2 * np.exp(-DECAY_PER_M * np.where(is_free, lengths_m, 0.0))
-    worth[gains_m2 < GAIN_MIN_M2] = 0.0
-    chosen: list[int] = []
-    while len(chosen) < count_max and len(worth) and worth.max() > 0.0:
-        best = int(np.argmax(worth))
-        chosen.append(best)
-        worth[np.hypot(*(places_m - places_m[best]).T) < APART_M] = 0.0
-    if not chosen:  # nothing is worth a look: the frontiers that are left
-        left = free[sizes_m[free] > 0.0]
-        chosen = left[np.argsort(lengths_m[left], kind="stable")][:count_max].tolist()
-    return _beside(belief, places_m[chosen], lengths_m[chosen], sizes_m[chosen], gains_m2[chosen], True)
+    chosen, gains_m2 = views.best(places_m, np.exp(-DECAY_PER_M * lengths_m), GAIN_MIN_M2, count_max, APART_M)
+    if not len(chosen):  # nothing is worth a look: the frontiers that are left
+        left = np.flatnonzero(sizes_m > 0.0)
+        chosen = left[np.argsort(lengths_m[left], kind="stable")][:count_max]
+        gains_m2 = views.area_m2(places_m[chosen])
+    return _beside(belief, places_m[chosen], lengths_m[chosen], sizes_m[chosen], gains_m2, True)
 
 
 def _beside(

@@ -193,6 +193,16 @@ def _flood_fill(cost, labels, row, column, label, clusters):
 
 
 @kernel
+def _close_corners(kind, margin, padded):
+    """Make the cells right of, below and diagonally below walls walls in padded, where kind begins at the margin."""
+    height, width = kind.shape
+    for r in range(height):
+        for c in range(width):
+            if kind[r, c] == WALL:
+                padded[r + margin : r + margin + 2, c + margin : c + margin + 2] = WALL
+
+
+@kernel
 def _labels_near(labels, middles, reach, size, found):
     """Fill found (k,) with the label of most cells in the square of half side `reach` around cells middles (k, 2)."""
     height, width = labels.shape
@@ -282,6 +292,7 @@ class Terrain:
         reach = math.ceil(max(self.COMFORT_M, robot_radius_m + self.EASE_M) / cell)
         self.cost = np.empty(shape, np.uint8)
         _fill_cost(self.kind, reach, _cost_factors((robot_radius_m + self.MARGIN_M) / cell, reach), self.cost)
+        self._padded: dict[tuple[int, bool], Array] = {}
         self.lengths_from: dict[int, Array | None] = {}
         """By flat cell, see `PathFinder.lengths_to_frontiers_m`."""
 
@@ -313,6 +324,21 @@ class Terrain:
     def frontier_cells(self) -> Array:
         """(k,) int32: flat indices of the cells that have a label."""
         return self._found[2]
+
+    def padded_kind(self, margin: int, closes_walls: bool) -> Array:
+        """(h + 2 margin, w + 2 margin) int8: the kinds, with unknown cells around them; to read, as it is kept.
+
+        closes_walls: cells right of, below and diagonally below walls are walls, too.
+        """
+        key = margin, closes_walls
+        if key not in self._padded:
+            height, width = self.kind.shape
+            padded = np.zeros((height + 2 * margin, width + 2 * margin), np.int8)
+            padded[margin : margin + height, margin : margin + width] = self.kind
+            if closes_walls:
+                _close_corners(self.kind, margin, padded)
+            self._padded[key] = padded
+        return self._padded[key]
 
     def no_labels(self) -> Array:
         """(h, w) int32 zeros, to mark goals in; memory is only touched where it is used."""

@@ -9,57 +9,77 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.kernels.compiled import kernel
-from twc_env.planning.terrain import UNKNOWN, WALL, Terrain
-
-WALL_MARK, NO_MARK = -2, -1
-"""In a map of marks: walls, and cells that never count. Unknown cells have the number of the scan that last saw them.
-"""
+from twc_env.planning.terrain import FREE, UNKNOWN, WALL, Terrain
 
 
 @kernel
-def _fill_marks(kind, margin, closes_walls, marks):
-    """Fill marks (h, w) with the kinds of a map in its middle; with closes_walls, also the cells right of, below and
-    diagonally below walls become walls."""
-    height, width = kind.shape
-    for r in range(height):
-        for c in range(width):
-            if kind[r, c] != UNKNOWN:
-                marks[r + margin, c + margin] = WALL_MARK if kind[r, c] == WALL else NO_MARK
-    if closes_walls:
-        for r in range(height):
-            for c in range(width):
-                if kind[r, c] == WALL:
-                    marks[r + margin : r + margin + 2, c + margin : c + margin + 2] = WALL_MARK
+def _count_from(kind, row, column, directions, reach, stamps, number):
+    """Unknown cells on rays of length `reach` [cells] from any place, each once; rays end at walls.
 
-
-@kernel
-def _count_unknown(marks, place_row, place_column, directions, reach, number):
-    """Unknown cells on rays of length `reach` [cells] from a place, each once; rays end at walls.
-
-    directions (beams, 2): down, right; the cells found are marked with the number, those marked `NO_MARK` do not count.
+    directions (beams, 2): down, right. stamps (2 reach + 3,) * 2 holds no such number; 0 makes the cells found free
+    instead, so that they never count again.
     """
-    height, width = marks.shape
+    height, width = kind.shape
+    top, left = np.uint64(math.floor(row) - reach - 1), np.uint64(math.floor(column) - reach - 1)
     found = 0
     for b in range(directions.shape[0]):
-        dr, dc = directions[b, 0], directions[b, 1]
         for k in range(1, reach + 1):
-            r, c = math.floor(place_row + k * dr), math.floor(place_column + k * dc)
-            if r < 0 or c < 0 or r >= height or c >= width:
+            r = np.uint64(math.floor(row + k * directions[b, 0]))
+            c = np.uint64(math.floor(column + k * directions[b, 1]))
+            if r >= height or c >= width or kind[r, c] == WALL:
                 break
-            mark = marks[np.uint64(r), np.uint64(c)]
-            if mark == WALL_MARK:
-                break
-            if mark != number and mark != NO_MARK:
-                marks[np.uint64(r), np.uint64(c)] = number
-                found += 1
+            if kind[r, c] == UNKNOWN:
+                if number == 0:
+                    kind[r, c] = FREE
+                elif stamps[r - top, c - left] != number:
+                    stamps[r - top, c - left] = number
+                    found += 1
     return found
 
 
 @kernel
-def _count_each(marks, cells, directions, reach, number, counts):
-    """Fill counts (k,) with `_count_unknown` at cells (k, 2: row, column), by scans with numbers from `number` on."""
+def _count_from_middle(kind, middle, steps, behind, own, stamps, number):
+    """As `_count_from`, from the middle of the cell with this flat index: a walk through a `_RayTree`."""
+    found, i, end = 0, np.uint64(0), np.uint64(steps.shape[0])
+    flat = kind.reshape(-1)
+    while i < end:
+        what = flat[np.uint64(middle + steps[i])]
+        if what == WALL:
+            i = np.uint64(behind[i])
+            continue
+        cell = np.uint64(own[i])
+        if what == UNKNOWN and stamps[cell] != number:
+            stamps[cell] = number
+            found += 1
+        i += np.uint64(1)
+    return found
+
+
+@kernel
+def _count_each(kind, cells, directions, reach, stamps, number, counts):
+    """Fill counts (k,) with `_count_from` cells (k, 2: row, column), by scans with numbers from `number` on."""
     for i in range(cells.shape[0]):
-        counts[i] = _count_unknown(marks, cells[i, 0], cells[i, 1], directions, reach, number + i)
+        counts[i] = _count_from(kind, cells[i, 0], cells[i, 1], directions, reach, stamps, number + i)
+
+
+@kernel
+def _best_of(kind, middles, steps, behind, own, stamps, number, cell_m2, least_m2, factors, worth, gains):
+    """Index of the first place of the greatest worth, -1 if none has any; and the next number.
+
+    worth (k,) holds gain times factor where gains (k,) [m2] is known, else, where that is negative, a bound of it:
+    scans from middles (k,) are only computed while some bound is not below what is known. Less than `least_m2` is worth
+    nothing.
+    """
+    while True:
+        best, most = -1, 0.0
+        for k in range(worth.shape[0]):
+            if worth[k] > most:
+                best, most = k, worth[k]
+        if best < 0 or gains[best] >= 0.0:
+            return best, number
+        gains[best] = _count_from_middle(kind, middles[best], steps, behind, own, stamps, number) * cell_m2
+        worth[best] = gains[best] * factors[best] if gains[best] >= least_m2 else 0.0
+        number += 1
 
 
 @lru_cache(maxsize=4)
@@ -69,8 +89,47 @@ def _directions(beams: int) -> Array:
     return np.array([(math.sin(angle), math.cos(angle)) for angle in angles])
 
 
+class _RayTree:
+    """The cells on rays all around from the middle of a cell; rays that begin alike share these cells.
+
+    Nodes are in the order of a walk along the rays; behind a wall it goes on at the node `behind` it.
+    """
+
+    def __init__(self, beams: int, reach: int):
+        rays = np.floor(0.5 + np.arange(1, reach + 1)[None, :, None] * _directions(beams)[:, None]).astype(np.int64)
+        cells: list[tuple[int, int]] = []
+        behind: list[int] = []
+        open_nodes: list[int] = []  # those of the last ray, from its first cell on
+        previous: list[tuple[int, int]] = []
+        for ray in rays.tolist():
+            own = list(dict.fromkeys((r, c) for r, c in ray))
+            shared = next((k for k, (a, b) in enumerate(zip(own, previous, strict=False)) if a != b), None)
+            shared = min(len(own), len(previous)) if shared is None else shared
+            for node in open_nodes[shared:]:
+                behind[node] = len(cells)
+            del open_nodes[shared:]
+            for cell in own[shared:]:
+                open_nodes.append(len(cells))
+                cells.append(cell)
+                behind.append(-1)
+            previous = own
+        for node in open_nodes:
+            behind[node] = len(cells)
+        self.cells = np.array(cells, np.int64).reshape(-1, 2)
+        """(nodes, 2) rows down and columns to the right."""
+        self.behind = np.array(behind, np.int32)
+        side = 2 * reach + 3
+        self.own = ((self.cells[:, 0] + reach + 1) * side + self.cells[:, 1] + reach + 1).astype(np.int32)
+        """(nodes,) index of each node's cell: that of a flat array of 2 reach + 3 squared."""
+
+
+@lru_cache(maxsize=8)
+def _ray_tree(beams: int, reach: int) -> _RayTree:
+    return _RayTree(beams, reach)
+
+
 class ViewGain:
-    """Unknown area that scans from places would show; what is outside the known part of the map does not count.
+    """Unknown area that scans from places would show; what is outside the known part of the map counts as unknown.
 
     Unknown cells are taken for free, as no wall is known there (Burgard et al. 2005; Gonzalez-Banos and Latombe 2002).
     """
@@ -78,25 +137,52 @@ class ViewGain:
     def __init__(self, terrain: Terrain, range_m: float, beams: int = 90, closes_walls: bool = False):
         """closes_walls: rays do not pass between wall cells that touch at a corner, as those of walls that do not run
         along the grid do."""
-        self._terrain, self._reach, self._directions = terrain, range_m / terrain.resolution_m, _directions(beams)
-        self._margin = math.ceil(self._reach)
-        height, width = terrain.kind.shape
-        self._marks = np.zeros((height + 2 * self._margin, width + 2 * self._margin), np.int32)
-        _fill_marks(terrain.kind, self._margin, closes_walls, self._marks)
-        self._number = 0
+        self._terrain, self._directions = terrain, _directions(beams)
+        reach = range_m / terrain.resolution_m
+        self._reach, self._margin = int(reach), math.ceil(reach)
+        self._kind, self._has_claims = terrain.padded_kind(self._margin, closes_walls), False
+        self._stamps, self._number = np.zeros((2 * self._reach + 3,) * 2, np.int32), 1
 
     def claim(self, place_m: Array) -> None:
         """Do not count from now on what a scan from this place would show: another robot goes there."""
+        if not self._has_claims:
+            self._kind, self._has_claims = self._kind.copy(), True
         row, column = self._terrain.to_cells(place_m) + self._margin
-        _count_unknown(self._marks, row, column, self._directions, int(self._reach), NO_MARK)
+        _count_from(self._kind, row, column, self._directions, self._reach, self._stamps, 0)
 
     def area_m2(self, places_m: Array) -> Array:
         """(k,) unclaimed unknown area [m2] that a scan from each of places_m (k, 2) would show."""
         cells = np.ascontiguousarray(self._terrain.to_cells(places_m) + self._margin, dtype=float)
         counts = np.zeros(len(cells), np.int64)
-        _count_each(self._marks, cells, self._directions, int(self._reach), self._number + 1, counts)
+        _count_each(self._kind, cells, self._directions, self._reach, self._stamps, self._number, counts)
         self._number += len(cells)
         return counts * self._terrain.resolution_m**2
+
+    def best(
+        self, places_m: Array, factors: Array, least_m2: float, count_max: int, apart_m: float
+    ) -> tuple[Array, Array]:
+        """Indices (n,) of at most count_max of places_m (k, 2) and their areas [m2], those with the greatest product of
+        area and factor (k,) first; places nearer than `apart_m` to a better one, and areas below `least_m2`, are left
+        out. Places are in the middle of cells; those outside the map are left out.
+        """
+        terrain, tree = self._terrain, _ray_tree(len(self._directions), self._reach)
+        cells, cell_m2 = np.floor(terrain.to_cells(places_m)).astype(np.int64), terrain.resolution_m**2
+        gains, width = np.full(len(cells), -1.0), self._kind.shape[1]
+        is_inside = ((cells >= 0) & (cells < terrain.kind.shape)).all(axis=1)
+        worth = np.where(is_inside, len(tree.cells) * cell_m2 * factors, 0.0)
+        middles = (cells + self._margin) @ np.array([width, 1])
+        steps, stamps = tree.cells @ np.array([width, 1]), self._stamps.reshape(-1)
+        chosen: list[int] = []
+        while len(chosen) < count_max:
+            best, self._number = _best_of(
+                self._kind, middles, steps, tree.behind, tree.own, stamps, self._number, cell_m2, least_m2, factors,
+                worth, gains,
+            )  # fmt: skip
+            if best < 0:
+                break
+            chosen.append(best)
+            worth[np.hypot(*(places_m - places_m[best]).T) < apart_m] = 0.0
+        return np.array(chosen, np.int64), gains[chosen]
 
 
 LANES = 16
