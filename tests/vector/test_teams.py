@@ -105,6 +105,16 @@ def test_what_a_caller_holds_is_not_changed_by_the_next_step():
     assert same(held, copies)
 
 
+@pytest.mark.parametrize("config", [SMALL, CHOICES], ids=["velocity", "frontier"])
+def test_random_actions_follow_from_the_seed_of_the_reset(config):
+    def told(seed):
+        with VectorTeams(2, config) as teams:
+            teams.reset(seed)
+            return [teams.sample() for _ in range(9)]
+
+    assert same(told(3), told(3)) and not same(told(3), told(4))
+
+
 def test_errors_reach_the_caller_and_name_what_was_expected():
     with pytest.raises(ConfigError, match="workers"):
         VectorTeams(2, SMALL, workers=3)

@@ -123,8 +123,8 @@ class VectorTeams:
     def reset(self, seed: int | Sequence[int] = 0) -> dict[str, Array]:
         """Begin new episodes; environment k plays seeds seed + k, seed + k + count, and so on.
 
-        With one seed per environment, k plays seed[k], seed[k] + count, and so on. Results of steps that were sent and
-        not yet received are dropped. Returns the observations, each block with axes (environments, robots, ...). Raises
+        With one seed per environment, k plays seed[k], seed[k] + count, and so on. The first also decides the actions of
+        `sample`. Results of steps that were sent and not yet received are dropped. Returns the observations, each block with axes (environments, robots, ...). Raises
         ConfigError for anything else than whole numbers.
         """
         seeds = self._first_seeds(seed)
@@ -134,6 +134,7 @@ class VectorTeams:
                     pass
             self._pending.clear()
             self._early.clear()
+        self.action_space.seed(seeds[0])
         for k, each in enumerate(seeds):
             self._episodes.begin(k, each)
         self._execute(RESET, self._all, seeds)
