@@ -123,9 +123,9 @@ class VectorTeams:
     def reset(self, seed: int | Sequence[int] = 0) -> dict[str, Array]:
         """Begin new episodes; environment k plays seeds seed + k, seed + k + count, and so on.
 
-        With one seed per environment, k plays seed[k], seed[k] + count, and so on. The first also decides the actions of
-        `sample`. Results of steps that were sent and not yet received are dropped. Returns the observations, each block with axes (environments, robots, ...). Raises
-        ConfigError for anything else than whole numbers.
+        With one seed per environment, k plays seed[k], seed[k] + count, and so on. The first seed also decides what
+        `sample` draws. Results of steps that were sent and not yet received are dropped. Returns the observations, each
+        block with axes (environments, robots, ...). Raises ConfigError for anything else than whole numbers.
         """
         seeds = self._first_seeds(seed)
         if self._pending:
