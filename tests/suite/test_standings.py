@@ -230,3 +230,12 @@ def test_the_print_of_pictures_can_be_read_on_a_page(tmp_path, monkeypatch, task
             scale = PAGE_PX / (72 * figure.get_size_inches()[0])
             sizes = {text.get_text(): scale * text.get_fontsize() for text in figure.findobj(Text) if text.get_text()}
             assert len(sizes) > 10 and min(sizes.values()) >= 9, sizes
+
+
+def test_every_scripted_team_has_a_line_of_its_own_in_pictures():
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'viz'")
+    from twc_env.agents.roster import TEAMS
+    from twc_env.suite.pictures import _style
+
+    teams = [*TEAMS, "learned", "mine.py:Mine"]
+    assert len(teams) > 20 and len({_style(team, teams) for team in teams}) == len(teams)

@@ -12,8 +12,10 @@ from twc_env.suite.entries import REFERENCES
 from twc_env.suite.standings import THRESHOLDS, Standings
 from twc_env.suite.tables import team_name, title_of
 
-REFERENCE_STYLE = {"random": (TRUE_WALL, ":"), "informed": (INK, "--")}
+REFERENCE_STYLE: dict[str, tuple[str, Any]] = {"random": (TRUE_WALL, "dotted"), "informed": (INK, "dashed")}
 """Colour and line of the teams with the scores 0 and 1."""
+LINES = "solid", "dashdot", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1))
+"""Of other teams: when all colours are taken, they begin again with the next kind of line."""
 COLUMNS = 2
 PANEL_IN = (3.4, 2.4)
 """Small, so that their print can be read where a page is as wide as the picture."""
@@ -27,7 +29,7 @@ def draw_curves(standings: Standings, path: Path) -> None:
         for team in standings.teams:
             colour, line = _style(team, standings.teams)
             curve = standings.curves[task][team]
-            panel.plot(curve["time_s"], curve["mean"], line, color=colour, lw=1.6, label=team_name(team))
+            panel.plot(curve["time_s"], curve["mean"], ls=line, color=colour, lw=1.6, label=team_name(team))
             if all(map(math.isfinite, curve["low"])):
                 panel.fill_between(curve["time_s"], curve["low"], curve["high"], color=colour, alpha=0.15, lw=0)
         panel.set(title=title_of(task), ylim=(0, 1.02), xlim=(0, curve["time_s"][-1]))
@@ -47,7 +49,7 @@ def draw_profiles(standings: Standings, path: Path) -> None:
     for team in standings.teams:
         colour, line = _style(team, standings.teams)
         profile = standings.profiles[team]
-        panel.step(THRESHOLDS, profile["share"], line, where="mid", color=colour, lw=1.6, label=team_name(team))
+        panel.step(THRESHOLDS, profile["share"], ls=line, where="mid", color=colour, lw=1.6, label=team_name(team))
         if all(map(math.isfinite, profile["low"])):
             band = {"step": "mid", "color": colour, "alpha": 0.12, "lw": 0}
             panel.fill_between(THRESHOLDS, profile["low"], profile["high"], **band)
@@ -57,12 +59,12 @@ def draw_profiles(standings: Standings, path: Path) -> None:
     _finish(figure, panels, path)
 
 
-def _style(team: str, teams: Sequence[str]) -> tuple[str, str]:
-    """Colour and line of a team."""
+def _style(team: str, teams: Sequence[str]) -> tuple[str, Any]:
+    """Colour and line of a team; as many as there are colours times LINES differ."""
     if team in REFERENCE_STYLE:
         return REFERENCE_STYLE[team]
     number = [name for name in teams if name not in REFERENCES].index(team)
-    return TEAMS[number % len(TEAMS)], ("-", "-.")[number // len(TEAMS) % 2]
+    return TEAMS[number % len(TEAMS)], LINES[number // len(TEAMS) % len(LINES)]
 
 
 def _panels(count: int, size_in: tuple[float, float] = PANEL_IN) -> tuple[Any, list[Any]]:
