@@ -235,6 +235,7 @@ def test_the_print_of_pictures_can_be_read_on_a_page(tmp_path, monkeypatch, task
 def test_every_scripted_team_has_a_line_of_its_own_in_pictures():
     pytest.importorskip("matplotlib", reason="pictures need the extra 'viz'")
     from twc_env.agents.roster import TEAMS
+
     from twc_env.suite.pictures import _style
 
     teams = [*TEAMS, "learned", "mine.py:Mine"]
