@@ -60,7 +60,7 @@ docs: .venv/installed-docs ## the documentation site in build/site, built strict
 test-bounds: .venv/installed-test ## the engine's tests with numba's bounds checks (own kernel cache; slow)
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.numba_bounds $(PY) -m pytest -q -n auto --maxprocesses 4 --dist worksteal tests/slam tests/exploration
 
-coverage: .venv/installed-test ## lines that the tests run, room by room, but for reproduce and compiled kernels (hours); goes on where it was
+coverage: .venv/installed-test ## lines that the tests run, room by room, but for reproduce and compiled kernels (an hour of a core); goes on where it was
 	@mkdir -p runs/coverage
 	@for part in tests/*/ tests/test_*.py; do \
 		mark=runs/coverage/$$(basename $$part); [ -f $$mark ] && continue; \

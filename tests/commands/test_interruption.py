@@ -90,9 +90,11 @@ def test_an_episode_ended_by_sigterm_is_saved_as_by_ctrl_c(command, report, tmp_
 @pytest.mark.parametrize("command", [EXPLORE, RECORD], ids=["explore", "record"])
 def test_no_half_file_is_left_where_there_is_no_room(command, tmp_path):
     program = (
-        "import resource, sys\n"
+        "import atexit, resource, sys\n"
         "from twc_env.__main__ import main\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))\n"  # bytes of any file
+        "before = resource.getrlimit(resource.RLIMIT_FSIZE)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (6000, before[1]))\n"  # bytes of any file
+        "atexit.register(resource.setrlimit, resource.RLIMIT_FSIZE, before)\n"  # what counts the lines writes then
         "sys.exit(main(sys.argv[1:]))"
     )
     call = [sys.executable, "-B", "-c", program, *command, "--steps", "40", "--out", str(tmp_path)]

@@ -68,7 +68,11 @@ PROGRAM = (
     "import os, sys; sys.argv[0] = 'twc-env'\n{0}\nfrom twc_env.__main__ import main\n"
     "if __name__ == '__main__': sys.exit(main(sys.argv[1:]))"
 )
-ROOM = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000)); sys.dont_write_bytecode = True"
+ROOM = (
+    "import atexit, resource; before = resource.getrlimit(resource.RLIMIT_FSIZE); "
+    "resource.setrlimit(resource.RLIMIT_FSIZE, (3000, before[1])); "
+    "atexit.register(resource.setrlimit, resource.RLIMIT_FSIZE, before); sys.dont_write_bytecode = True"
+)
 MEMORY = "import resource; resource.setrlimit(resource.RLIMIT_AS, (700_000_000,) * 2)"
 CLOCK = "import time; real = time.time; time.time = lambda: real() - 86400.0 * (time.process_time() > {moment_s})"
 _PR_CAPBSET_DROP, _CAP_DAC_OVERRIDE = 24, 1
