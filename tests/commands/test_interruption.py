@@ -10,6 +10,7 @@ import time
 import numpy as np
 import pytest
 
+from tests.soak.accidents import PROGRAM, ROOM
 from twc_env.datasets.logs.frame_log import read_contacts, read_frame_log, read_truth_log
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
@@ -89,15 +90,7 @@ def test_an_episode_ended_by_sigterm_is_saved_as_by_ctrl_c(command, report, tmp_
 
 @pytest.mark.parametrize("command", [EXPLORE, RECORD], ids=["explore", "record"])
 def test_no_half_file_is_left_where_there_is_no_room(command, tmp_path):
-    program = (
-        "import atexit, resource, sys\n"
-        "from twc_env.__main__ import main\n"
-        "before = resource.getrlimit(resource.RLIMIT_FSIZE)\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (6000, before[1]))\n"  # bytes of any file
-        "atexit.register(resource.setrlimit, resource.RLIMIT_FSIZE, before)\n"  # what counts the lines writes then
-        "sys.exit(main(sys.argv[1:]))"
-    )
-    call = [sys.executable, "-B", "-c", program, *command, "--steps", "40", "--out", str(tmp_path)]
+    call = [sys.executable, "-B", "-c", PROGRAM.format(ROOM), *command, "--steps", "40", "--out", str(tmp_path)]
     done = subprocess.run(call, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2, done.stderr
     last = done.stderr.splitlines()[-1]

@@ -73,6 +73,7 @@ ROOM = (
     "resource.setrlimit(resource.RLIMIT_FSIZE, (3000, before[1])); "
     "atexit.register(resource.setrlimit, resource.RLIMIT_FSIZE, before); sys.dont_write_bytecode = True"
 )
+"""Until the command ends: what counts the lines that tests run writes its file then."""
 MEMORY = "import resource; resource.setrlimit(resource.RLIMIT_AS, (700_000_000,) * 2)"
 CLOCK = "import time; real = time.time; time.time = lambda: real() - 86400.0 * (time.process_time() > {moment_s})"
 _PR_CAPBSET_DROP, _CAP_DAC_OVERRIDE = 24, 1
