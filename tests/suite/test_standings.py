@@ -5,6 +5,7 @@ import io
 import json
 import math
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
@@ -240,3 +241,24 @@ def test_every_scripted_team_has_a_line_of_its_own_in_pictures():
 
     teams = [*TEAMS, "learned", "mine.py:Mine"]
     assert len(teams) > 20 and len({_style(team, teams) for team in teams}) == len(teams)
+
+
+@pytest.mark.parametrize("others", [1, 18])
+def test_a_long_legend_leaves_the_panels_their_room(tmp_path, monkeypatch, others):
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'viz'")
+    from twc_env.pictures.style import style
+    from twc_env.suite import pictures
+
+    _, _, standings = played(tasks=TASKS[:1])
+    names = [f"team-{k}" for k in range(others)]
+    for kept in (standings.profiles, *standings.curves.values()):
+        kept.update(dict.fromkeys(names, next(iter(kept.values()))))
+    figures = []
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, *_: figures.append(figure))
+    standings = replace(standings, teams=(*standings.teams, *names))
+    with style():
+        pictures.draw_curves(standings, tmp_path / "curves.png")
+        (figure,) = figures
+        figure.draw_without_rendering()
+        label = figure.axes[0].yaxis.label.get_window_extent()
+    assert label.y0 >= 0.0 and label.y1 <= figure.bbox.height

@@ -14,7 +14,7 @@ from twc_env.suite.tables import team_name, title_of
 
 REFERENCE_STYLE: dict[str, tuple[str, Any]] = {"random": (TRUE_WALL, "dotted"), "informed": (INK, "dashed")}
 """Colour and line of the teams with the scores 0 and 1."""
-LINES = "solid", "dashdot", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1))
+LINES = "solid", "dashdot", (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1))
 """Of other teams: when all colours are taken, they begin again with the next kind of line."""
 COLUMNS = 2
 PANEL_IN = (3.4, 2.4)
@@ -70,7 +70,7 @@ def _style(team: str, teams: Sequence[str]) -> tuple[str, Any]:
 def _panels(count: int, size_in: tuple[float, float] = PANEL_IN) -> tuple[Any, list[Any]]:
     columns = min(count, COLUMNS)
     rows = math.ceil(count / columns)
-    figure = new_figure((size_in[0] * columns, size_in[1] * rows + 0.9), DPI)
+    figure = new_figure((size_in[0] * columns, size_in[1] * rows), DPI)
     grid = figure.subplots(rows, columns, squeeze=False)
     panels = list(grid.ravel())
     for panel in panels[count:]:
@@ -83,5 +83,8 @@ def _panels(count: int, size_in: tuple[float, float] = PANEL_IN) -> tuple[Any, l
 
 def _finish(figure: Any, panels: list[Any], path: Path) -> None:
     handles, labels = panels[0].get_legend_handles_labels()
-    legend_below(figure, handles, labels)
+    legend = legend_below(figure, handles, labels)
+    width_in, height_in = figure.get_size_inches()
+    legend_in = legend.get_window_extent(figure.canvas.get_renderer()).height / figure.dpi
+    figure.set_size_inches(width_in, height_in + legend_in)
     save_figure(figure, path, DPI)
