@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 LEARNED = "learned"
-"""Name of the team that plays a policy which comes with the package (`twc_env/suite/learned.py`)."""
+"""Name of the team that plays a policy which comes with the package (`twc_env/learned_team.py`)."""
 
 
 class Policy(Protocol):
@@ -69,7 +69,7 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
             f"scripted teams need action.kind = 'velocity'; got {config.action.kind!r}: remove this setting"
         )
     if name == LEARNED:
-        from twc_env.suite.learned import LearnedTeam  # imports the engine, which --help does without
+        from twc_env.learned_team import LearnedTeam  # imports the engine, which --help does without
 
         learned: Policy = LearnedTeam(config)
         return learned

@@ -45,13 +45,13 @@ PACKAGES = {
     "twc_env.pictures": "films and pages",
     "twc_env.running": "what commands share",
     "twc_env.agents": "scripted teams: `Policy` to derive your own from, `explore` to play an episode",
-    "twc_env.training": "learning: what `twc-env train` and `evaluate` run, and how a trained policy is played",
+    "twc_env.training": "learning: what `twc-env train` runs, and how a trained policy is played",
 }
 """Public packages, each with a page of its own."""
 FIRST = (
     "twc_env.config.environment", "twc_env.config.values", "twc_env.records.messages", "twc_env.records.team_messages",
     "twc_env.records.scanner", "twc_env.records.geometry", "agents.policy", "agents.explore", "agents.roster",
-    "training.ppo", "training.mappo", "training.evolution", "training.trained_policy", "training.evaluate",
+    "training.ppo", "training.mappo", "training.evolution", "training.trained_policy",
     "twc_env.pictures.style", "twc_env.pictures.video", "twc_env.datasets.logs.frame_log",
     "twc_env.datasets.logs.scan_log",
 )  # fmt: skip
@@ -60,7 +60,7 @@ PARTS = (
     "world.world", "world.building.floorplan", "world.building.floorplan_file", "slam.matching.scan_matching",
     "slam.matching.global_matching", "slam.pose_graph.robust_back_end", "slam.graph_optimisation.whole_graph",
     "slam.radio.radio_slam", "slam.radio.radio_map", "slam.walls.k_visibility", "slam.saved_maps.saved_map",
-    "slam.saved_maps.placement", "reproduce.walls.sfw_flats",
+    "slam.saved_maps.placement", "suite.evaluation", "reproduce.walls.sfw_flats",
 )  # fmt: skip
 """Modules that recipes and notebooks use alone: they are one page."""
 OUTSIDE = {"twc_env.agents": "agents", "twc_env.training": "training"}

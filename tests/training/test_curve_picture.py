@@ -8,7 +8,7 @@ pytestmark = pytest.mark.usefixtures("torch")
 
 
 def test_references_are_played_once_and_kept_in_the_run_folder(task, tmp_path, monkeypatch):
-    from twc_env.training import references
+    from twc_env.suite import references
 
     played = []
 
@@ -29,7 +29,7 @@ def test_references_are_played_once_and_kept_in_the_run_folder(task, tmp_path, m
 
 def test_the_curve_is_drawn_with_its_references(run):
     pytest.importorskip("matplotlib", reason="needs the extra 'viz'")
-    from twc_env.training.curve_picture import draw_curve
+    from twc_env.suite.curve_picture import draw_curve
 
     path = draw_curve(run, {"random": 0.1, "informed": 0.9}, "ppo")
     assert path == run / "curve.png" and path.read_bytes().startswith(b"\x89PNG")
@@ -38,9 +38,8 @@ def test_the_curve_is_drawn_with_its_references(run):
 
 def test_a_curve_of_one_point_is_seen_and_its_legend_counts_the_episodes(tmp_path, monkeypatch):
     pytest.importorskip("matplotlib", reason="needs the extra 'viz'")
-    from twc_env.training.curve_picture import draw_curve
-
     from twc_env.pictures import style
+    from twc_env.suite.curve_picture import draw_curve
 
     figures = []
     monkeypatch.setattr(style, "save_figure", lambda figure, path: figures.append(figure) or path)

@@ -89,7 +89,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     if options.suite:
         return _evaluate_suite(options)
     with learning_libraries():
-        from twc_env.training.evaluate import evaluate
+        from twc_env.suite.evaluation import evaluate
 
     seeds = parse_seeds(options.seeds)
     if max(seeds) >= SEEDS:

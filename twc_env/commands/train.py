@@ -164,8 +164,8 @@ def _train(options: argparse.Namespace) -> int:
     model_path = algorithm.train(task, settings, options.out, options.resume, not options.quiet, options.ray)
     print(f"model: {model_path}   learning curve: {options.out / 'metrics.csv'} and {options.out / 'tensorboard'}")
     if options.references:
-        from twc_env.training.curve_picture import draw_curve
-        from twc_env.training.references import references
+        from twc_env.suite.curve_picture import draw_curve
+        from twc_env.suite.references import references
 
         means = references(task, options.out, options.references, ray=options.ray)
         title = f"{options.algorithm}, {task.id or task.map or 'small generated buildings'}"

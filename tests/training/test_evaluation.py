@@ -31,7 +31,7 @@ def test_a_trained_model_is_evaluated_against_random_actions(run, tmp_path, caps
 
 def test_recording_a_trained_team_does_not_affect_the_episode(run, tmp_path):
     pytest.importorskip("PIL", reason="needs the extra 'viz'")
-    from twc_env.training.evaluate import evaluate
+    from twc_env.suite.evaluation import evaluate
 
     plain = evaluate(run, [0, 1], False)  # a run folder instead of a model file
     filmed = evaluate(run / "model.safetensors", [0, 1], False, tmp_path / "films")
@@ -42,7 +42,7 @@ def test_recording_a_trained_team_does_not_affect_the_episode(run, tmp_path):
 
 
 def test_coverage_does_not_depend_on_the_reward_of_training(task):
-    from twc_env.training.evaluate import _nearest, _played, _team, scripted
+    from twc_env.suite.evaluation import _nearest, _played, _team, scripted
 
     team = replace(task, robots=3, max_cycles=60)
     alone = replace(team, overrides={**team.overrides, "reward.sharing": "individual"})
@@ -67,7 +67,7 @@ def test_the_error_of_a_model_of_another_view_names_what_to_do(task, run, tmp_pa
 
 
 def test_one_building_is_printed_without_a_spread():
-    from twc_env.training.evaluate import POLICIES, Episode, Evaluation  # needs torch
+    from twc_env.suite.evaluation import POLICIES, Episode, Evaluation  # needs torch
 
     one = {name: (Episode(0.9, 0.5, 2, 0),) for name in POLICIES}
     rows = Evaluation((0,), one).table.splitlines()[1:]
@@ -79,8 +79,8 @@ def test_one_building_is_printed_without_a_spread():
 @pytest.mark.filterwarnings("ignore")
 def test_a_ray_cluster_evaluates_the_same_episodes(run, task, tmp_path):
     pytest.importorskip("ray", reason="needs the extra 'ray'")
-    from twc_env.training.evaluate import evaluate
-    from twc_env.training.references import references
+    from twc_env.suite.evaluation import evaluate
+    from twc_env.suite.references import references
 
     assert evaluate(run, [0, 1], False, where=(1, "auto")) == evaluate(run, [0, 1], False)
     assert references(task, tmp_path, 1, False, "auto") == references(task, tmp_path / "b", 1, False)

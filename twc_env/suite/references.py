@@ -11,10 +11,9 @@ import twc_env
 from twc_env.config import digest
 from twc_env.records.json_values import write_json
 from twc_env.running.ray_cluster import spread_out
-
-from .evaluate import scripted
-from .progress import progress_bar
-from .run_folder import Task
+from twc_env.suite.evaluation import scripted
+from twc_env.training.progress import progress_bar
+from twc_env.training.run_folder import Task
 
 TEAMS = {"random": "random", "information-gain": "information-gain", "informed": "informed (oracle)"}
 """Teams and their names in the picture: the lower reference, the best scripted team of most tasks (docs/leaderboard.md)

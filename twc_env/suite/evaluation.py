@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from twc_env.agents.policy import begin, make_policy
 
 import twc_env
+from twc_env.agents.policy import begin, make_policy
 from twc_env.config import override
 from twc_env.pictures.curves import draw_coverage, sampled
 from twc_env.pictures.video import RecordEpisodes
@@ -20,10 +20,9 @@ from twc_env.records.text_tables import aligned_text, csv_text, latex_table
 from twc_env.records.whole_file import write_text
 from twc_env.running.options import refuse_code
 from twc_env.running.ray_cluster import spread_out
-
-from .progress import progress_bar
-from .run_folder import Task, model_in, read_settings, task_of
-from .trained_policy import Choose, load_actor, sampling
+from twc_env.training.progress import progress_bar
+from twc_env.training.run_folder import Task, model_in, read_settings, task_of
+from twc_env.training.trained_policy import Choose, load_actor, sampling
 
 _EVALUATED: dict[str, object] = {"reward.sharing": "team"}
 """Coverage is taken from the reward terms of the team, independent of the rewards used in training."""

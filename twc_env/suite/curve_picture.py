@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .references import TEAMS
+from twc_env.suite.references import TEAMS
 
 SIZE_IN = (6.4, 4.2)
 FEW = 10
