@@ -53,7 +53,7 @@ FIRST = (
     "twc_env.records.scanner", "twc_env.records.geometry", "agents.policy", "agents.explore", "agents.roster",
     "training.ppo", "training.mappo", "training.evolution", "training.trained_policy",
     "twc_env.pictures.style", "twc_env.pictures.video", "twc_env.datasets.logs.frame_log",
-    "twc_env.datasets.logs.scan_log",
+    "twc_env.datasets.logs.scan_log", "twc_env.datasets.logs.carmen_log",
 )  # fmt: skip
 """Modules that stand at the top of their page."""
 PARTS = (

@@ -8,10 +8,11 @@ import pytest
 from tests.datasets.buildings.test_geojson import box, collection, node, polygon, room
 from twc_env.datasets.buildings.grid_file import read_grid
 from twc_env.datasets.buildings.raster import plan_from_free
+from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.logs.carmen_writer import write_carmen_log
 from twc_env.datasets.logs.column_units import Span
 from twc_env.datasets.logs.readings_table import read_signs, read_wifi
-from twc_env.datasets.logs.scan_log import ScanLog, read_any_log
+from twc_env.datasets.logs.scan_log import ScanLog
 from twc_env.datasets.logs.tum import read_tum
 from twc_env.maps import load_map
 

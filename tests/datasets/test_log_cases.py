@@ -11,8 +11,9 @@ from twc_env.config import EnvConfig
 from twc_env.datasets.buildings.house_expo import house_expo_plan
 from twc_env.datasets.logs import arrays_file, text_file
 from twc_env.datasets.logs.arrays_file import read_arrays, write_arrays
+from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.logs.frame_log import read_frame_log, write_frame_log
-from twc_env.datasets.logs.scan_log import beam_count_of, read_any_log, sensor_frames
+from twc_env.datasets.logs.scan_log import beam_count_of, sensor_frames
 from twc_env.datasets.logs.text_file import read_text
 from twc_env.datasets.logs.tum import read_tum
 from twc_env.errors import DataError, MapError

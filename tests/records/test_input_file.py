@@ -8,9 +8,9 @@ import pytest
 
 from twc_env.config import from_dict, load
 from twc_env.datasets.lasting_maps import prior_of, read_lasting_map
+from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.logs.frame_log import read_frame_log
 from twc_env.datasets.logs.pose_graph_file import read_pose_graph
-from twc_env.datasets.logs.scan_log import read_any_log
 from twc_env.datasets.logs.tum import read_tum
 from twc_env.datasets.ros.bag_file import opened
 from twc_env.errors import DataError, MapError, TwcError

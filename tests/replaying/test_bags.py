@@ -8,7 +8,8 @@ import pytest
 from tests.real_data import DATA, needs_data
 from twc_env.__main__ import main
 from twc_env.config import EnvConfig, override
-from twc_env.datasets.logs.scan_log import ScanLog, read_any_log
+from twc_env.datasets.logs.carmen_log import read_any_log
+from twc_env.datasets.logs.scan_log import ScanLog
 from twc_env.datasets.logs.tum import read_tum
 from twc_env.datasets.ros.bag_file import ODOMETRY, opened
 from twc_env.datasets.ros.bag_writer import RobotRecording, write_recording

@@ -6,7 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from twc_env.datasets.logs.scan_log import ScanLog, read_any_log
+from twc_env.datasets.logs.carmen_log import read_any_log
+from twc_env.datasets.logs.scan_log import ScanLog
 from twc_env.datasets.sample import sample_files
 from twc_env.metrics import absolute_trajectory_error_m
 from twc_env.records.geometry import between, compose, poses_along, wrap_angle

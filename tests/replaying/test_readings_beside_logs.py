@@ -6,7 +6,7 @@ import numpy as np
 
 from twc_env.__main__ import main
 from twc_env.commands.replay import SCANS_ALONE
-from twc_env.datasets.logs.scan_log import read_any_log
+from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.sample import sample_files
 from twc_env.replaying.inputs import Asked, input_of, read_input
 

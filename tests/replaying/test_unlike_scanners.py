@@ -6,7 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from twc_env.datasets.logs.scan_log import ScanLog, read_any_log
+from twc_env.datasets.logs.carmen_log import read_any_log
+from twc_env.datasets.logs.scan_log import ScanLog
 from twc_env.datasets.sample import sample_files
 from twc_env.replaying.inputs import Asked, input_of
 from twc_env.replaying.run import run

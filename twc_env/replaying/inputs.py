@@ -14,6 +14,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, from_dict, override
 from twc_env.datasets.logs import frame_log, scan_log
+from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.logs.column_units import Span
 from twc_env.datasets.logs.file_kind import refuse_other_kinds
 from twc_env.datasets.logs.readings_table import Readings, read_signs, read_wifi, wifi_scan
@@ -115,7 +116,7 @@ def _read_log(path: Path, wishes: Wishes) -> list[tuple[ScanLog, Array, tuple[st
         robots = read_bag(path, wishes)
         return [(r.log, r.mount, (r.name, list(describe([r])), True)) for r in robots]
     refuse_other_kinds(path)
-    return [(scan_log.read_any_log(path), np.zeros(3), ("", [], False))]
+    return [(read_any_log(path), np.zeros(3), ("", [], False))]
 
 
 def input_of(

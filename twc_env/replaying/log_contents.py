@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.logs.file_kind import refuse_other_kinds
 from twc_env.datasets.logs.frame_log import read_frame_log
-from twc_env.datasets.logs.scan_log import read_any_log
 from twc_env.datasets.sample import SAMPLE, sample_files
 from twc_env.records.messages import SensorFrame
 from twc_env.replaying.inputs import is_frame_log

@@ -5,7 +5,7 @@ import pytest
 from twc_env.agents.radio.radio_bound import shortest_known_walk_m
 from twc_env.agents.radio.radio_walk import ARRIVAL_M, RadioWalk
 from twc_env.agents.radio.ray_gain import RayGain
-from twc_env.agents.teams.wall_follower import STANDOFF_M, WallFollower, nearest_wall
+from twc_env.agents.teams.wall_follower import ESCAPE_S, STANDOFF_M, STUCK_S, WallFollower, nearest_wall
 
 from twc_env.config import EnvConfig
 from twc_env.records.messages import Belief, GridMap
@@ -40,6 +40,21 @@ def test_a_wall_follower_drives_straight_at_its_distance_and_turns_away_when_too
         belief = Belief(0, 0, np.zeros(3), grid(room()), ranges_m=ranges)
         turns.append(agent.act({"robot_0": belief})["robot_0"][1])
     assert abs(turns[0]) < 0.1 < turns[1]
+
+
+def test_a_wall_follower_that_is_caught_in_a_pocket_drives_to_open_floor_and_then_follows_walls_again():
+    ranges = np.full(180, 0.4)
+    ranges[125:145] = 4.0  # the way out is on the right
+    ranges[0] = 0.25  # and the wall to follow ahead, with the robot to turn left
+    agent = WallFollower(EnvConfig())
+    agent.reset(0, ["robot_0"])
+    beliefs = [Belief(0, step, np.zeros(3), grid(room()), ranges_m=ranges) for step in range(120)]
+    actions = np.array([agent.act({"robot_0": belief})["robot_0"] for belief in beliefs])
+    begin = round(STUCK_S / EnvConfig().dynamics.time_step_s)
+    end = begin + round(ESCAPE_S / EnvConfig().dynamics.time_step_s)
+    assert np.array_equal(actions[:begin], np.tile(actions[0], (begin, 1))), "caught: the same again and again"
+    assert actions[0, 1] > 0.5 and (actions[begin:end, 1] < -0.5).all()
+    assert np.array_equal(actions[end:], np.tile(actions[0], (120 - end, 1)))
 
 
 def test_rays_clear_uncertain_floor_once_and_nothing_across_many_walls():

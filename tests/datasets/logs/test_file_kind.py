@@ -12,8 +12,8 @@ import pytest
 from tests.datasets.test_log_cases import CASES
 from twc_env.__main__ import main
 from twc_env.datasets.logs.arrays_file import write_arrays
+from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.logs.file_kind import refuse_other_kinds
-from twc_env.datasets.logs.scan_log import read_any_log
 from twc_env.errors import DataError
 
 

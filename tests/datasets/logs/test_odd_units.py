@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.real_data import DATA, needs_data
+from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.logs.odd_units import name_odd_units
-from twc_env.datasets.logs.scan_log import read_any_log
 from twc_env.datasets.logs.tum import read_tum, write_tum
 from twc_env.datasets.sample import sample_files
 from twc_env.errors import DataError

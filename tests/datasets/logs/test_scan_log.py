@@ -2,14 +2,8 @@ import numpy as np
 import pytest
 
 from tests.real_data import DATA, needs_data
-from twc_env.datasets.logs.scan_log import (
-    ScanLog,
-    onto_circle,
-    read_any_log,
-    read_carmen_log,
-    read_scan_log,
-    sensor_frames,
-)
+from twc_env.datasets.logs.carmen_log import read_any_log, read_carmen_log
+from twc_env.datasets.logs.scan_log import ScanLog, onto_circle, read_scan_log, sensor_frames
 from twc_env.errors import DataError, TwcError
 from twc_env.records.geometry import compose
 from twc_env.records.messages import UNSEEN_M

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from tests.real_data import DATA, needs_data
+from twc_env.datasets.logs.carmen_log import read_carmen_log
 from twc_env.datasets.logs.pose_graph_file import read_pose_graph
-from twc_env.datasets.logs.scan_log import read_carmen_log, read_relations, read_scan_log
+from twc_env.datasets.logs.scan_log import read_relations, read_scan_log
 from twc_env.datasets.logs.text_file import TextLines, read_text
 from twc_env.datasets.logs.tum import read_tum
 from twc_env.datasets.surveys.fingerprints import read_table

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from twc_env.__main__ import main
-from twc_env.datasets.logs.scan_log import ScanLog, read_any_log, sensor_frames, spaced
+from twc_env.datasets.logs.carmen_log import read_any_log
+from twc_env.datasets.logs.scan_log import ScanLog, sensor_frames, spaced
 from twc_env.datasets.ros.bag_file import is_bag, opened
 from twc_env.datasets.ros.bag_log import list_topics, read_bag
 from twc_env.datasets.ros.bag_writer import RobotRecording, _recorder, write_recording

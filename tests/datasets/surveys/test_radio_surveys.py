@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.real_data import DATA, needs_data
-from twc_env.datasets.logs.scan_log import read_carmen_log, read_relations, read_scan_log
+from twc_env.datasets.logs.carmen_log import read_carmen_log
+from twc_env.datasets.logs.scan_log import read_relations, read_scan_log
 from twc_env.datasets.surveys.ble_drive import read_ble_drive
 from twc_env.datasets.surveys.ble_flat import read_ble_run, read_flat
 from twc_env.datasets.surveys.fingerprints import read_numbers, read_table

@@ -56,7 +56,7 @@ def test_plans_of_every_size_are_played_and_none_of_the_shown():
 
 @needs_data
 def test_resampled_odometry_errs_as_the_intel_robot_does():
-    from twc_env.datasets.logs.scan_log import read_carmen_log
+    from twc_env.datasets.logs.carmen_log import read_carmen_log
     from twc_env.records.geometry import between, wrap_angle
     from twc_env.reproduce.logs.resampled_odometry import intel_errors, resampled
 

@@ -22,11 +22,11 @@ from twc_env.config import load
 from twc_env.datasets.buildings.osm_level import ROOMS_MAX
 from twc_env.datasets.buildings.raster import EDGES_MAX, FLOOR_CELLS_MAX
 from twc_env.datasets.lasting_maps import read_lasting_map
+from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.logs.column_units import Span
 from twc_env.datasets.logs.frame_log import read_frame_log
 from twc_env.datasets.logs.pose_graph_file import read_pose_graph
 from twc_env.datasets.logs.readings_table import read_wifi
-from twc_env.datasets.logs.scan_log import read_any_log
 from twc_env.datasets.ros.bag_writer import RobotRecording, write_recording
 from twc_env.offline.map_merge import read_saved_maps
 from twc_env.records.input_file import PACKED_BYTES_FREE

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from twc_env.datasets.logs.scan_log import Relations, ScanLog, read_carmen_log, read_relations, read_scan_log
+from twc_env.datasets.logs.carmen_log import read_carmen_log
+from twc_env.datasets.logs.scan_log import Relations, ScanLog, read_relations, read_scan_log
 from twc_env.reproduce.runner import data_folder
 
 INTEL = RAW, CORRECTED, RELATIONS = "intel_gfs.json.gz", "intel_corrected_log.json.gz", "intel.relations.gz"
