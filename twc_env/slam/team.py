@@ -429,11 +429,12 @@ class TeamMapper:
         )
         if proposal is None:
             return False
-        pose_a_b = proposal.pose_a_b
         if proposal.support.sum() < self._review.closures_needed(robots_a, robots_b, proposal):
             return False
         if not self._tests.cues_confirm(robots_a, robots_b, proposal):
             return False
+        proposal = self._tests.most_observed(robots_a, robots_b, proposal, pending)
+        pose_a_b = proposal.pose_a_b
         if self._tests.signs_disagree(robots_a, robots_b, pose_a_b):
             return False
         if self._on_request and self._maps.ask_for(self._tests.overlap(robots_a, robots_b, pose_a_b, OVERLAP_REACH_M)):

@@ -83,7 +83,8 @@ def test_names_alone_merge_nothing_where_robots_were_seen_through():
 
 
 @pytest.mark.parametrize(
-    ("names", "repeated", "may"), [(1, 0, False), (2, 0, True), (6, 1, False), (7, 1, True), (11, 2, False)]
+    ("names", "repeated", "may"),
+    [(1, 0, False), (8, 0, False), (9, 0, True), (28, 1, False), (29, 1, True), (29, 2, False)],
 )
 def test_names_alone_merge_only_where_names_seldom_repeat(names, repeated, may):
     spots = [SignObservation(f"A{k}", np.array([0.0, 1.0]), np.pi / 2) for k in range(names)]
@@ -96,6 +97,49 @@ def test_names_alone_merge_only_where_names_seldom_repeat(names, repeated, may):
     )  # fmt: skip
     assert MergeTests(MergingConfig(), graph).names_agree((0,), (1,), np.zeros(3)) is may
     assert MergeTests(MergingConfig(signs_read_alike_min=0), graph).names_agree((0,), (1,), np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("difference", "counts", "way", "may"),
+    [
+        (0.7, (1, 0), "wifi", True),
+        (0.7, (0, 0), "wifi", False),
+        (0.7, (1, 1), "wifi", False),
+        (0.5, (0, 0), "wifi", True),
+        (0.7, (0, 0), "twc", True),
+        (1.1, (9, 0), "wifi", False),
+    ],
+)
+@pytest.mark.parametrize("are_together", [True, False])
+def test_robots_that_never_saw_each_other_need_a_sign_or_places_that_sound_much_alike(
+    difference, counts, way, may, are_together
+):
+    watch = SimpleNamespace(
+        are_together=lambda *_: are_together, count=lambda *_: ObservationCounts(*counts), are_known=True
+    )
+    asked = MergeTests(MergingConfig(), GRAPH, mutual_observations=watch)
+    asked.radio_difference = lambda a, b, pose, between_m=SOON_M: difference
+    proposal = asked.proposal(say(4, TRUE, way), (0,))
+    assert asked.cues_confirm((0,), (1,), proposal) is (may or (not are_together and difference < 1.0))
+
+
+@pytest.mark.parametrize(
+    ("told", "wifi_check", "is_other"),
+    [((60, 0, 34), False, True), ((60, 0, 34), True, False), ((11, 0, 34), False, False)],
+)
+def test_of_two_places_where_robots_were_seen_the_one_where_most_often_counts(told, wifi_check, is_other):
+    """Not the one with most closures: in identical wings there are more between wrong rooms than between right ones."""
+    seen_there = {tuple(np.round(ELSEWHERE, 6)): (12, 0, 6), tuple(np.round(TRUE, 6)): told}
+    watch = SimpleNamespace(
+        are_known=True,
+        count=lambda a, b, pose: ObservationCounts(*seen_there.get(tuple(np.round(pose, 6)), (0, 9, 0))),
+    )
+    closures = say(7, ELSEWHERE, "twc") + say(4, TRUE, "twc")
+    asked = MergeTests(MergingConfig(wifi_check=wifi_check), GRAPH, mutual_observations=watch)
+    proposal = asked.proposal(closures, (0,))
+    assert np.allclose(proposal.pose_a_b, ELSEWHERE)
+    chosen = asked.most_observed((0,), (1,), proposal, closures)
+    assert np.allclose(chosen.pose_a_b, TRUE if is_other else ELSEWHERE) and chosen.is_proven is is_other
 
 
 def test_a_closure_is_confirmed_by_another_from_elsewhere_that_moves_the_robots_alike():

@@ -20,7 +20,7 @@ from twc_env.slam.merging.mutual_observations import (
     MutualObservations,
     ObservationCounts,
     _count,
-    _predict,
+    _places_at,
 )
 
 BEAMS, WALL_M, COUNT = 180, 7.5, 20
@@ -74,7 +74,7 @@ def test_robots_that_see_each_other_confirm_a_merge():
 def test_a_robot_that_stands_still_proves_nothing():
     """It may be a pillar as wide as a robot, whichever room the hypothesis puts it in."""
     still = observations_of(paths=(HERE, np.tile(THERE[COUNT // 2], (COUNT, 1))))
-    counted = still._between(0, 1, START_B, False)
+    counted = still._between(0, 1, (0,), START_B, False)
     assert counted[0] == COUNT and counted[2] == 1
     assert not ObservationCounts(*counted).prove and ObservationCounts(*counted).confirm
 
@@ -136,13 +136,31 @@ def test_in_a_mixed_team_a_carried_robot_keeps_its_size_and_a_prior_map_has_none
 
 
 def test_a_robot_is_not_interpolated_over_a_gap():
-    here, steps = np.array([[0.0, 0.0, 0.0]]), np.array([5])
-    other_steps = np.array([0, 10])
-    for gap_m, count in ((GAP_MAX_M - 0.1, 1), (GAP_MAX_M + 0.1, 0)):
+    steps, other_steps = np.array([5]), np.array([0, 10])
+    for gap_m, expected in ((GAP_MAX_M - 0.1, (2.0, (GAP_MAX_M - 0.1) / 2)), (GAP_MAX_M + 0.1, (np.nan, np.nan))):
         others = np.array([[2.0, 0.0, 0.0], [2.0, gap_m, 0.0]])
-        chosen, places, stood = _predict(here, steps, others, other_steps, 6.0)
-        assert len(chosen) == count
-        assert not count or (*places[0], *stood[0]) == pytest.approx((2.0, gap_m / 2) * 2)
+        assert tuple(_places_at(steps, others, other_steps)[0]) == pytest.approx(expected, nan_ok=True)
+
+
+@pytest.mark.parametrize(("aside_m", "is_told"), [(1.4, False), (1.6, True)])
+def test_a_robot_of_the_own_group_that_stood_there_may_be_the_one_that_was_seen(aside_m, is_told):
+    """Robots that drive one wing behind each other were seen where robots of the other group should have been."""
+    watched = observations_of()
+    graph = watched._graph
+    fellow = THERE + np.array([aside_m, 0.0, 0.0])
+    graph.poses, graph.keyframes = np.concatenate([graph.poses, fellow]), [*graph.keyframes, graph.keyframes[0]]
+    counted = watched._between(0, 1, (0, 2), START_B, False)
+    assert counted[:2] == ((COUNT, 0) if is_told else (0, 0))
+    other_way = watched._between(1, 0, (1, 2), START_B, True)
+    assert other_way[0] == COUNT, "the fellow is not beside robot 0"
+
+
+def test_robots_are_together_that_explore_at_the_same_time():
+    assert observations_of().are_together([0], [1])
+    assert not observations_of(10 * np.arange(COUNT) + 10_000).are_together([0], [1])
+    assert not observations_of(np.full(COUNT, -1)).are_together([0], [1])
+    off = observations_of(config=override(EnvConfig(robots=2), {"slam.cues.lidar": False}))
+    assert not off.are_together([0], [1])
 
 
 @pytest.mark.parametrize(("distance_m", "seen_through"), [(1.0, 1), (3.0, 0)])

@@ -36,8 +36,11 @@ RADIO_SLACK = 1.1
 SCANS_ALONE_MIN = 8
 """Where neither signs nor fingerprints are compared and robots do not look for each other, places this many,
 `spread_min_m` apart, must agree: rooms and whole wings of a building look alike."""
-REPEATED_MAX = 0.2
+REPEATED_MAX = 0.05
 """Largest probability that a name is repeated elsewhere with which names alone merge maps."""
+UNSEEN_MAX = 0.6
+"""Largest difference by radio, of the reference, with which closures without a sign merge robots that never saw each
+other."""
 
 Solution = tuple[Sequence[LoopClosure], Array]
 """Accepted closures of a solution and its node poses (n, 3)."""
@@ -161,16 +164,14 @@ class MergeTests:
     def cues_confirm(self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal) -> bool:
         """Whether radio confirms the merge; without radio comparison, mutual observations or sign names must.
 
-        Radio is not compared if switched off, or (`spares_deaf`) if one side never received anything. Then robots must
-        have seen each other as the merge implies (`mutual_observations`), or `names_agree` is required if texts were
-        compared. Scans alone merge nothing: whole wings of a building look alike, without anything that contradicts.
+        Without a sign, radio alone does so only for robots that saw each other, or clearly (`UNSEEN_MAX`). Radio is not
+        compared if switched off, or (`spares_deaf`) if one side never received anything. Then robots must have seen
+        each other as the merge implies (`mutual_observations`), or `names_agree` is required if texts were compared.
+        Scans alone merge nothing: whole wings of a building look alike, without anything that contradicts.
         SCANS_ALONE_MIN places are enough only where robots do not look for each other.
         """
-        is_heard = self._rule.wifi_check and not (
-            self._spares_deaf and (self._heard_nothing(a) or self._heard_nothing(b))
-        )
-        if is_heard:
-            return self.radio_agrees(a, b, proposal.pose_a_b) is True
+        if self._is_heard(a, b):
+            return self.radio_agrees(a, b, proposal.pose_a_b) is True and self._is_seen_or_sure(a, b, proposal)
         if self._mutual_observations is not None:
             found = self._mutual_observations.count(a, b, proposal.pose_a_b)
             if found.confirm or found.seen_through >= CONTRADICTION_MIN:
@@ -181,6 +182,38 @@ class MergeTests:
             return not looks and proposal.weight[1] >= SCANS_ALONE_MIN
         is_read = not any(math.isnan(candidate.text_similarity) for candidate in compared)
         return not is_read or self.names_agree(a, b, proposal.pose_a_b)
+
+    def most_observed(
+        self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal, closures: Sequence[LoopClosure]
+    ) -> MergeProposal:
+        """The proposal, or that of fewer closures by which the robots saw each other more often, where radio is not
+        compared: where rooms look alike, most closures may be between wrong ones, and robots that drive behind each
+        other may be seen where the next one should be."""
+        if proposal.is_proven or self._is_heard(a, b):
+            return proposal
+        other = self.observed_proposal(closures, a, b)
+        is_other = other is not None and map_merging.exclude((other.pose_a_b - proposal.pose_a_b)[None])[0]
+        return other if other is not None and is_other else proposal
+
+    def _is_seen_or_sure(self, a: Sequence[int], b: Sequence[int], proposal: MergeProposal) -> bool:
+        """Whether a merge has a sign, or robots that saw each other, or else places that sound much alike.
+
+        Aisles and rooms look alike, and a few metres further on sound nearly alike, too. Robots that explore one after
+        the other cannot see each other.
+        """
+        watch, pose_a_b = self._mutual_observations, proposal.pose_a_b
+        has_sign = any(closure.candidate.sign_m is not None for closure in proposal.agreeing)
+        if has_sign or watch is None or not watch.are_together(a, b):
+            return True
+        found = watch.count(a, b, pose_a_b)
+        if found.seen > found.seen_through:
+            return True
+        difference = self.radio_difference(a, b, pose_a_b)
+        return difference is not None and difference < UNSEEN_MAX
+
+    def _is_heard(self, a: Sequence[int], b: Sequence[int]) -> bool:
+        """Whether radio is compared: it is switched on, and not spared because one side never received anything."""
+        return self._rule.wifi_check and not (self._spares_deaf and (self._heard_nothing(a) or self._heard_nothing(b)))
 
     def _heard_nothing(self, robots: Sequence[int]) -> bool:
         paths = [self._graph.keyframes[robot] for robot in robots]
@@ -245,8 +278,8 @@ class MergeTests:
         return _texts_disagree(texts, places, np.isin(robots, b))
 
     def names_agree(self, a: Sequence[int], b: Sequence[int], pose_a_b: Array) -> bool:
-        """Whether enough places that the merge brings together have one name that was read nowhere else, in a building
-        where names seldom repeat.
+        """Whether enough places that the merge brings together have one name that was read nowhere else, more than have
+        two, in a building where names seldom repeat.
 
         Else one more copy of a wing, with all its names, is no surprise. Of n names read more than once, r at several
         places, the next one repeats with probability (r + 1/2) / (n + 1) (Jeffreys' prior).
@@ -260,8 +293,8 @@ class MergeTests:
         if np.count_nonzero(are_apart & is_sure) + 0.5 > REPEATED_MAX * (np.count_nonzero(is_sure) + 1):
             return False
         are_told = are_tried & ~are_apart[texts]
-        same, _ = count_shared(texts[are_told], places[are_told], np.isin(robots[are_told], b))
-        return same >= self._rule.signs_read_alike_min
+        same, other = count_shared(texts[are_told], places[are_told], np.isin(robots[are_told], b))
+        return same >= self._rule.signs_read_alike_min and same > other
 
     def _poses_with(self, b: Sequence[int], pose_a_b: Array) -> Array:
         """(n, 3) poses of all nodes, with those of `b` transformed to the map of `a`."""

@@ -5,7 +5,8 @@ predicts, for each keyframe of one robot, where the robots of the other group st
 If one stood within range, the scan must contain a robot-sized object there (`teammate_detection` stores such beams as
 negative ranges). If instead the beams pass through the predicted place, the hypothesis is wrong; if robots are seen in
 many places as predicted, rooms that look alike cannot explain it, and the hypothesis of a single closure is enough for
-a merge. Needs robots that explore at the same time, and no identification of a robot.
+a merge. Needs robots that explore at the same time, and no identification of a robot: where another one of the
+watcher's own group stood near the predicted place, it may be the one that was seen, and nothing is concluded.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ TOLERANCE_M = 0.4
 NEAR_M = 0.6
 """Robots that are predicted closer than this touch each other: nothing is concluded."""
 CAUTION_M = 1.5
-"""A robot seen this near to the predicted position may be the one that was predicted: the path may have drifted."""
+"""A robot seen this near to the predicted position may be the one that was predicted: the path may have drifted; and
+one of the watcher's group that stood this near to it may be the one that was seen."""
 GAP_MAX_M = 1.5
 """Between two keyframes further apart than this a robot's position is not interpolated."""
 CONTRADICTION_MIN = 2
@@ -76,37 +78,59 @@ def _is_repeated(steps, k):
 
 
 @kernel
-def _predict(poses, steps, other_poses, other_steps, reach_m):
-    """The keyframes of a robot (k,) at whose step another one stood within reach, and where: (k, 2) in the keyframes'
-    frames, then (k, 2) in that of the poses.
+def _places_at(steps, poses, own_steps):
+    """(k, 2) where a robot with keyframes at poses (n, 3) stood at steps (k,); NaN where it does not say.
 
-    poses (n, 3) and other_poses (m, 3) in one frame, steps (n,) and (m,) ascending, negative if unknown. The other
-    robot is interpolated between its keyframes. Keyframes of one robot with the same step came in belatedly: such a
-    step says nothing.
+    steps (k,) and own_steps (n,) ascending, negative if unknown. The robot is interpolated between its keyframes. Those
+    with the same step came in belatedly: such a step says nothing.
     """
-    chosen, places = np.empty(poses.shape[0], np.int64), np.empty((2, poses.shape[0], 2))
-    count = after = 0
-    for k in range(poses.shape[0]):
-        if steps[k] < 0 or _is_repeated(steps, k):
+    places = np.full((steps.shape[0], 2), np.nan)
+    after = 0
+    for k in range(steps.shape[0]):
+        if steps[k] < 0:
             continue
-        while after < other_steps.shape[0] and other_steps[after] < steps[k]:
+        while after < own_steps.shape[0] and own_steps[after] < steps[k]:
             after += 1
-        if after == other_steps.shape[0]:
+        if after == own_steps.shape[0]:
             break
-        before = after if other_steps[after] == steps[k] else after - 1
-        if before < 0 or _is_repeated(other_steps, after):
+        before = after if own_steps[after] == steps[k] else after - 1
+        if before < 0 or _is_repeated(own_steps, after):
             continue
-        dx, dy = other_poses[after, 0] - other_poses[before, 0], other_poses[after, 1] - other_poses[before, 1]
+        dx, dy = poses[after, 0] - poses[before, 0], poses[after, 1] - poses[before, 1]
         if math.hypot(dx, dy) > GAP_MAX_M:
             continue
-        part = (steps[k] - other_steps[before]) / max(other_steps[after] - other_steps[before], 1)
-        x, y = other_poses[before, 0] + part * dx - poses[k, 0], other_poses[before, 1] + part * dy - poses[k, 1]
+        part = (steps[k] - own_steps[before]) / max(own_steps[after] - own_steps[before], 1)
+        places[k, 0], places[k, 1] = poses[before, 0] + part * dx, poses[before, 1] + part * dy
+    return places
+
+
+@kernel
+def _predict(poses, steps, stood, reach_m):
+    """The keyframes of a robot (k,) at whose step another one stood within reach, and where in the keyframes' frames
+    (k, 2).
+
+    poses (n, 3), steps (n,) and places stood (n, 2) of the other one. Keyframes of one robot with the same step came in
+    belatedly: such a step says nothing.
+    """
+    chosen, places, count = np.empty(poses.shape[0], np.int64), np.empty((poses.shape[0], 2)), 0
+    for k in range(poses.shape[0]):
+        if math.isnan(stood[k, 0]) or _is_repeated(steps, k):
+            continue
+        x, y = stood[k, 0] - poses[k, 0], stood[k, 1] - poses[k, 1]
         if NEAR_M <= math.hypot(x, y) <= reach_m:
             c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
-            chosen[count], places[0, count, 0], places[0, count, 1] = k, c * x + s * y, c * y - s * x
-            places[1, count, 0], places[1, count, 1] = poses[k, 0] + x, poses[k, 1] + y
+            chosen[count], places[count, 0], places[count, 1] = k, c * x + s * y, c * y - s * x
             count += 1
-    return chosen[:count], places[0, :count], places[1, :count]
+    return chosen[:count], places[:count]
+
+
+@kernel
+def _is_beside(stood, fellow):
+    """(k,) whether a fellow at places (k, 2), NaN if unknown, was within CAUTION_M of the places stood (k, 2)."""
+    found = np.zeros(stood.shape[0], np.bool_)
+    for k in range(stood.shape[0]):
+        found[k] = math.hypot(stood[k, 0] - fellow[k, 0], stood[k, 1] - fellow[k, 1]) < CAUTION_M
+    return found
 
 
 @kernel
@@ -160,11 +184,21 @@ class MutualObservations:
         if self.are_known:
             for i in a:
                 for j in b:
-                    for watcher, other in ((i, j), (j, i)):
-                        counted += self._between(watcher, other, pose_a_b, watcher is j)
+                    for watcher, other, own in ((i, j, a), (j, i, b)):
+                        counted += self._between(watcher, other, own, pose_a_b, watcher is j)
         return ObservationCounts(*counted.tolist())
 
-    def _between(self, watcher: int, other: int, pose_a_b: Array, is_watcher_b: bool) -> tuple[int, int, int]:
+    def are_together(self, a: Sequence[int], b: Sequence[int]) -> bool:
+        """Whether robots of two groups explored at the same time, so that they may have seen each other."""
+        if not self.are_known:
+            return False
+        spans = [[(own[0], own[-1]) for robot in side if len(own := self._steps_of(robot))] for side in (a, b)]
+        return any(max(i[0], j[0], 0) < min(i[1], j[1]) for i in spans[0] for j in spans[1])
+
+    def _between(
+        self, watcher: int, other: int, own: Sequence[int], pose_a_b: Array, is_watcher_b: bool
+    ) -> tuple[int, int, int]:
+        """What the keyframes of the watcher, one of the group `own`, see of another robot."""
         graph = self._graph
         nodes, others = graph.path_of(watcher), graph.path_of(other)
         poses, other_poses = graph.poses[nodes], graph.poses[others]
@@ -172,9 +206,19 @@ class MutualObservations:
             poses = compose(pose_a_b, poses)
         else:
             other_poses = compose(pose_a_b, other_poses)
-        steps, other_steps = (np.array([k.team_step for k in graph.keyframes[r]], np.int64) for r in (watcher, other))
-        chosen, places, stood = _predict(poses, steps, other_poses, other_steps, self._reach_m)
+        steps = self._steps_of(watcher)
+        stood = _places_at(steps, other_poses, self._steps_of(other))
+        for fellow in own:
+            if fellow != watcher:
+                fellow_poses = graph.poses[graph.path_of(fellow)]
+                if is_watcher_b:
+                    fellow_poses = compose(pose_a_b, fellow_poses)
+                stood[_is_beside(stood, _places_at(steps, fellow_poses, self._steps_of(fellow)))] = np.nan
+        chosen, places = _predict(poses, steps, stood, self._reach_m)
         is_here = self._maps.have_scans(nodes[chosen])
         owner = self._segments.owners[other]
         radius_m = self._radii_m[owner] if self._radii_m and owner != NO_ROBOT else self._radius_m
-        return _count(graph.rows_of(nodes[chosen][is_here])[1], places[is_here], stood[is_here], radius_m)
+        return _count(graph.rows_of(nodes[chosen][is_here])[1], places[is_here], stood[chosen][is_here], radius_m)
+
+    def _steps_of(self, robot: int) -> Array:
+        return np.array([keyframe.team_step for keyframe in self._graph.keyframes[robot]], np.int64)
