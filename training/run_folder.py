@@ -68,7 +68,8 @@ class Task:
         """The whole configuration of the environment."""
         fixed: dict[str, Any] = {"robots": self.robots, "max_cycles": self.max_cycles}
         if self.id is None:
-            fixed = {name: SMALL_TEAM[name] if value is None else value for name, value in fixed.items()}
+            known = {name: value for name, value in SMALL_TEAM.items() if name != "robots" or not self._names_team}
+            fixed = {name: known.get(name) if value is None else value for name, value in fixed.items()}
             fixed["map"] = self.map or self.names(0, 1)[0]
             base = configuration.EnvConfig()
             view: dict[str, object] = {**CHOICES, **SMALL_VIEW, "reward.period_steps": 20}
@@ -77,6 +78,11 @@ class Task:
             view = SMALL_VIEW if base.action.kind == "frontier" else {**CHOICES, **SMALL_VIEW}
         given = {name: value for name, value in fixed.items() if value is not None}
         return configuration.override(base, {**view, **self.overrides, **given})
+
+    @property
+    def _names_team(self) -> bool:
+        """Whether the overrides say of which robots the team consists."""
+        return "team" in self.overrides or "robot" in self.overrides
 
     def names(self, first: int, count: int) -> list[str]:
         """Names of `count` generated buildings from seed `first` on, or of the one map."""
@@ -134,7 +140,7 @@ def read_settings(folder: Path) -> dict:
         raise DataError(f"{path} is not valid JSON: {error}") from error
     missing = {"task", "settings", "config_digest"} - set(record if isinstance(record, dict) else ())
     if missing:
-        raise DataError(f"{path} lacks {', '.join(sorted(missing))}; it was not written by this program")
+        raise DataError(f"{path} lacks {', '.join(sorted(missing))}; name the folder of a training run")
     try:
         digest = configuration.digest(task_of(record).config)
     except TwcError:

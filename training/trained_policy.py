@@ -10,11 +10,12 @@ import torch
 from gymnasium import spaces
 
 import twc_env
+from twc_env.errors import DataError
 from twc_env.records.random_streams import random_stream
 
 from .checkpoint import below, load
 from .encoder import USED, Actor
-from .run_folder import read_settings
+from .run_folder import model_in, read_settings
 from .team_notes import TeamNotes
 from .weights import fill
 
@@ -30,6 +31,11 @@ def load_actor(model_path: Path, space: spaces.Space) -> Actor:
     Raises DataError for a model that cannot be read, or was trained with other observations.
     """
     record, (arrays, _) = read_settings(model_path.parent), load(model_path)
+    if not isinstance(space, spaces.Dict) or not {"frontiers", "pose", "team"} <= set(space.spaces):
+        raise DataError(
+            f"{model_path} chooses among candidates, which these observations lack; make the environment with the "
+            "settings of its run: parallel_env(config=task_of(read_settings(FOLDER)).config)"
+        )
     actor = Actor(TeamNotes.space(space), int(record["settings"].get("hidden_size", 64)))
     own = below(arrays, "actor.") or below(arrays, "policy.mlp_extractor.actor.")
     fill(actor, own, model_path)
@@ -37,8 +43,8 @@ def load_actor(model_path: Path, space: spaces.Space) -> Actor:
 
 
 def chooser_of(model_path: Path, env: twc_env.ExplorationEnv, seed: int) -> Choose:
-    """What a trained model does in an environment; raises DataError as `load_actor`."""
-    return sampling(load_actor(model_path, env.observation_space("robot_0")), env.config, seed)
+    """What a trained model, a file or its run folder, does in an environment; raises DataError as `load_actor`."""
+    return sampling(load_actor(model_in(model_path), env.observation_space("robot_0")), env.config, seed)
 
 
 def sampling(actor: Actor, config: twc_env.EnvConfig, seed: int) -> Choose:

@@ -24,7 +24,10 @@ def fill(module: nn.Module, arrays: Mapping[str, Array], path: Path) -> None:
     unlike = [name for name in wanted if name in arrays and wanted[name].shape != arrays[name].shape]
     if missing or unlike:
         what = f"lacks {missing[0]}" if missing else f"has another shape of {unlike[0]}"
-        raise DataError(f"{path} does not fit the settings in config.json beside it: it {what}; train anew")
+        raise DataError(
+            f"{path} does not fit the settings in config.json beside it, or the environment has others: it {what}; "
+            "make the environment with these settings, or train anew"
+        )
     module.load_state_dict({name: torch.from_numpy(arrays[name].copy()) for name in wanted})
 
 

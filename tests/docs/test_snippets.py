@@ -1,4 +1,4 @@
-"""The snippets of docs/integrations.md, docs/library.md and docs/gallery.md run as they stand."""
+"""The snippets of docs/integrations.md, docs/library.md and other pages run as they stand."""
 
 import importlib.util
 import os
@@ -20,8 +20,12 @@ def snippets(text: str) -> dict[str, str]:
     return dict(found)
 
 
-GALLERY = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "gallery.md").read_text(), flags=re.DOTALL)
-SNIPPETS = snippets(TEXT) | snippets(LIBRARY) | {f"Gallery {k}": text for k, text in enumerate(GALLERY)}
+OTHERS = {
+    f"{page} {k}": text
+    for page in ("gallery", "frames", "learning")
+    for k, text in enumerate(re.findall(r"```python\n(.*?)```", (ROOT / "docs" / f"{page}.md").read_text(), re.DOTALL))
+}
+SNIPPETS = snippets(TEXT) | snippets(LIBRARY) | OTHERS
 LIBRARIES = "gymnasium", "pettingzoo", "numba", "torchrl.envs", "stable_baselines3"
 NEEDS = {
     "stable-baselines3": "stable_baselines3",
@@ -29,6 +33,7 @@ NEEDS = {
     "RLlib": "ray",
     "Rendering and recording": "PIL",
 }
+NEEDS_OF_OTHERS = {"learning 0": "torch"}
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +48,7 @@ def forks(tmp_path_factory):
 
 @pytest.mark.parametrize("heading", SNIPPETS)
 def test_a_snippet_runs(heading, forks, tmp_path):
-    module = NEEDS.get(heading, "numpy")
+    module = {**NEEDS, **NEEDS_OF_OTHERS}.get(heading, "numpy")
     if importlib.util.find_spec(module) is None:
         pytest.skip(f"needs {module}")
     status, said = forks.run(SNIPPETS[heading], tmp_path)

@@ -100,6 +100,23 @@ def test_the_single_agent_and_aec_environments_reject_invalid_actions():
         turns.step(BAD["too fast"])
 
 
+@pytest.mark.parametrize(
+    ("settings", "bad", "good"),
+    [({}, np.array([np.nan, 0.0]), FINE), ({"config": {"action.kind": "frontier"}}, 99, 0),
+     ({"config": {"action.kind": "waypoint"}}, np.array([2.0, 0.0]), FINE)],
+)  # fmt: skip
+def test_in_turns_an_invalid_action_is_refused_at_its_own_turn_and_another_may_follow(settings, bad, good):
+    turns = twc_env.env(robots=2, max_cycles=3, **settings)
+    turns.reset(seed=0)
+    with pytest.raises(ActionError, match="robot_0"):
+        turns.step(bad)
+    assert turns.agent_selection == "robot_0"
+    turns.step(good)
+    assert turns.agent_selection == "robot_1"
+    turns.step(good)
+    assert turns.agent_selection == "robot_0" and turns.unwrapped.episode.steps >= 1
+
+
 @pytest.mark.parametrize("bad", [np.zeros((3, 2)), np.array([1, 2], "M8[s]"), "a\nb"], ids=["rows", "dates", "text"])
 def test_multi_line_values_are_reported_in_one_line(bad):
     env = twc_env.parallel_env(map="twin-01", robots=1)

@@ -66,6 +66,21 @@ def test_the_error_of_a_model_of_another_view_names_what_to_do(task, run, tmp_pa
     assert "there is no model" in capsys.readouterr().err
 
 
+def test_a_model_is_played_by_the_name_of_its_folder_and_refuses_other_observations(task, run):
+    from twc_env.training.trained_policy import chooser_of
+
+    import twc_env
+    from twc_env.errors import DataError
+
+    env = twc_env.parallel_env(config=task.config)
+    seen, _ = env.reset(seed=0)
+    assert set(chooser_of(run, env, 0)(seen, 0)) == set(env.agents)
+    with pytest.raises(DataError, match="make the environment with the settings of its run"):
+        chooser_of(run, twc_env.parallel_env(), 0)
+    with pytest.raises(DataError, match="or the environment has others: it has another shape"):
+        chooser_of(run, twc_env.parallel_env(config={"action.kind": "frontier"}), 0)
+
+
 def test_one_building_is_printed_without_a_spread():
     from twc_env.suite.evaluation import POLICIES, Episode, Evaluation  # needs torch
 

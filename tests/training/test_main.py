@@ -25,6 +25,15 @@ from twc_env.__main__ import main
         (["train", "ppo", "--set", "lidar.beam_cuont=9"], "did you mean 'beam_count'?"),
         (["train", "mappo", "--task", "ExploreQick-v1"], "did you mean 'ExploreQuick-v1'?"),
         (["train", "mappo", "--task", "ExploreQuick-v1", "--map", "twin-01"], "leave one of them out"),
+        (["train", "mappo", "--task", "ExploreQuick-v1", "--area", "300"], "--area 300: it is of generated buildings"),
+        (["train", "mappo", "--map", "twin-01", "--area", "300"], "--area 300: it is of generated buildings"),
+        (["train", "es", "--set", "robots=4"], "--set robots=4: use --robots"),
+        (["train", "ppo", "--set", "max_cycles=50"], "--set max_cycles=50: use --max-cycles"),
+        (["train", "mappo", "--task", "ExploreQuick-v1", "--set", "map=twin-01"], "--set map=twin-01: use --map"),
+        (["evaluate", "--buildings", "3"], "--buildings 3: it needs --suite v1"),
+        (["evaluate", "--agents", "minpos", "random"], "--agents minpos random: it needs --suite v1"),
+        (["evaluate", "--suite", "v1", "--seeds", "0-3"], "--seeds 0-3: --suite v1 plays --buildings of its tasks"),
+        (["evaluate", "--suite", "v1", "--no-pictures"], "--no-pictures: --suite v1 plays"),
         (["train", "mappo", "--hidden-size", "6"], "--hidden-size must be a multiple of the 4 heads"),
         (["train", "ppo", "--resume"], "holds no training run"),
         (["train", "ppo", "--set", "slam.mode=off"], "slam.mode=off has none: remove that setting"),
@@ -37,6 +46,18 @@ from twc_env.__main__ import main
 def test_the_error_of_a_wrong_command_is_one_line_with_the_remedy(arguments, message, tmp_path, refusal, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert message in refusal(main, arguments)
+
+
+@pytest.mark.usefixtures("torch")
+def test_one_environment_takes_one_worker_and_a_team_says_how_many_robots_it_has(tmp_path, monkeypatch):
+    from twc_env.training import mappo
+
+    asked = []
+    monkeypatch.setattr(mappo, "train", lambda task, settings, *_: asked.append((task, settings)) or tmp_path)
+    assert main(["train", "mappo", "--environments", "1", "--references", "0", "--set", "team=turtlebots"]) == 0
+    ((task, settings),) = asked
+    assert (settings.workers, settings.environments) == (1, 1)
+    assert task.config.robots == len(task.config.robot) == 3
 
 
 def test_without_torch_the_error_names_what_to_install():

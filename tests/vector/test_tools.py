@@ -219,6 +219,20 @@ def test_one_gif_is_written_per_episode(tmp_path):
         assert film.info["duration"] == 200  # two time steps of a tenth of a second
 
 
+@pytest.mark.parametrize("api", ["gymnasium", "turns"])
+def test_films_of_other_apis_are_refused_with_the_remedy(api, tmp_path):
+    import gymnasium
+
+    from twc_env.pictures.video import RecordEpisodes
+
+    made = {
+        "gymnasium": lambda: gymnasium.make("twc/Explore-v0", render_mode="rgb_array", disable_env_checker=True),
+        "turns": lambda: twc_env.env(robots=2, render_mode="rgb_array"),
+    }[api]()
+    with pytest.raises(ConfigError, match=r"wrap twc_env\.parallel_env"):
+        RecordEpisodes(made, tmp_path)
+
+
 def test_long_actions_are_recorded_at_every_time_step(tmp_path):
     image = pytest.importorskip("PIL.Image", reason="needs the extra 'viz'")
     from twc_env.pictures.video import RecordEpisodes

@@ -141,7 +141,10 @@ def _sample(options: argparse.Namespace) -> None:
 
     check_folder(options.out)
     settings = {"map": options.map, "robots": options.robots, "max_cycles": options.steps, "lidar.beam_count": 180}
-    log = simulate(override(EnvConfig(), {**settings, **assignments(options.set)}), options.seed)
+    asked = assignments(options.set)
+    if "lidar.preset" in asked:  # it has beams of its own
+        del settings["lidar.beam_count"]
+    log = simulate(override(EnvConfig(), {**settings, **asked}), options.seed)
     end_line()
     make_folder(options.out)
     suffix = KINDS[options.kind]

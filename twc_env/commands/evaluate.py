@@ -25,6 +25,8 @@ from twc_env.tasks import SUITES
 
 SCRIPTED = ("nearest-frontier", "information-gain", "minpos")
 """Teams beside which models are evaluated: the reference, and those that lead tasks (docs/leaderboard.md)."""
+SEEDS_OF_BUILDINGS, BUILDINGS = "0-19", 10
+"""Defaults without a suite, and with one."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_pictures(parser)
     parser.add_argument("--no-pictures", action="store_true", help="do not draw coverage over time")
     parser.add_argument(
-        "--seeds", default="0-19", help="of held-out buildings: numbers and ranges such as 0-4 or 1,5,7-9"
+        "--seeds", help="of held-out buildings: numbers and ranges such as 0-4 or 1,5,7-9 (default: 0-19)"
     )
     parser.add_argument(
         "--films", action="store_true", help="write a film of the trained team in each building, to films in --out"
@@ -72,17 +74,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--agents",
         nargs="+",
         metavar="AGENT",
-        default=list(SCRIPTED),
         help=f"scripted teams to beat (default: {', '.join(SCRIPTED)})",
     )
-    group.add_argument("--split", choices=("train", "validation", "test"), default="test", help="buildings")
-    group.add_argument("--buildings", type=count, default=10, help="per task, from the start of the split")
+    group.add_argument("--split", choices=("train", "validation", "test"), help="buildings (default: test)")
+    group.add_argument("--buildings", type=count, help="per task, from the start of the split (default: 10)")
     add_allow_code(parser)
     parser.set_defaults(run=_evaluate)
 
 
 def _evaluate(options: argparse.Namespace) -> int:
     refuse_jobs_with_ray(options)
+    _refuse_other(options)
     if options.films and (options.ray is not None or options.suite):
         other = "--ray: machines of a cluster would keep them" if options.ray is not None else "--suite draws none"
         raise DataError(f"--films with {other}; leave one of them out")
@@ -91,7 +93,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     with learning_libraries():
         from twc_env.suite.evaluation import evaluate
 
-    seeds = parse_seeds(options.seeds)
+    seeds = parse_seeds(options.seeds or SEEDS_OF_BUILDINGS)
     if max(seeds) >= SEEDS:
         raise DataError(f"--seeds must be 0 to {SEEDS - 1}; got {max(seeds)}")
     if len(options.model) > 1:
@@ -108,6 +110,21 @@ def _evaluate(options: argparse.Namespace) -> int:
     for path in [*found.write(folder, picture_options(options)), *([films] if films else [])]:
         tell(f"written: {path}")
     return 0
+
+
+def _refuse_other(options: argparse.Namespace) -> None:
+    """Raise DataError for an option that would be ignored: of a suite without one, or the other way round."""
+    given: tuple[str, ...]
+    if options.suite:
+        given = ("seeds", "dpi", "no_pictures")
+        why = f"--suite {options.suite} plays --buildings of its tasks and draws nothing"
+    else:
+        given, why = ("tasks", "agents", "split", "buildings"), "it needs --suite v1; without one, choose with --seeds"
+    for name in given:
+        if value := getattr(options, name, None):
+            told = " ".join(map(str, value)) if isinstance(value, list) else value
+            shown = "" if value is True else f" {told}"
+            raise DataError(f"--{name.replace('_', '-')}{shown}: {why}; leave it out")
 
 
 def _evaluate_suite(options: argparse.Namespace) -> int:
@@ -129,8 +146,8 @@ def _evaluate_suite(options: argparse.Namespace) -> int:
             played.setdefault(task, []).append(model)
     planned: list[Entry] = []
     for task, own_models in played.items():
-        teams = dict.fromkeys((*own_models, *options.agents, *REFERENCES))
-        planned += entries([task], tuple(teams), options.split, options.buildings)
+        teams = dict.fromkeys((*own_models, *(options.agents or SCRIPTED), *REFERENCES))
+        planned += entries([task], tuple(teams), options.split or "test", options.buildings or BUILDINGS)
     values = play_all(planned, folder / "episodes", options.jobs, options.ray, tell)
     rows = rows_of_models(models, planned, values)
     write_json(options.json, rows)

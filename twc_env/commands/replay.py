@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 SAMPLE = "sample"
 SCANS_ALONE = (
-    "robots share a map by their scans alone, and rooms that look alike fit, too: look at the picture, or give WiFi or "
-    "signs (--wifi, --signs)"
+    "maps fit each other by their scans alone, and rooms that look alike fit, too: look at the picture, or give WiFi "
+    "or signs (--wifi, --signs)"
 )
 
 
@@ -194,14 +194,17 @@ def _convert(options: argparse.Namespace, run: Path) -> None:
         print(f"written: {write_rerun(run, folder / 'replay.rrd')}")
 
 
-def _asked(options: argparse.Namespace, beam_count: object) -> Asked:
+def _asked(options: argparse.Namespace, beam_count: object, range_max: object = None) -> Asked:
+    from twc_env.config import EnvConfig, override
     from twc_env.datasets.logs.column_units import unit_choices
     from twc_env.datasets.ros.robot_topics import Wishes
     from twc_env.replaying.inputs import Asked
 
     wishes = Wishes(tuple(options.scan_topic), tuple(options.odom_topic), tuple(options.imu_topic))
     beams = int(str(beam_count)) if str(beam_count).isdigit() and int(str(beam_count)) > 0 else None
-    return Asked(wishes, tuple(options.wifi), tuple(options.signs), unit_choices(options.units), beams)
+    wished = {} if range_max is None else {"lidar.range_max_m": range_max}
+    range_max_m = override(EnvConfig(), wished).lidar.range_max_m if wished else None
+    return Asked(wishes, tuple(options.wifi), tuple(options.signs), unit_choices(options.units), beams, range_max_m)
 
 
 def _list_contents(options: argparse.Namespace) -> None:
@@ -226,7 +229,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     from twc_env.replaying.inputs import read_input
     from twc_env.replaying.odometry_errors import with_errors_of_log
     from twc_env.replaying.outputs import write_bag
-    from twc_env.replaying.run import groups_by_size, run
+    from twc_env.replaying.run import engine_robots, groups_by_size, run
     from twc_env.slam.map_localisation import MapLocalisation
 
     check_folder(options.out)
@@ -234,7 +237,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     if options.bag is not None and options.bag.exists():
         raise DataError(f"{options.bag} exists: bags are not overwritten; name another, or delete it")
     asked, begun_s = assignments(options.set), time.monotonic()
-    source = read_input(logs, _asked(options, asked.get("lidar.beam_count")))
+    source = read_input(logs, _asked(options, asked.get("lidar.beam_count"), asked.get("lidar.range_max_m")))
     config = source.config
     if not options.allow_code:
         refuse_code(config, logs[0], asked)
@@ -256,8 +259,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     read_s = time.monotonic() - begun_s
     page = None
     if has_page:
-        robots = config.robots
-        page = LogPage(robots, len(source.steps), config.dynamics.robot_radius_m)
+        page = LogPage(engine_robots(source, config), len(source.steps), config.dynamics.robot_radius_m)
     begun_cpu_s = time.process_time()
     done = run(source, config, None if page is None else page.note)
     cpu_s = time.process_time() - begun_cpu_s
@@ -295,7 +297,7 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
             print("\nwhy there is more than one map:", *lacked, sep="\n  ")
         elif carried := [line for line in lacked if "put down elsewhere" in line]:
             print("\nnoticed, as scans do not go on from those before:", *carried, sep="\n  ")
-        if _rests_on_scans(source, groups):
+        if _rests_on_scans(source, groups, bool(figures.get("found_prior"))):
             print(f"\n{SCANS_ALONE}")
     write_json(options.json, figures | {"robots": done.table()})
     if options.out:
@@ -310,10 +312,10 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
                 print(f"\nwritten: {_named(place) if place is options.out else place}")
 
 
-def _rests_on_scans(source: ReplayInput, groups: Sequence[Sequence[int]]) -> bool:
-    """Whether robots share a map, groups (maps, robots of each), by nothing but their scans."""
+def _rests_on_scans(source: ReplayInput, groups: Sequence[Sequence[int]], is_in_prior: bool) -> bool:
+    """Whether robots share a map, groups (maps, robots of each), or one with a prior map, by nothing but scans."""
     has_readings = any(frame.wifi is not None or frame.signs for frames in source.steps for frame in frames)
-    return not has_readings and any(len(robots) > 1 for robots in groups)
+    return not has_readings and (is_in_prior or any(len(robots) > 1 for robots in groups))
 
 
 def _named(folder: Path) -> str:

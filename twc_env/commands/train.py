@@ -34,6 +34,11 @@ docs/learning.md has the rest.
 """
 
 
+AREA_M2 = 250.0
+OF_OPTIONS = ("map", "robots", "max_cycles")
+"""Settings that are options of their own."""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Fill the parser of the command, which has one command per algorithm."""
     parser.description = (
@@ -71,7 +76,7 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
     task = parser.add_argument_group("task")
     task.add_argument("--task", help="a registered task, such as ExploreQuick-v1, in its training buildings")
     task.add_argument("--map", help="bundled name, generated name or file, instead of small generated buildings")
-    task.add_argument("--area", type=float, default=250.0, help="floor area of the generated buildings [m2]")
+    task.add_argument("--area", type=float, help="floor area of the generated buildings [m2] (default: 250)")
     task.add_argument("--robots", type=count, help="robots per team (default: as the task says, else 2)")
     task.add_argument("--max-cycles", type=count, help="time steps per episode (default: as the task says, else 500)")
     add_set(task)
@@ -110,6 +115,17 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
     )
 
 
+def _check_task(options: argparse.Namespace, overrides: dict[str, object]) -> None:
+    """Raise DataError for options of the task of which one would be ignored beside another."""
+    if options.task is not None and options.map is not None:
+        raise DataError(f"--map {options.map}: the task {options.task} has its own buildings; leave one of them out")
+    if options.area is not None and (options.task or options.map):
+        raise DataError(f"--area {options.area:g}: it is of generated buildings; leave out --task and --map, or this")
+    for name in OF_OPTIONS:
+        if name in overrides:
+            raise DataError(f"--set {name}={overrides[name]}: use --{name.replace('_', '-')}, which evaluations follow")
+
+
 def _defaults(module: str) -> dict[str, str]:
     """The defaults of a learner's `Settings` as its file writes them: importing it would take torch to show a help."""
     spec = find_spec(module)
@@ -146,21 +162,21 @@ def _train(options: argparse.Namespace) -> int:
         raise DataError(f"--seed must be 0 to {SEEDS - 1}; got {options.seed}")
     if getattr(options, "hidden_size", None) is not None and options.hidden_size % 4:
         raise DataError(f"--hidden-size must be a multiple of the 4 heads of the attention; got {options.hidden_size}")
-    if options.task is not None and options.map is not None:
-        raise DataError(f"--map {options.map}: the task {options.task} has its own buildings; leave one of them out")
+    overrides = assignments(options.set)
+    _check_task(options, overrides)
     check_folder(options.out)
     task = Task(
         None if options.task is None else task_id(options.task),
         options.map,
-        area_m2=options.area,
+        area_m2=AREA_M2 if options.area is None else options.area,
         robots=options.robots,
         max_cycles=options.max_cycles,
-        overrides=assignments(options.set),
+        overrides=overrides,
     )
     given = {field.name: getattr(options, field.name, None) for field in fields(algorithm.Settings)}
     settings = algorithm.Settings(**{name: value for name, value in given.items() if value is not None})
-    if options.ray is not None and options.workers is None:
-        settings = replace(settings, workers=0)
+    if options.workers is None:
+        settings = replace(settings, workers=0 if options.ray else min(settings.workers, settings.environments))
     model_path = algorithm.train(task, settings, options.out, options.resume, not options.quiet, options.ray)
     print(f"model: {model_path}   learning curve: {options.out / 'metrics.csv'} and {options.out / 'tensorboard'}")
     if options.references:

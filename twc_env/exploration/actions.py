@@ -79,11 +79,11 @@ class Velocities:
                 commands += (ahead * speed_max_m_s, left * turn_rate_max_rad_s)
             self._write(*commands)
         except Exception:  # arbitrary objects may raise anything; the checks below accept or name the action
-            self._commands[:] = _one_by_one(actions, agents) * np.array(self._maxima)
+            self._commands[:] = one_by_one(actions, agents) * np.array(self._maxima)
         return self._commands
 
 
-def _one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
+def one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
     """Actions (robots, 2), clipped to [-1, 1] within `TOLERANCE`. Raises ActionError for the first invalid one."""
     check_agents(actions, agents)
     shares = np.empty((len(agents), 2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -187,12 +188,7 @@ class MacroActions:
         Raises ActionError for a malformed action; nothing is changed then. A masked choice counts as `stay`.
         """
         check_agents(actions, agents)
-        is_waypoint = self._action.kind == "waypoint"
-        parse = _waypoint if is_waypoint else _choice
-        size = 2 if is_waypoint else self._action.frontier_slots + len(EXTRA_CHOICES)
-        parsed = []
-        for agent in agents:
-            parsed.append(parse(actions[agent], agent, size))
+        parsed = [parsed_action(self._action, actions[agent], agent) for agent in agents]
         self._decided[self.is_deciding] = self._ticks
         first = int(self._decided.min()) if self._is_in_turn else self._ticks
         self._deadline = first + self._period
@@ -266,6 +262,13 @@ class MacroActions:
 
     def _terrain(self, belief: Belief, squeeze: float) -> Terrain:
         return self._search.terrain(self._terrains, belief, squeeze)
+
+
+def parsed_action(config: ActionConfig, action: object, agent: str) -> Any:
+    """The goal (2,) or the number of the choice that an action says. Raises ActionError for a malformed one."""
+    if config.kind == "waypoint":
+        return _waypoint(action, agent, 2)
+    return _choice(action, agent, config.frontier_slots + len(EXTRA_CHOICES))
 
 
 def _waypoint(action, agent: str, size: int) -> Array:

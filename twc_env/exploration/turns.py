@@ -6,13 +6,28 @@ from typing import Any
 
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
+from twc_env.exploration.actions import one_by_one
+from twc_env.exploration.macro_actions import parsed_action
+
 
 class TurnsEnv(parallel_to_aec_wrapper):
-    """PettingZoo's own conversion, except for `unwrapped`.
+    """PettingZoo's own conversion, except for `unwrapped`, and that a malformed action is refused at its robot's turn.
 
-    That of PettingZoo is the parallel environment, which has no rewards or terminations that wrappers such as
+    `unwrapped` of PettingZoo is the parallel environment, which has no rewards or terminations that wrappers such as
     `TerminateIllegalWrapper` could change, and an object of PettingZoo's own class fails its `api_test`.
     """
+
+    def step(self, action: Any) -> None:
+        """Take the action of the robot whose turn it is; raises ActionError for a malformed one, and it stays its
+        turn."""
+        agent = self.agent_selection
+        if not (self.terminations[agent] or self.truncations[agent]):
+            config = self.env.unwrapped.config.action
+            if config.kind == "velocity":
+                one_by_one({agent: action}, [agent])
+            else:
+                parsed_action(config, action, agent)
+        super().step(action)
 
     @property
     def unwrapped(self) -> Any:

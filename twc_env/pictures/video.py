@@ -45,6 +45,11 @@ class RecordEpisodes(BaseParallelWrapper):
     def __init__(self, env: ExplorationEnv, folder: str | Path, every: int = 2):
         """Raises ConfigError if the environment does not render images or Pillow is missing, DataError if the folder
         is not writable."""
+        if not isinstance(getattr(env, "unwrapped", env), ExplorationEnv) or not hasattr(env, "watch"):
+            raise ConfigError(
+                f"films need the parallel environment; got {type(env).__name__}: wrap twc_env.parallel_env(...), for "
+                "one robot with robots=1"
+            )
         super().__init__(env)
         if env.render_mode != "rgb_array":
             raise ConfigError(f"films need render_mode='rgb_array'; the environment has {env.render_mode!r}")

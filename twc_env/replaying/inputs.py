@@ -23,7 +23,7 @@ from twc_env.datasets.ros.bag_file import is_bag
 from twc_env.datasets.ros.bag_log import describe, read_bag
 from twc_env.datasets.ros.robot_topics import Wishes
 from twc_env.datasets.sample import SAMPLE, sample_files
-from twc_env.errors import DataError
+from twc_env.errors import ConfigError, DataError
 from twc_env.records.geometry import between, compose, inverse
 from twc_env.records.input_file import input_path
 from twc_env.records.messages import Contacts, SensorFrame, SignReading, WifiScan
@@ -78,6 +78,8 @@ class Asked:
     units: dict[str, str] = dataclasses.field(default_factory=dict)
     beam_count: int | None = None
     """Directions of laser logs; None: as many as their scanners have."""
+    range_max_m: float | None = None
+    """Up to where their returns are used; None: `scan_log.RANGE_MAX_M`."""
 
 
 def is_frame_log(log: Path) -> bool:
@@ -128,7 +130,12 @@ def input_of(
     """Logs of one robot each as frames; told: name, notes and whether its clock is that of the others, of each."""
     told = told or [("", [], False)] * len(logs)
     names, notes = [name for name, _, _ in told], [note for _, own, _ in told for note in own]
-    beams = asked.beam_count or scan_log.beam_count_of(logs)
+    beams, range_max_m = asked.beam_count or scan_log.beam_count_of(logs), asked.range_max_m or scan_log.RANGE_MAX_M
+    if range_max_m > scan_log.NO_RETURN_M:
+        raise ConfigError(
+            f"lidar.range_max_m={range_max_m:g}: in laser logs and bags {scan_log.NO_RETURN_M:g} m and more are no "
+            f"return; use at most {scan_log.NO_RETURN_M:g}"
+        )
     wifi, signs = (_readings(files, read, logs, names, asked, notes)
                    for files, read in ((asked.wifi, read_wifi), (asked.signs, read_signs)))  # fmt: skip
     paths, odometry, dropped = [], [], 0
@@ -138,12 +145,12 @@ def input_of(
             needed.append(np.flatnonzero(np.diff(np.floor(log.times_s / STANDING_S), prepend=-1.0)))
         chosen = scan_log.spaced(log, np.concatenate(needed) if needed else ())
         dropped += len(log.times_s) - len(chosen)
-        frames = scan_log.sensor_frames(log, beams, scan_log.RANGE_MAX_M, chosen, robot)
+        frames = scan_log.sensor_frames(log, beams, range_max_m, chosen, robot)
         paths.append(_with_readings(frames, log, chosen, mount, wifi[robot], signs[robot]))
         odometry.append(compose(log.poses[chosen], inverse(mount)))
     if dropped:
         notes.append(f"{sum(map(len, paths))} scans are used; {dropped} more, hardly apart from these, are not needed")
-    lidar = scan_log.SETTINGS["lidar"] | {"beam_count": beams}
+    lidar = scan_log.SETTINGS["lidar"] | {"beam_count": beams, "range_max_m": range_max_m}
     begun_s = [float(log.times_s[0]) for log in logs]
     share_clock = all(shared for _, _, shared in told) or min(begun_s) > UNIX_TIME_MIN_S
     steps, is_together = _steps(paths, begun_s, share_clock)

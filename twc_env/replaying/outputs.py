@@ -31,7 +31,8 @@ def write_paths(folder: Path, replay: Replay) -> None:
     make_folder(folder / "trajectories")
     for path in replay.paths():
         for kind, poses in (("estimated", path.estimated), ("odometry", path.odometry)):
-            write_tum(folder / "trajectories" / f"robot_{path.robot}_{kind}.tum", path.times_s, poses)
+            name = path.name.strip("/").replace("/", "_") or f"robot_{path.robot}"
+            write_tum(folder / "trajectories" / f"{name}_{kind}.tum", path.times_s, poses)
 
 
 def write_table(path: Path, rows: Sequence[dict]) -> None:

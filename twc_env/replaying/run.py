@@ -142,13 +142,21 @@ def groups_by_size(team: TeamMapper) -> list[int]:
     return sorted(range(len(team.groups)), key=size, reverse=True)
 
 
+def engine_robots(source: ReplayInput, config: EnvConfig) -> int:
+    """Number of robots of the engine: those that have frames or are named, and of a mixed team all."""
+    if config.robot:
+        return config.robots
+    if source.contacts:
+        return int(source.contacts[0].heard.shape[1])
+    seen = 1 + max(frame.robot for frames in source.steps for frame in frames)
+    return max(seen, 1 if source.is_episode else len(source.names))
+
+
 def run(source: ReplayInput, config: EnvConfig, watch: Callable[[int, Engine], None] | None = None) -> Replay:
     """Run the engine on all frames; watch: called after every step with its number and the engine."""
     begun = time.monotonic()
-    seen = 1 + max(frame.robot for frames in source.steps for frame in frames)
     contacts, steps = source.contacts, source.steps
-    robots = contacts[0].heard.shape[1] if contacts else max(seen, 1 if source.is_episode else len(source.names))
-    engine = make_engine(config, config.robots if config.robot else robots, prior_of(config))
+    engine = make_engine(config, engine_robots(source, config), prior_of(config))
     first = next(frames[0].step - k for k, frames in enumerate(steps) if frames)
     odom_poses, step, bar = [], first, Bar(len(steps), "steps", every=50)
     for step, frames in enumerate(steps, first):  # steps in the frames may differ between robots

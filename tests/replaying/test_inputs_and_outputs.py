@@ -1,0 +1,74 @@
+"""What the settings, names and team of a replay's input become in its output."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from twc_env import parallel_env
+from twc_env.__main__ import main
+from twc_env.config import EnvConfig, override
+from twc_env.datasets.logs.carmen_log import read_any_log
+from twc_env.datasets.logs.frame_log import write_frame_log
+from twc_env.datasets.sample import sample_files
+from twc_env.errors import ConfigError
+from twc_env.replaying.inputs import Asked, input_of
+from twc_env.replaying.outputs import write_paths
+from twc_env.replaying.run import run
+
+
+@pytest.mark.parametrize(("asked_m", "range_max_m"), [(None, 20.0), (8.0, 8.0), (29.0, 29.0)])
+def test_returns_are_used_as_far_as_is_asked(asked_m, range_max_m):
+    """Those beyond were drawn as a wall at 20 m when the engine was told to believe more."""
+    log = read_any_log(sample_files().logs[0])
+    far = dataclasses.replace(log, ranges_m=np.full_like(log.ranges_m, 25.0))
+    source = input_of([far], [np.zeros(3)], Asked(range_max_m=asked_m))
+    assert source.config.lidar.range_max_m == range_max_m
+    seen = source.steps[0][0].ranges_m
+    assert seen.max() == pytest.approx(min(25.0, range_max_m))
+
+
+def test_a_range_that_logs_have_no_returns_of_is_refused(refusal):
+    logs = [str(log) for log in sample_files().logs]
+    assert "30 m and more are no return; use at most 30" in refusal(
+        main, ["replay", *logs, "--set", "lidar.range_max_m=80"]
+    )
+    with pytest.raises(ConfigError, match="at most 30"):
+        input_of([read_any_log(logs[0])], [np.zeros(3)], Asked(range_max_m=80.0))
+
+
+def test_trajectories_bear_the_names_of_the_robots(tmp_path):
+    """A bag with /robot_1 and /robot_2 had the path of the second in robot_1_estimated.tum."""
+    logs = [read_any_log(log) for log in sample_files().logs]
+    source = input_of(logs, [np.zeros(3)] * 2, Asked(), [("/robot_1", [], True), ("/site/robot_2", [], True)])
+    write_paths(tmp_path, run(source, source.config))
+    names = {path.name for path in (tmp_path / "trajectories").iterdir()}
+    assert names == {f"{name}_{kind}.tum" for name in ("robot_1", "site_robot_2") for kind in ("estimated", "odometry")}
+
+
+def test_frames_of_fewer_robots_than_their_settings_have_are_replayed_into_a_folder(tmp_path):
+    env = parallel_env(map="twin-02", robots=2, max_cycles=30)
+    env.reset(seed=0)
+    steps = []
+    while env.agents:
+        env.step({agent: np.array([0.5, 0.1], np.float32) for agent in env.agents})
+        steps.append([frame for frame in env.frames if frame.robot == 0])
+    write_frame_log(tmp_path / "one.npz", override(EnvConfig(), {"robots": 3}), steps)
+    assert main(["replay", str(tmp_path / "one.npz"), "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "replay.html").exists()
+
+
+def test_a_place_in_an_old_map_found_by_scans_alone_is_told_as_such(tmp_path, capsys):
+    first, second = map(str, sample_files().logs)
+    assert main(["replay", first, "--save", str(tmp_path / "old.npz")]) == 0
+    assert "by their scans alone" not in capsys.readouterr().out
+    assert main(["replay", second, "--prior", str(tmp_path / "old.npz")]) == 0
+    said = capsys.readouterr().out
+    assert "in the old map   robots 0" in said and "by their scans alone" in said
+
+
+def test_a_sample_by_a_preset_scanner_has_the_beams_of_the_preset(tmp_path):
+    asked = ["data", "sample", "--map", "twin-02", "--robots", "1", "--steps", "20", "--out", str(tmp_path)]
+    assert main([*asked, "--set", "lidar.preset=lds-01"]) == 0
+    (log,) = [read_any_log(path) for path in tmp_path.iterdir() if path.name.startswith("robot_0.log")]
+    assert log.ranges_m.shape[1] == 360
