@@ -31,13 +31,17 @@ def test_the_first_compilation_of_a_kernel_of_this_package_is_logged_once(caplog
     assert announcer.count == 3
 
 
-@pytest.mark.parametrize("is_empty", [True, False])
-def test_half_a_minute_is_announced_only_where_nothing_is_compiled_yet(monkeypatch, caplog, is_empty):
+@pytest.mark.parametrize(
+    ("is_empty", "total", "told"),
+    [(True, 180, "half a minute"), (True, compilation.EVERYTHING, "some minutes"), (False, 180, "further kernels")],
+)
+def test_how_long_it_takes_is_announced_where_nothing_is_compiled_yet(monkeypatch, caplog, is_empty, total, told):
     monkeypatch.setattr(compilation, "is_empty", lambda: is_empty)
     announcer = Announcer()
+    announcer.total = total
     announcer.on_start(OURS)
     announcer.on_end(OURS)
-    assert ("half a minute" in caplog.records[0].message) == is_empty
+    assert told in caplog.records[0].message and ("minute" in caplog.records[0].message) == is_empty
 
 
 @pytest.mark.parametrize("kept", [True, False])

@@ -72,3 +72,12 @@ def test_a_sample_by_a_preset_scanner_has_the_beams_of_the_preset(tmp_path):
     assert main([*asked, "--set", "lidar.preset=lds-01"]) == 0
     (log,) = [read_any_log(path) for path in tmp_path.iterdir() if path.name.startswith("robot_0.log")]
     assert log.ranges_m.shape[1] == 360
+
+
+@pytest.mark.parametrize(("times", "is_odd"), [(1.0, False), (0.8, False), (57.3, True), (-1.0, True), (0.0175, True)])
+def test_a_gyro_of_another_unit_or_sign_is_told(times, is_odd):
+    log = read_any_log(sample_files().logs[0])
+    gyro = dataclasses.replace(log, turned_rad=times * np.unwrap(log.poses[:, 2]))
+    notes = input_of([gyro], [np.zeros(3)], Asked(), [("scout", [], True)]).notes
+    told = [note for note in notes if "gyro of scout" in note]
+    assert len(told) == is_odd and all("--imu-topic none" in note for note in told)

@@ -113,9 +113,8 @@ class Announcer(Listener):
         module = event.data["dispatcher"].py_func.__module__ or ""  # None for functions that numba generates
         if not self._is_said and module.startswith("twc_env."):
             self._is_said = True
-            what = (
-                "compiling kernels for first use, half a minute or more" if is_empty() else "compiling further kernels"
-            )
+            while_ = "some minutes" if self.total >= EVERYTHING else "half a minute or more"
+            what = f"compiling kernels for first use, {while_}" if is_empty() else "compiling further kernels"
             _LOG.warning("%s; %s", what, _of_later_starts())
             self._begin_s = time.time()
         if self._is_said and self._bar is None and sys.stderr.isatty():

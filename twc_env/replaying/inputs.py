@@ -44,6 +44,9 @@ robots see each other, or should."""
 STANDING_S = 1.0
 """With a gyro, scans that are used are at most this far apart, so that its bias is seen while the robot stands."""
 
+TURNED_MIN_RAD, GYRO_TIMES = 3.0, (0.5, 2.0)
+"""A gyro must turn between so many times as far as an odometry that turned so far in all."""
+
 
 @dataclass(slots=True)
 class ReplayInput:
@@ -159,6 +162,7 @@ def input_of(
         config = override(config, WIFI_SETTINGS)
     if any(signs):
         config = override(config, SIGNS_SETTINGS)
+    notes += [note for log, name in zip(logs, names, strict=True) if (note := _odd_gyro(log, name))]
     if all(log.turned_rad is not None for log in logs):
         config = override(config, GYRO_SETTINGS)
     if is_together and share_clock and len(logs) > 1:
@@ -167,6 +171,23 @@ def input_of(
         config = override(config, {"slam.merging.mutual_observations_check": False})
         notes.append("the robots were recorded at different times: they are not looked for in each other's scans")
     return ReplayInput(config, steps, [], begun_s, names, np.array(mounts), notes, odometry)
+
+
+def _odd_gyro(log: ScanLog, name: str) -> str:
+    """What is odd about a gyro that does not turn about as far as the odometry; "" if nothing is."""
+    if log.turned_rad is None:
+        return ""
+    turns, gyro = between(log.poses[:-1], log.poses[1:])[:, 2], np.diff(np.asarray(log.turned_rad, float))
+    turns, gyro = turns[np.isfinite(gyro)], gyro[np.isfinite(gyro)]
+    if np.abs(turns).sum() < TURNED_MIN_RAD:
+        return ""
+    times = float(turns @ gyro / (turns @ turns))
+    if GYRO_TIMES[0] < times < GYRO_TIMES[1]:
+        return ""
+    return (
+        f"the gyro{f' of {name}' if name else ''} turns {times:.1f} times as far as the odometry: it must be in "
+        "radians per second, positive to the left; leave it out with --imu-topic none"
+    )
 
 
 def _steps(
