@@ -108,6 +108,17 @@ def test_common_exit_signs_do_not_merge_maps_with_different_door_signs(team_alon
     assert team_along_doors(NAMES, names)._try_merge(0, 1) is is_merged
 
 
+def test_maps_are_merged_where_the_robots_saw_each_other_most(team_along_doors, monkeypatch):
+    team, placed, aside = team_along_doors(NAMES, NAMES), [], np.array([0.0, 0.1, 0.0])
+    monkeypatch.setattr(
+        team._tests, "most_observed", lambda a, b, proposal, _: replace(proposal, pose_a_b=proposal.pose_a_b + aside)
+    )
+    monkeypatch.setattr(team._maps, "merge", lambda a, b, pose_a_b: placed.append(pose_a_b) or 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        team._try_merge(0, 1)
+    assert placed[0] == pytest.approx(aside)
+
+
 @pytest.mark.parametrize(
     ("names", "is_merged"), [([""] * 4, False), (["A101 LAB", "", "", ""], True), (["", "EXIT", "EXIT", ""], False)]
 )
