@@ -61,6 +61,9 @@ def test_missing_values_keep_their_default():
     ("values", "message"),
     [
         ({"lidr": {}}, r"there is no setting lidr; did you mean 'lidar'\?"),
+        ({"worl": "ward"}, r"there is no setting worl; did you mean 'world'\?"),
+        ({"teams": "turtlebots"}, r"there is no setting teams; did you mean 'team'\?"),
+        ({"task": "twc/ExploreQuick-v1"}, r"there is no setting task: twc_env\.task_config\(ID\) gives the settings"),
         ({"lidar": {"beam_cuont": 9}}, r"there is no setting lidar\.beam_cuont; did you mean 'beam_count'\?"),
         ({"slam": {"merging": {"wifi": True}}}, r"there is no setting slam\.merging\.wifi"),
         ({"lidar": {"beam_count": 90.5}}, r"beam_count must be a whole number; got 90\.5"),

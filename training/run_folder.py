@@ -186,7 +186,12 @@ def check_run(folder: Path, algorithm: str, task: Task, settings: Any, resume: b
         "algorithm": algorithm, **{**asdict(task), "kinds": list(task.kinds)}, **asdict(settings)
     }  # fmt: skip
     written = {"algorithm": record.get("algorithm"), **record["task"], **told}
-    changed = [f"{k}={written.get(k)!r} instead of {value!r}" for k, value in own.items() if written.get(k) != value]
+    said = {"id": "task", "area_m2": "area", "overrides": "set"}  # the names of the options
+    changed = [
+        f"{said.get(k, k)}={written.get(k)!r} instead of {value!r}"
+        for k, value in own.items()
+        if written.get(k) != value
+    ]
     if changed:
         raise DataError(f"{folder} was trained with {', '.join(changed)}; use the same settings, or name another --out")
 

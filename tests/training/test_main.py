@@ -30,6 +30,7 @@ from twc_env.__main__ import main
         (["train", "es", "--set", "robots=4"], "--set robots=4: use --robots"),
         (["train", "ppo", "--set", "max_cycles=50"], "--set max_cycles=50: use --max-cycles"),
         (["train", "mappo", "--task", "ExploreQuick-v1", "--set", "map=twin-01"], "--set map=twin-01: use --map"),
+        (["benchmark", "--set", "map=twin-02"], "--set map: the maps are chosen with --maps"),
         (["evaluate", "--buildings", "3"], "--buildings 3: it needs --suite v1"),
         (["evaluate", "--agents", "minpos", "random"], "--agents minpos random: it needs --suite v1"),
         (["evaluate", "--suite", "v1", "--seeds", "0-3"], "--seeds 0-3: --suite v1 plays --buildings of its tasks"),
@@ -58,6 +59,27 @@ def test_one_environment_takes_one_worker_and_a_team_says_how_many_robots_it_has
     ((task, settings),) = asked
     assert (settings.workers, settings.environments) == (1, 1)
     assert task.config.robots == len(task.config.robot) == 3
+
+
+@pytest.mark.usefixtures("torch")
+@pytest.mark.parametrize(
+    ("has_viz", "lacks"), [(True, "an episode that has ended"), (False, "pip install 'twc_env[viz]'")]
+)
+def test_a_curve_that_cannot_be_drawn_names_what_lacks(has_viz, lacks, tmp_path, monkeypatch, capsys):
+    from twc_env.training import mappo
+
+    from twc_env.commands import train
+    from twc_env.suite import curve_picture, references
+
+    monkeypatch.setattr(mappo, "train", lambda *_: tmp_path)
+    monkeypatch.setattr(references, "references", lambda *_, **__: {})
+    monkeypatch.setattr(curve_picture, "draw_curve", lambda *_: None)
+    monkeypatch.setattr(
+        train, "find_spec", lambda name, own=train.find_spec: own(name) if name != "matplotlib" else has_viz
+    )
+    assert main(["train", "mappo"]) == 0
+    said = capsys.readouterr().err
+    assert said.strip() == f"no picture of the learning curve: it needs {lacks}"
 
 
 def test_without_torch_the_error_names_what_to_install():

@@ -6,11 +6,12 @@ import argparse
 from typing import Any
 
 from twc_env.commands.team_options import add_agent, add_team, folder_names, paragraphs, team_config
+from twc_env.errors import DataError
 from twc_env.exploration.assessment.result_table import ODOMETRY_REMARK
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
 from twc_env.running.command_line import INTERRUPTED
 from twc_env.running.command_start import Interruption
-from twc_env.running.options import add_folder, add_pictures, count, parse_seeds, picture_options
+from twc_env.running.options import add_folder, add_pictures, assignments, count, parse_seeds, picture_options
 from twc_env.running.terminal import tell, terminal_width
 from twc_env.suite.options import SUITE_EXAMPLES, SUITE_HELP, add_suite_options, check_options, run_suite
 
@@ -55,6 +56,8 @@ def _benchmark_maps(options: argparse.Namespace) -> int:
     if not options.no_pictures:
         picture.require_libraries(gif=False)
     check_folder(options.out)
+    if "map" in assignments(options.set):
+        raise DataError("--set map: the maps are chosen with --maps; use that")
     seeds = parse_seeds(options.seeds)
     jobs, names, folders = [], {}, folder_names(options.maps)
     for name in folders:

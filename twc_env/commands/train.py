@@ -188,5 +188,6 @@ def _train(options: argparse.Namespace) -> int:
         if path := draw_curve(options.out, means, title):
             print(f"picture: {path}")
         else:
-            print("no picture: it needs pip install 'twc_env[viz]', and an episode that has ended", file=sys.stderr)
+            lacks = "an episode that has ended" if find_spec("matplotlib") else "pip install 'twc_env[viz]'"
+            print(f"no picture of the learning curve: it needs {lacks}", file=sys.stderr)
     return 0

@@ -138,7 +138,7 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
             retired = tuple(name.split("."))
             if retired in RETIRED and value == RETIRED[retired]:
                 continue
-            raise ConfigError(f"there is no setting {name}{_near(key, types)}")
+            raise ConfigError(f"there is no setting {name}{_near(key, types, cls is EnvConfig)}")
         is_done = cls is EnvConfig and key == "robot"
         arguments[key] = value if is_done else _value(types[key], value, name)
     return cls(**arguments)
@@ -256,7 +256,7 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
                 if not isinstance(node, dict):
                     raise ConfigError(f"there is no setting {name}: {'.'.join(parts[:depth])} is one value, no table")
                 whole = [key for key in dotted_keys(values) if key.endswith(f".{dotted}")]  # without its section
-                hint = f"; did you mean {' or '.join(whole[:3])}?" if whole else _near(part, node)
+                hint = f"; did you mean {' or '.join(whole[:3])}?" if whole else _near(part, node, depth == 0)
                 raise ConfigError(f"there is no setting {name}{hint}")
             if depth < len(parts) - 1:
                 node = node[part]
@@ -353,7 +353,10 @@ RENAMED = {"mask_mates": "mask_teammates", "sightings_check": "mutual_observatio
 """Settings of earlier versions and their present names."""
 
 
-def _near(key, known) -> str:
+def _near(key, known, is_top: bool) -> str:
+    """What to do instead of an unknown name; at the top there are two short forms, too."""
     if isinstance(key, str) and RENAMED.get(key) in known:
         return f": it is now {RENAMED[key]}"
-    return one_of(key, known)
+    if is_top and key == "task":
+        return ": twc_env.task_config(ID) gives the settings of a task, and parallel_env takes task=ID"
+    return one_of(key, [*known, "world", "team"] if is_top else known)

@@ -95,3 +95,9 @@ def test_real_logs_are_read_without_a_remark(caplog):
         read_any_log(log)
     units = [record for record in caplog.records if "must be" in record.getMessage()]
     assert not units
+
+
+def test_times_that_are_no_clock_are_named(tmp_path, caplog):
+    with caplog.at_level(logging.WARNING):
+        read_any_log(write_log(tmp_path / "still.json", time=1e-6))
+    assert "is no clock" in caplog.text
