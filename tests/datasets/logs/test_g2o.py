@@ -36,6 +36,17 @@ def test_a_graph_survives_a_round_trip(tmp_path, name):
     assert read.is_odometry.tolist() == [True, True, True, False]
 
 
+def test_the_graph_of_a_team_is_numbered_robot_by_robot(tmp_path):
+    """As its keyframes arrive, those of several robots take turns: odometry was read as closures."""
+    graph = some_graph() | {"edges_ij": np.array([[0, 2], [1, 3], [0, 1], [3, 2]]), "fixed": 1}
+    write_g2o(tmp_path / "a.g2o", graph | {"node_ids": np.array([[0, 0], [1, 0], [0, 1], [1, 1]])})
+    read = read_pose_graph(tmp_path / "a.g2o")
+    assert np.allclose(read.poses, graph["nodes"][[0, 2, 1, 3]], atol=1e-6)
+    assert [tuple(edge) for edge in read.edges.tolist()][:3] == [(0, 1), (2, 3), (0, 2)]
+    assert read.is_odometry.tolist() == [True, True, False, False]
+    assert "FIX 3" in (tmp_path / "a.g2o").read_text().splitlines()
+
+
 def test_a_graph_in_map_coordinates_keeps_its_micrometres(tmp_path):
     nodes = np.array([[500000.123456, 5412345.654321, 1.0], [500001.5, 5412346.234567, -3.1]])
     graph = {"nodes": nodes, "edges_ij": [[0, 1]], "edges_z": nodes[1:], "edges_information": [np.eye(3)]}

@@ -20,13 +20,17 @@ _UPPER = np.triu_indices(3)
 def write_g2o(path: str | Path, graph: Mapping[str, Any]) -> None:
     """Write a graph: nodes (k, 3), edges_ij (e, 2), edges_z (e, 3), edges_information (e, 3, 3); packed for .gz.
 
-    Vertices are numbered as in `nodes`; the one with the index `fixed` (default: the first) is fixed. Raises DataError
-    for inconsistent shapes, non-finite values and edges from a node to itself.
+    Vertices are numbered as in `nodes`, or, with `node_ids` (k, 2: robot, keyframe), robot by robot, with a number left
+    out between them, so that neighbouring ones are odometry; the one with the index `fixed` in `nodes` (default: the
+    first) is fixed. Raises DataError for inconsistent shapes, non-finite values and edges from a node to itself.
     """
     nodes, ij, z, information = _checked(graph)
-    lines = [f"VERTEX_SE2 {i} {_pose(pose)}" for i, pose in enumerate(nodes)]
-    lines += [f"FIX {int(graph.get('fixed', 0))}"] if len(nodes) else []
-    for (i, j), measured, matrix in zip(ij, z, information, strict=True):
+    ids = np.asarray(graph.get("node_ids", np.column_stack([np.zeros(len(nodes)), np.arange(len(nodes))])))
+    order = np.lexsort((ids[:, 1], ids[:, 0]))
+    number = np.argsort(order) + np.unique(ids[:, 0], return_inverse=True)[1]
+    lines = [f"VERTEX_SE2 {i} {_pose(pose)}" for i, pose in zip(number[order], nodes[order], strict=True)]
+    lines += [f"FIX {number[int(graph.get('fixed', 0))]}"] if len(nodes) else []
+    for (i, j), measured, matrix in zip(number[ij], z, information, strict=True):
         lines.append(f"EDGE_SE2 {i} {j} {_pose(measured)} {_numbers(matrix[_UPPER])}")
     text = "\n".join(lines) + "\n"
     with whole_file(path) as beside:
