@@ -8,6 +8,7 @@ import pytest
 from twc_env import metrics
 from twc_env.config import override
 from twc_env.slam.engine import CooperativeSlam
+from twc_env.slam.merging import merge_tests
 
 LACKS = {"signs": {"signs": ()}, "WiFi": {"wifi": None}}
 
@@ -29,11 +30,18 @@ def groups_of(recorded, lack: str, robots: tuple[int, ...], **settings) -> list[
 
 @pytest.mark.parametrize("robots", [(0, 1, 2), (2,)])
 @pytest.mark.parametrize("lack", LACKS)
-def test_robots_without_a_cue_are_merged_by_the_other_cues(recorded, lack, robots):
+def test_robots_without_a_cue_are_merged_by_the_other_cues(recorded, lack, robots, monkeypatch):
+    monkeypatch.setattr(merge_tests, "REPEATED_MAX", 1.0)  # as if many more names had been read
     with_all_cues = groups_of(recorded, lack, ())
     assert max(map(len, with_all_cues)) > 1
     groups = groups_of(recorded, lack, robots)
     assert all(any(set(merged) <= set(group) for group in groups) for merged in with_all_cues)
+
+
+def test_few_names_alone_merge_nothing(recorded):
+    """One more copy of a wing has all its names; radio tells them apart where there is any."""
+    assert groups_of(recorded, "WiFi", (0, 1, 2)) == [(0,), (1,), (2,)]
+    assert max(map(len, groups_of(recorded, "WiFi", ()))) > 1
 
 
 @pytest.mark.parametrize("lack", LACKS)
