@@ -66,6 +66,11 @@ def test_bench_accepts_any_setting(tmp_path):
         (["bench", "--set", "lidar.beam_cont=9"], "did you mean 'beam_count'"),
         (["bench", "--set", "lidar"], "KEY=VALUE"),
         (["replay", "nowhere.npz"], "there is no run folder or log nowhere.npz"),
+        (["explore", "--robots", "2", "--set", "team=turtlebots"], "--robots 2 and --set team=turtlebots name the same"),
+        (["explore", "--map", "twin-01", "--set", "map=twin-02"], "--map twin-01 and --set map=twin-02 name the same"),
+        (["watch", "--steps", "9", "--set", "max_cycles=3"], "--steps 9 and --set max_cycles=3 name the same setting"),
+        (["compare", "--set", "map=twin-01"], "--set map=twin-01: compare plays the buildings named by --maps"),
+        (["compare", "--maps", "twin-01", "--set", "map=gen:office:100:test"], "named by --maps; use that"),
     ],
 )
 def test_bad_input_ends_with_one_line_and_status_2(arguments, message, refusal):

@@ -61,6 +61,20 @@ def test_the_error_of_an_invalid_action_names_agent_value_and_remedy_in_one_line
     assert any(word in text for word in ("must be", "clip"))
 
 
+@pytest.mark.parametrize("kind", ["velocity", "waypoint"])
+def test_the_error_of_a_tensor_with_a_gradient_says_how_to_pass_it(kind):
+    torch = pytest.importorskip("torch", reason="needs the extra 'train'")
+    env = twc_env.parallel_env(robots=1, config={"action.kind": kind, "lidar.beam_count": 36})
+    env.reset(seed=0)
+    action = torch.zeros(2, requires_grad=True)
+    with pytest.raises(ActionError, match=r"requires_grad=True\): pass action\.detach\(\)\.cpu\(\)\.numpy\(\)"):
+        env.step({"robot_0": action})
+    env.step({"robot_0": action.detach()})
+    with pytest.raises(ActionError, match="got tensor.*5") as caught:
+        env.step({"robot_0": action.detach() + 5.0})
+    assert "detach" not in str(caught.value)
+
+
 def test_the_first_of_several_invalid_actions_is_named():
     with pytest.raises(ActionError, match="'robot_0'"):
         Velocities(LIMITS, 2).decode({"robot_0": np.array([3.0, 0.0]), "robot_1": np.array([np.nan, 0.0])}, AGENTS)

@@ -93,6 +93,8 @@ def test_the_single_agent_environment_accepts_numpy_seeds_and_rejects_invalid_on
     ("arguments", "remedy"),
     [
         ({"robots": 3}, r"robots=3: this is the view of one robot; a team is twc_env\.parallel_env\(robots=3\)"),
+        ({"config": {"robots": 3}}, "config asks for 3 robots, .* also give robots=1 for the first"),
+        ({"config": {"team": "turtlebots"}}, "config asks for 3 robots"),
         ({"max_cycle": 9}, "unexpected keyword argument 'max_cycle'; .* did you mean max_cycles"),
         ({"beams": 90}, "unexpected keyword argument 'beams'; .* settings go into config"),
     ],
@@ -100,6 +102,11 @@ def test_the_single_agent_environment_accepts_numpy_seeds_and_rejects_invalid_on
 def test_the_error_of_the_single_agent_environment_for_unknown_arguments_names_the_remedy(arguments, remedy):
     with pytest.raises(twc_env.ConfigError, match=remedy):
         gymnasium.make(ID, **arguments)
+
+
+def test_the_first_robot_of_a_team_s_settings_plays_alone_if_asked():
+    single = gymnasium.make(ID, robots=1, config={"team": "turtlebots"})
+    assert single.unwrapped.parallel.possible_agents == ["robot_0"]
 
 
 @pytest.mark.parametrize("make", [twc_env.parallel_env, twc_env.env, partial(pettingzoo.make, "parallel", ID)])

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import twc_env
+from twc_env.config import override
 from twc_env.errors import ActionError, ConfigError, DataError, MapError, TwcError, WorkerError
+from twc_env.tasks import task_config
 from twc_env.vector.teams import VectorTeams
 
 SMALL = {"lidar.beam_count": 60, "robots": 2, "max_cycles": 25, "observation.map_cells": 36}
@@ -86,6 +88,13 @@ def test_centralised_critics_get_the_state_of_each_environment_and_that_in_which
     env.reset(seed=12)
     assert np.array_equal(teams.states()[2], env.state())
     teams.close()
+
+
+def test_teams_play_a_standard_task_with_other_settings_of_the_caller():
+    with VectorTeams(1, {"max_cycles": 7}, task="twc/ExploreQuick-v1") as teams:
+        assert teams.config == override(task_config("twc/ExploreQuick-v1"), {"max_cycles": 7})
+    with pytest.raises(ConfigError, match="did you mean 'twc/ExploreQuick-v1'"):
+        VectorTeams(1, task="twc/ExploreQick-v1")
 
 
 def test_episodes_change_buildings():

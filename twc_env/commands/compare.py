@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 
 from twc_env.commands.team_options import TEAMS, add_team, agent_names, paragraphs, team_config
+from twc_env.errors import DataError
 from twc_env.records.json_values import TERMINAL, write_json
-from twc_env.running.options import add_folder, add_pictures, count, picture_options
+from twc_env.running.options import add_folder, add_pictures, assignments, count, picture_options
 from twc_env.running.terminal import tell, terminal_width
 
 _COMPARE_HELP = """\
@@ -46,9 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _compare(options: argparse.Namespace) -> int:
     from twc_env import load_map
     from twc_env.agents import compare
-    from twc_env.world.building.splits import family_of, split_names
+    from twc_env.world.building.splits import family_of, is_set, split_names
 
     config = team_config(options, None, options.steps)
+    asked = assignments(options.set).get("map")
+    if asked is not None and (options.maps or not is_set(str(asked))):
+        raise DataError(f"--set map={asked}: compare plays the buildings named by --maps; use that")
     maps = options.maps or split_names("test", family_of(config.map))[: options.buildings]
     for name in maps:
         load_map(name)

@@ -154,7 +154,7 @@ def _evaluate_suite(options: argparse.Namespace) -> int:
     if options.json != TERMINAL:
         shown = [{key: value for key, value in row.items() if key != "mean_coverage"} for row in rows]
         print(aligned(shown, terminal_width()))
-        for row in rows:
+        for row in {row["task"]: row for row in rows}.values():
             areas = ", ".join(f"{team} {area:.3f}" for team, area in row["mean_coverage"].items())
             print(f"{row['task']}: mean coverage: {areas}")
     return 0

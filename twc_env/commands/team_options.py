@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from twc_env.config import ROBOT_PRESETS, TEAM_PRESETS, EnvConfig, override
-from twc_env.errors import ConfigError
+from twc_env.errors import ConfigError, DataError
 from twc_env.running.options import (
     add_allow_code,
     add_config,
@@ -49,9 +49,19 @@ def team_config(options: argparse.Namespace, map_name: str | None, steps: int | 
     named = {"map": map_name, team: options.robots, "max_cycles": steps}
     chosen = {key: value for key, value in named.items() if value is not None}
     base, asked = config_of(options.config), assignments(options.set)
+    _refuse_said_twice(chosen, asked)
     if not options.allow_code:
         refuse_code(base, options.config, asked)
     return override(override(base, chosen), asked)
+
+
+def _refuse_said_twice(chosen: Mapping[str, object], asked: Mapping[str, object]) -> None:
+    """Raise DataError where an option and --set name the same thing: one of them would be ignored."""
+    for option, keys in (("--map", ("map",)), ("--robots", ("robots", "team")), ("--steps", ("max_cycles",))):
+        given = [f"{option} {chosen[key]}" for key in keys if key in chosen]
+        given += [f"--set {key}={asked[key]}" for key in keys if key in asked]
+        if len(given) > 1 and not given[0].startswith("--set"):
+            raise DataError(f"{' and '.join(given)} name the same setting; leave one of them out")
 
 
 def folder_name(map_name: str) -> str:

@@ -46,6 +46,13 @@ def action_array(action: Any) -> Array:
         return np.zeros(0)
 
 
+def shown(action: Any) -> str:
+    """What an error says of an action, and what to do with a tensor that is no array: one with a gradient, or on a
+    GPU."""
+    is_tensor = hasattr(action, "detach") and action_array(action).size == 0
+    return f"{action!r}: pass action.detach().cpu().numpy()" if is_tensor else repr(action)
+
+
 class Velocities:
     """Converts actions to commands, in one array that each call overwrites."""
 
@@ -91,7 +98,8 @@ def one_by_one(actions: Mapping[str, Array], agents: Sequence[str]) -> Array:
         action = action_array(actions[agent])
         if action.shape != (2,) or action.dtype.kind not in "fiu":
             raise ActionError(
-                f"action of {agent!r} must be 2 numbers (forward speed, turn rate) in [-1, 1]; got {actions[agent]!r}"
+                f"action of {agent!r} must be 2 numbers (forward speed, turn rate) in [-1, 1]; "
+                f"got {shown(actions[agent])}"
             )
         shares[row] = action
     is_fit = np.all(np.abs(shares) <= 1.0 + TOLERANCE, axis=1)  # False for NaN

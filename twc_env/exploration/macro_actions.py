@@ -12,7 +12,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import ActionConfig, EnvConfig, robot_configs
 from twc_env.errors import ActionError
-from twc_env.exploration.actions import action_array, check_agents
+from twc_env.exploration.actions import action_array, check_agents, shown
 from twc_env.exploration.observation.observation_blocks import EXTRA_CHOICES
 from twc_env.planning.candidates import NOTHING, Candidates, can_tell_places, find_candidates, find_views
 from twc_env.planning.drivers import NARROW_FACTOR, Drivers, map_id
@@ -276,7 +276,7 @@ def _waypoint(action, agent: str, size: int) -> Array:
     # The comparison is False for NaN.
     if goal.shape != (size,) or goal.dtype.kind not in "fiu" or not np.all(np.abs(goal) <= 1.0 + 1e-6):
         raise ActionError(
-            f"action of {agent!r} must be 2 finite numbers (goal ahead, to the left) in [-1, 1]; got {action!r}"
+            f"action of {agent!r} must be 2 finite numbers (goal ahead, to the left) in [-1, 1]; got {shown(action)}"
         )
     return goal.astype(float)
 
@@ -284,5 +284,5 @@ def _waypoint(action, agent: str, size: int) -> Array:
 def _choice(action, agent: str, size: int) -> int:
     array = action_array(action)
     if array.size != 1 or array.dtype.kind not in "iu" or not 0 <= int(array.reshape(-1)[0]) < size:
-        raise ActionError(f"action of {agent!r} must be a whole number from 0 to {size - 1}; got {action!r}")
+        raise ActionError(f"action of {agent!r} must be a whole number from 0 to {size - 1}; got {shown(action)}")
     return int(array.reshape(-1)[0])

@@ -16,7 +16,12 @@ from twc_env.config.checks import refuse_arguments, whole_number
 from twc_env.errors import ConfigError
 from twc_env.exploration.assessment.evaluation import EpisodeResult
 from twc_env.exploration.environment import ExplorationEnv
+from twc_env.exploration.settings import resolve
 from twc_env.records.messages import Belief
+
+
+TEAM_SETTINGS = "robots", "team", "robot"
+"""Settings that say how many robots there are."""
 
 
 class SingleRobotEnv(gymnasium.Env):
@@ -34,8 +39,11 @@ class SingleRobotEnv(gymnasium.Env):
         render_signal: bool = False,
         **unknown: Any,
     ):
-        """Arguments as of `ExplorationEnv`. Raises ConfigError for unknown arguments and for `robots` other than 1."""
+        """Arguments as of `ExplorationEnv`. Raises ConfigError for unknown arguments, and for `robots` other
+        than 1, also in a dict of settings."""
         _refuse(unknown)
+        if "robots" not in unknown:
+            _refuse_team(config, task)
         self._team = ExplorationEnv(
             map=map,
             robots=1,
@@ -116,3 +124,14 @@ def _refuse(unknown: Mapping[str, Any]) -> None:
             "or pettingzoo.make with the same id"
         )
     refuse_arguments(unknown.keys() - {"robots"}, SingleRobotEnv)
+
+
+def _refuse_team(config: EnvConfig | Mapping[str, Any] | None, task: str | None) -> None:
+    """Raise ConfigError for a dict of settings that asks for a team. An EnvConfig or a task has one unasked."""
+    if isinstance(config, Mapping) and not config.keys().isdisjoint(TEAM_SETTINGS):
+        robots = resolve(config, task, {}).robots
+        if robots != 1:
+            raise ConfigError(
+                f"config asks for {robots} robots, and this is the view of one: also give robots=1 for the first of "
+                "them, or take twc_env.parallel_env or pettingzoo.make with the same id"
+            )

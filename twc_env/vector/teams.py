@@ -66,11 +66,12 @@ class VectorTeams:
         workers: int = 0,
         buildings: str | Sequence[str] = (),
         ray: str | None = None,
+        task: str | None = None,
     ):
         """`workers`: processes that share the environments, of which this is the first; 0 is as 1. `buildings`: a split
         ("train") or names of maps; each new episode plays in one of them, drawn by its seed. Without any, all play on
         the config's own map. `ray`: address of a Ray cluster, or "auto", whose actors are the workers; 0 is one per
-        core.
+        core. `task`: id of a standard task, of which `config` then overrides settings.
 
         Raises ConfigError for an invalid count or number of workers, or for workers of a process that may have none,
         MapError for an unknown building, TwcError for an invalid configuration, DataError without that cluster.
@@ -82,7 +83,7 @@ class VectorTeams:
             raise ConfigError(
                 f"workers={workers}: this process is itself a worker (such as a DataLoader's) and may start none; use 0"
             )
-        model = ExplorationEnv(config=config)
+        model = ExplorationEnv(config=config, task=task)
         self.config, self.count, self.robots = model.config, count, model.config.robots
         self.agents = tuple(model.possible_agents)
         self.observation_space, self.action_space = model.observation_space("robot_0"), model.action_space("robot_0")
