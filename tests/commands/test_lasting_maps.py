@@ -4,6 +4,7 @@ import re
 import pytest
 
 from twc_env.__main__ import main
+from twc_env.datasets.logs.tum import read_tum
 from twc_env.replaying import odometry_errors
 
 
@@ -49,7 +50,9 @@ def test_a_replay_is_localised_in_a_saved_map_and_in_a_ros_map(tmp_path, capsys,
         assert figures["found_prior"] == [0] and figures["lost_share"][0] < 0.9
         assert (figures["groups"], figures["maps"]) == ([[0]], ["robot 0"])  # the prior map is no robot
         assert re.search(r"^lost +robot 0 \d+% of the scans$", capsys.readouterr().out, re.MULTILINE)
-        assert (tmp_path / "c" / "trajectories" / "robot_0_estimated.tum").exists()
+        told = len(read_tum(tmp_path / "c" / "trajectories" / "robot_0_estimated.tum")[0])
+        scans = len(read_tum(tmp_path / "c" / "trajectories" / "robot_0_odometry.tum")[0])
+        assert told == round((1.0 - figures["lost_share"][0]) * scans) < scans  # none while it was lost
     again = ["replay", str(tmp_path / "a"), "--prior", str(tmp_path / "map.npz"), "--localise", "--save", "d.npz"]
     assert "--localise changes none" in refusal(main, again)
     assert "name the map" in refusal(main, ["replay", str(tmp_path / "a"), "--localise"])

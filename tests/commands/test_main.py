@@ -66,7 +66,7 @@ def test_bench_accepts_any_setting(tmp_path):
         (["bench", "--set", "lidar.beam_cont=9"], "did you mean 'beam_count'"),
         (["bench", "--set", "lidar"], "KEY=VALUE"),
         (["replay", "nowhere.npz"], "there is no run folder or log nowhere.npz"),
-        (["explore", "--robots", "2", "--set", "team=turtlebots"], "--robots 2 and --set team=turtlebots name the same"),
+        (["explore", "--robots", "2", "--set", "team=turtlebots"], "--robots 2 and --set team=turtlebots name the"),
         (["explore", "--map", "twin-01", "--set", "map=twin-02"], "--map twin-01 and --set map=twin-02 name the same"),
         (["watch", "--steps", "9", "--set", "max_cycles=3"], "--steps 9 and --set max_cycles=3 name the same setting"),
         (["compare", "--set", "map=twin-01"], "--set map=twin-01: compare plays the buildings named by --maps"),

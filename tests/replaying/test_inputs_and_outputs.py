@@ -9,11 +9,15 @@ from twc_env import parallel_env
 from twc_env.__main__ import main
 from twc_env.config import EnvConfig, override
 from twc_env.datasets.logs.carmen_log import read_any_log
-from twc_env.datasets.logs.frame_log import write_frame_log
+from twc_env.datasets.logs.frame_log import read_truth_log, write_frame_log
+from twc_env.datasets.logs.tum import read_tum
+from twc_env.datasets.ros.bag_file import opened
 from twc_env.datasets.sample import sample_files
 from twc_env.errors import ConfigError
-from twc_env.replaying.inputs import Asked, input_of
-from twc_env.replaying.outputs import write_paths
+from twc_env.metrics.trajectory import absolute_trajectory_error_m
+from twc_env.pictures import log_picture
+from twc_env.replaying.inputs import Asked, input_of, read_input
+from twc_env.replaying.outputs import write_bag, write_maps, write_paths
 from twc_env.replaying.run import run
 
 
@@ -44,6 +48,60 @@ def test_trajectories_bear_the_names_of_the_robots(tmp_path):
     write_paths(tmp_path, run(source, source.config))
     names = {path.name for path in (tmp_path / "trajectories").iterdir()}
     assert names == {f"{name}_{kind}.tum" for name in ("robot_1", "site_robot_2") for kind in ("estimated", "odometry")}
+
+
+@pytest.fixture(scope="module")
+def carried(tmp_path_factory):
+    """A replay of a robot that is carried off after 30 s, and its true poses (frames, 3)."""
+    folder = tmp_path_factory.mktemp("carried")
+    settings = ["--robots", "1", "--steps", "600", "--set", "failure.kidnap_step=300"]
+    assert main(["record", "--map", "gen:office:800:7", *settings, "--out", str(folder)]) == 0
+    source = read_input([folder / "frames.npz"], Asked())
+    return run(source, source.config), read_truth_log(folder / "truth.npz")[2][:, 0]
+
+
+def test_poses_from_before_a_robot_was_carried_stand_in_a_file_of_their_own(carried, tmp_path):
+    """One file had poses of two maps, each in the frame of its own."""
+    replay, truth = carried
+    write_paths(tmp_path, replay)
+    written = {path.name: read_tum(path) for path in (tmp_path / "trajectories").iterdir()}
+    assert set(written) == {f"robot_0_{kind}.tum" for kind in ("estimated", "odometry", "part_1_estimated")}
+    (before_s, before), (since_s, since) = written["robot_0_part_1_estimated.tum"], written["robot_0_estimated.tum"]
+    assert len(before_s) == 300 and before_s[-1] < since_s[0]
+    for own, true in ((before, truth[:300]), (since, truth[300:])):
+        assert absolute_trajectory_error_m(own, true) < 0.1
+    assert absolute_trajectory_error_m(np.vstack([before, since]), truth) > 1.0  # they are two maps
+    walked_m = sum(np.hypot(*np.diff(part[:, :2], axis=0).T).sum() for part in (before, since))
+    assert replay.table()[0]["path [m]"] == pytest.approx(walked_m, abs=0.01)
+
+
+def test_a_bag_has_no_poses_from_before_a_robot_was_carried(carried, tmp_path):
+    pytest.importorskip("rosbags")
+    write_bag(tmp_path / "slam.mcap", carried[0])
+    with opened(tmp_path / "slam.mcap") as bag:
+        counts = {topic.name: topic.count for topic in bag.topics}
+    assert counts["/slam/odometry"] == 301 and counts["/tf"] == 301 + 601
+
+
+def test_the_picture_has_each_part_of_a_carried_robot_s_path_in_its_own_map(carried):
+    figure = log_picture._figure(carried[0])
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert [title.partition(" of floor")[2] for title in titles] == [" seen", ", robot 0 before being carried"]
+    drawn = [max(len(line.get_xdata()) for line in axes.lines) for axes in figure.axes[:2]]
+    assert sorted(drawn) == [300, 301]
+
+
+def test_trajectories_and_maps_of_an_earlier_run_do_not_stay(carried, tmp_path):
+    """They would look like those of further robots."""
+    write_paths(tmp_path, carried[0])
+    write_maps(tmp_path, carried[0].engine.team)
+    assert (tmp_path / "map_2.yaml").exists()
+    source = input_of([read_any_log(sample_files().logs[0])], [np.zeros(3)], Asked(), [("/other", [], True)])
+    again = run(source, source.config)
+    write_paths(tmp_path, again)
+    write_maps(tmp_path, again.engine.team)
+    names = {path.name for path in (tmp_path / "trajectories").iterdir()}
+    assert names == {"other_estimated.tum", "other_odometry.tum"} and not list(tmp_path.glob("map_*"))
 
 
 def test_frames_of_fewer_robots_than_their_settings_have_are_replayed_into_a_folder(tmp_path):

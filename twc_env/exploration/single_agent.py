@@ -19,7 +19,6 @@ from twc_env.exploration.environment import ExplorationEnv
 from twc_env.exploration.settings import resolve
 from twc_env.records.messages import Belief
 
-
 TEAM_SETTINGS = "robots", "team", "robot"
 """Settings that say how many robots there are."""
 

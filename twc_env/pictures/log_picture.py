@@ -16,7 +16,6 @@ from twc_env.exploration.drawing.labels import place_names
 from twc_env.exploration.drawing.palette import CLOSURE, FLOOR, TRUE_TEXT, UNKNOWN, WALL, rgb, robot_colour
 from twc_env.exploration.drawing.path_ends import end_entries, mark_ends
 from twc_env.pictures.style import legend_below, new_figure, save_figure, set_title, settle, style
-from twc_env.records.geometry import travelled_m
 from twc_env.records.messages import GridMap
 from twc_env.replaying.run import groups_by_size
 from twc_env.slam.places.text_similarity import text_similarity
@@ -69,7 +68,8 @@ def _figure(replay: Replay) -> Any:
         draw_smoothly(axes, grid, np.zeros(3), rgb(FLOOR))
         title = f"map {number}" if len(drawn) > 1 else "map"
         paths = _draw_paths(axes, replay, group)
-        what = "of floor seen" if paths else f"of floor, {replay.maps()[groups.index(group)]}"
+        is_seen = any(team.group_index(robot) == group for robot in range(replay.robots))
+        what = "of floor seen" if is_seen else f"of floor, {replay.maps()[groups.index(group)]}"
         axes.set_title(f"{title}: {_free_m2(grid):,.0f} m² {what}")
         handles |= paths
         _draw_closures(axes, replay, group)
@@ -100,9 +100,9 @@ def _draw_paths(axes: Any, replay: Replay, group: int) -> dict[str, Any]:
     """Draw the paths of a map's robots; returns lines by name for the legend."""
     lines = {}
     for path in replay.paths():
-        if replay.engine.team.group_index(path.robot) == group:
-            colour, way = robot_colour(path.robot), path.estimated[:, :2]
-            name = f"{path.name or f'robot {path.robot}'}, {travelled_m(path.estimated)[-1]:.0f} m"
+        name = f"{path.name or f'robot {path.robot}'}, {path.length_m:.0f} m"
+        for part in np.unique(path.part[path.group == group]):
+            way, colour = path.estimated[(path.part == part) & (path.group == group), :2], robot_colour(path.robot)
             (lines[name],) = axes.plot(*way.T, color=colour, lw=1.2, zorder=3)
             mark_ends(axes, way, colour, is_true=False)
     return lines

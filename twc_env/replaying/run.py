@@ -15,6 +15,7 @@ from twc_env.datasets.lasting_maps import prior_of
 from twc_env.records.geometry import between, compose, inverse, travelled_m
 from twc_env.replaying.inputs import ReplayInput
 from twc_env.running.terminal import Bar
+from twc_env.slam.map_localisation import MapLocalisation
 from twc_env.slam.mapping.segments import NO_ROBOT
 from twc_env.slam.modes import Engine, make_engine
 from twc_env.slam.team import TeamMapper
@@ -34,6 +35,19 @@ class RobotPath:
     """(frames, 3) poses by the log's odometry, from the start."""
     logged: Array
     """(frames, 3) the same in the frame of the log."""
+    part: Array
+    """(frames,) number of the part of the path, from 0: a new one begins where the robot was carried away."""
+    group: Array
+    """(frames,) number of the group of robots in whose map the pose is; -1 while it was lost in a finished map, and
+    where a robot without a central mapper holds the pose in a map that is not its last."""
+    group_at_end: int
+    """Number of the group whose map the robot has at the end."""
+
+    @property
+    def length_m(self) -> float:
+        """Of all parts, without the ways along which it was carried."""
+        parts = [self.estimated[self.part == part] for part in np.unique(self.part)]
+        return float(sum(travelled_m(part)[-1] for part in parts))
 
 
 @dataclass(slots=True)
@@ -45,6 +59,8 @@ class Replay:
     engine: Engine
     odom_poses: Array
     """(steps, robots, 3) poses of the front ends after each step."""
+    is_lost: Array
+    """(steps, robots) bool: whether each robot was lost in a finished map after each step."""
     elapsed_s: float
 
     @property
@@ -59,7 +75,8 @@ class Replay:
             rows = [(k, f) for k, frames in enumerate(self.source.steps) for f in frames if f.robot == robot]
             own = [frame for _, frame in rows]
             odom = self.odom_poses[[k for k, _ in rows], robot]
-            poses = self._in_map(robot, np.array([frame.step for frame in own]), odom)
+            poses, part, group = self._in_map(robot, np.array([frame.step for frame in own]), odom)
+            group[self.is_lost[[k for k, _ in rows], robot] & (group == self._finished_group)] = -1
             times_s = np.array([self.source.begun_s[robot] + frame.time_s for frame in own])
             mount, logged = self.source.mounts[robot], None
             if self.source.odometry is not None:
@@ -70,19 +87,38 @@ class Replay:
             if mount.any():
                 poses = compose(poses, inverse(mount))
             name = self.source.names[robot]
-            found.append(RobotPath(robot, name, times_s, poses, odometry, odometry if logged is None else logged))
+            logged = odometry if logged is None else logged
+            at_end = self.engine.team.group_index(robot)
+            found.append(RobotPath(robot, name, times_s, poses, odometry, logged, part, group, at_end))
         return found
 
-    def _in_map(self, robot: int, steps: Array, odom: Array) -> Array:
-        """(frames, 3) poses in the map of the robot's group, each relative to the latest keyframe; steps (frames,):
-        numbers of its frames, odom (frames, 3): poses of its front end."""
-        mapper = self.engine.mapper_of(robot)
+    def _in_map(self, robot: int, steps: Array, odom: Array) -> tuple[Array, Array, Array]:
+        """(frames, 3) poses, each relative to the latest keyframe and in the map of the group that has it; then part
+        and group of each, as in `RobotPath`.
+
+        steps (frames,): numbers of its frames, odom (frames, 3): poses of its front end.
+        """
+        mapper, team = self.engine.mapper_of(robot), self.engine.team
         taken, poses = mapper.keyframe_steps(robot), mapper.poses_of(robot)
         if not len(taken):
-            return odom
+            none = np.zeros(len(steps), np.int64)
+            return odom, none, none + team.group_index(robot)
+        own = mapper.segments.of(robot)
+        parts = np.repeat(np.arange(len(own)), [len(mapper.segment_path(segment)[1]) for segment in own])
         at = np.clip(np.searchsorted(steps, taken), 0, len(steps) - 1)
         held = np.clip(np.searchsorted(taken, steps, side="right") - 1, 0, None)
-        return compose(poses[held], between(odom[at[held]], odom))
+        groups = np.array([mapper.group_of_segment(segment) for segment in own])
+        if mapper is not team:  # without a central mapper, each robot numbers the groups of its own maps
+            groups = np.where(groups == mapper.group_index(robot), team.group_index(robot), -1)
+        return compose(poses[held], between(odom[at[held]], odom)), parts[held], groups[parts[held]]
+
+    @property
+    def _finished_group(self) -> int | None:
+        """Number of the group that has the map in which robots are localised, if that is what the engine does."""
+        team = self.engine.team
+        if team.prior is None or not isinstance(self.engine, MapLocalisation):
+            return None
+        return team.group_of_segment(team.prior)
 
     def table(self) -> list[dict]:
         """One row per robot, with units."""
@@ -99,7 +135,7 @@ class Replay:
                     "robot": path.name or str(robot),
                     "map": order.index(team.group_index(robot)) + 1,
                     "time [s]": round(float(path.times_s[-1] - path.times_s[0]), 1),
-                    "path [m]": round(float(travelled_m(path.estimated)[-1]), 2),
+                    "path [m]": round(path.length_m, 2),
                     "odometry path [m]": round(float(travelled_m(path.odometry)[-1]), 2),
                     "scans": len(path.times_s),
                     "keyframes": len(team.keyframe_steps(robot)),
@@ -158,16 +194,22 @@ def run(source: ReplayInput, config: EnvConfig, watch: Callable[[int, Engine], N
     contacts, steps = source.contacts, source.steps
     engine = make_engine(config, engine_robots(source, config), prior_of(config))
     first = next(frames[0].step - k for k, frames in enumerate(steps) if frames)
-    odom_poses, step, bar = [], first, Bar(len(steps), "steps", every=50)
+    odom_poses, is_lost, step, bar = [], [], first, Bar(len(steps), "steps", every=50)
     for step, frames in enumerate(steps, first):  # steps in the frames may differ between robots
         if frames:
             engine.track(frames)
         engine.absorb(step, contacts[step - first] if contacts else None)
         odom_poses.append(np.array(engine.poses_odom))
+        is_lost.append(_are_lost(engine))
         if watch is not None:
             watch(step - first, engine)
         bar.show(step - first + 1)
     last = max([step, *(frame.step for frame in steps[-1])])
     if last >= config.max_cycles or not source.is_episode:  # a complete episode: the backlog is processed
         engine.finish()
-    return Replay(source, config, engine, np.array(odom_poses), time.monotonic() - begun)
+    return Replay(source, config, engine, np.array(odom_poses), np.array(is_lost), time.monotonic() - begun)
+
+
+def _are_lost(engine: Engine) -> list[bool]:
+    localisers = engine.localisers if isinstance(engine, MapLocalisation) else [None] * len(engine.poses_odom)
+    return [each is not None and each.is_lost for each in localisers]

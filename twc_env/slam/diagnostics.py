@@ -153,14 +153,20 @@ def _odd_devices(mapper: TeamMapper) -> list[str]:
 def _apart(mapper: TeamMapper) -> list[str]:
     groups, lines = [group.robots for group in mapper.groups], []
     if mapper.prior is not None:
-        lines = [f"{list(g)} did not find the prior map" for g in groups if mapper.prior not in g]
+        lines = [f"{_names(mapper, g)} did not find the prior map" for g in groups if mapper.prior not in g]
         groups = [own for g in groups if (own := tuple(robot for robot in g if robot != mapper.prior))]
     if len(groups) < 2:
         return lines
     pending = sum(closure.status == "pending" for closure in mapper.closures)
     why = f"{pending} closures between them wait for others that agree" if pending else "neither recognised the other's"
-    names = [f"robot{'s' * (len(g) > 1)} {', '.join(map(str, g))}" for g in groups]
-    return [*lines, f"no common map of {' and '.join(names)}: {why}"]
+    return [*lines, f"no common map of {' and '.join(_names(mapper, g) for g in groups)}: {why}"]
+
+
+def _names(mapper: TeamMapper, segments: tuple[int, ...]) -> str:
+    """Names of robots, and of parts of their paths after they were carried."""
+    robots = [segment for segment in segments if mapper.segments.owners[segment] == segment]
+    names = [f"robot{'s' * (len(robots) > 1)} {', '.join(map(str, robots))}"] if robots else []
+    return ", ".join([*names, *(_name(mapper, segment) for segment in segments if segment not in robots)])
 
 
 def _contradicted(mapper: TeamMapper) -> list[str]:

@@ -102,16 +102,16 @@ class VectorTeams:
             raise ConfigError(f"count={count}: so many environments do not fit into memory; take fewer") from error
         self._all, actions = range(count), self._arrays.actions
         self._episodes = EpisodeActions(count, actions.shape[1:], actions.dtype)
-        task = to_dict(self.config), names
+        played = to_dict(self.config), names
         self._runner: Runner | None
         if ray is not None:
             self._runner = RayPool(workers, shape, self._arrays, self._episodes, ray)
-            self._runner.start(*task)
+            self._runner.start(*played)
             workers = self._runner.workers
         elif workers > 1:
-            self._runner = WorkerPool(count, workers, self._arrays, *task)
+            self._runner = WorkerPool(count, workers, self._arrays, *played)
         else:
-            self._runner = EnvironmentGroup(self._all, self._arrays, *task)
+            self._runner = EnvironmentGroup(self._all, self._arrays, *played)
         self.workers = max(workers, 1)
         """Processes that share the environments."""
         weakref.finalize(self, _close_unless_forked, self._runner, os.getpid()).atexit = False

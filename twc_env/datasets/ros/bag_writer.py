@@ -58,6 +58,8 @@ class RobotEstimate:
     """(k, 3) in the map frame."""
     logged: Array
     """(k, 3) by odometry, in the odom frame."""
+    is_known: Array
+    """(k,) bool: whether there is a pose in the map frame."""
 
 
 class _Recorder:
@@ -201,12 +203,14 @@ def write_estimates(path: str | Path, robots: Sequence[RobotEstimate], grids: Ma
             odom, base = f"{prefix}odom", f"{prefix}base_link"
             stamped = []
             corrections = compose(robot.poses, inverse(robot.logged))
-            for time_s, pose, logged, correction in zip(
-                robot.times_s.tolist(), robot.poses, robot.logged, corrections, strict=True
+            for time_s, pose, logged, correction, is_known in zip(
+                robot.times_s.tolist(), robot.poses, robot.logged, corrections, robot.is_known.tolist(), strict=True
             ):
+                recorder.transform(time_s, "/tf", odom, base, logged)
+                if not is_known:
+                    continue
                 recorder.odometry(time_s, f"/{prefix}slam/odometry", robot.map_frame, base, pose)
                 recorder.transform(time_s, "/tf", robot.map_frame, odom, correction)
-                recorder.transform(time_s, "/tf", odom, base, logged)
                 stamped.append(
                     recorder.kind("geometry_msgs/msg/PoseStamped")(
                         header=recorder.header(time_s, robot.map_frame), pose=recorder.pose(pose)
