@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray as Array
 
 import twc_env
 from twc_env.config import EnvConfig, override, to_dict
+from twc_env.metrics.means import mean_interval
 from twc_env.pictures.curves import draw_coverage, sampled
 from twc_env.processes.worker_processes import in_processes
 from twc_env.records.json_values import write_json
@@ -22,12 +22,11 @@ from twc_env.records.whole_file import write_text
 from twc_env.running.finished_parts import FinishedParts
 
 from .explore import commanded, commanded_stuck_share, origin_of
-from .policy import LEARNED, begin, is_finished, make_policy
+from .policy import begin, is_finished, is_learned, make_policy
 from .roster import display_name
 
 GOAL = 0.9
 """Share of the floor to be mapped correctly."""
-DRAWS = 4000
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +59,7 @@ class Standing:
     agent: str
     outcomes: tuple[Outcome, ...]
     sooner_s: tuple[float, float, float]
-    """Time by which it reaches `GOAL` sooner than the first agent: mean and 95 % bootstrap confidence interval. One
+    """Time by which it reaches `GOAL` sooner than the first agent: mean and 95 % confidence interval. One
     building has no interval (NaN); all are NaN where neither ever reaches it."""
     more: tuple[float, float, float]
     """Gain in coverage over time (`coverage_mean`), likewise."""
@@ -79,7 +78,7 @@ def compare(
         make_policy(agent, config)  # an unknown name fails before the first episode
     parts = [(name, agent, seed) for seed, name in enumerate(maps) for agent in agents]
     found: dict[tuple[str, str, int], Outcome] = {}
-    packages = ("twc_env.agents", "twc_env.training") if LEARNED in agents else ("twc_env.agents",)
+    packages = ("twc_env.agents", "twc_env.training") if any(map(is_learned, agents)) else ("twc_env.agents",)
     finished = FinishedParts(folder, "compare", to_dict(config), packages)
     if finished.remark:
         tell(finished.remark)
@@ -217,16 +216,7 @@ def _standing(agent: str, mine: Sequence[Outcome], first: Sequence[Outcome]) -> 
     if not any(o.is_reached for o in (*mine, *first)):
         sooner[:] = np.nan
     more = np.array([a.coverage_mean - b.coverage_mean for a, b in zip(mine, first, strict=True)])
-    return Standing(agent, tuple(mine), _bootstrap(sooner), _bootstrap(more))
-
-
-def _bootstrap(gained: Array) -> tuple[float, float, float]:
-    """Mean and 95 % interval; one building has no interval (NaN)."""
-    if len(gained) < 2:
-        return float(gained.mean()), math.nan, math.nan
-    draws = np.random.default_rng(0).integers(0, len(gained), (DRAWS, len(gained)))
-    low, high = np.quantile(gained[draws].mean(axis=1), [0.025, 0.975])
-    return float(gained.mean()), float(low), float(high)
+    return Standing(agent, tuple(mine), mean_interval(sooner), mean_interval(more))
 
 
 def _interval(triple: tuple[float, float, float], form: str) -> str:

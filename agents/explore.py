@@ -28,7 +28,7 @@ from twc_env.running.finished_parts import code_digest
 from twc_env.running.output_folder import alone_in
 
 from . import picture
-from .policy import LEARNED, begin, is_finished, make_policy
+from .policy import LEARNED, begin, is_finished, is_learned, make_policy, model_digest
 
 WARM_UP_STEPS = 10
 """Steps at the start that are excluded from the speed."""
@@ -141,7 +141,9 @@ def origin_of(config: EnvConfig, agent: str) -> dict[str, str]:
         "back_end_digest": slam.pose_graph.robust,
     }
     own = {key: digest_of(name) for key, name in named.items() if is_in_file(name)}
-    packages = ("twc_env.agents", "twc_env.training") if agent == LEARNED else ("twc_env.agents",)
+    if is_learned(agent) and agent != LEARNED:
+        own["agent_digest"] = model_digest(agent)
+    packages = ("twc_env.agents", "twc_env.training") if is_learned(agent) else ("twc_env.agents",)
     return {
         "code_digest": code_digest(*packages),
         "map_digest": load_map(config.map).digest,

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 from abc import abstractmethod
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.errors import ConfigError, one_of
+from twc_env.errors import ConfigError, DataError, one_of
 from twc_env.records.class_file import class_in, is_in_file
 from twc_env.records.messages import Belief
 
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from twc_env import ExplorationEnv
 
 
+SUFFIX = ".safetensors"
 LEARNED = "learned"
 """Name of the team that plays a policy which comes with the package (`twc_env/learned_team.py`)."""
 
@@ -43,35 +46,51 @@ class Policy(Protocol):
         """Whether there is nothing left to do, so that the episode may end early."""
 
 
+def is_learned(name: str) -> bool:
+    """Whether a team plays a trained policy: one that comes with the package, or a run folder or model of `train`."""
+    return name == LEARNED or str(name).endswith(SUFFIX) or (Path(name) / f"model{SUFFIX}").is_file()
+
+
+def model_digest(name: str) -> str:
+    """Digest (eight hex digits) of the model of a run. Raises DataError if it cannot be read."""
+    path = Path(name) / f"model{SUFFIX}" if Path(name).is_dir() else Path(name)
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:8]
+    except OSError as error:
+        raise DataError(f"cannot read the model {path}: {error.strerror}; name the folder of a run of train") from error
+
+
 def policy_names() -> tuple[str, ...]:
     """Names `make_policy` knows."""
     return tuple(sorted(TEAMS))
 
 
 def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
-    """Create a policy for robots with the limits in `config.dynamics`; `name` may be FILE.py:CLASS.
+    """Create a policy for robots with the limits in `config.dynamics`; `name` may be FILE.py:CLASS, or a run folder or
+    model of `twc-env train`.
 
     Where there are people or furniture, the robots of our teams wait for those who move close to them and remember what
     they bumped into (`careful.CarefulTeam`).
 
-    Raises ConfigError for an unknown name, and unless `action.kind` is `velocity`.
+    Raises ConfigError for an unknown name, and unless `action.kind` is `velocity`; DataError for a model that cannot be
+    read.
     """
-    if name not in TEAMS and name != LEARNED and not is_in_file(str(name)):
+    if name not in TEAMS and not is_learned(name) and not is_in_file(str(name)):
         if str(name).endswith(".py"):
             raise ConfigError(f"{name} names a file and no class in it; write {name}:CLASS, for example {name}:Mine")
         begun = [team for team in TEAMS if team.startswith(str(name))]
         known = begun or [*policy_names(), LEARNED]
         told = one_of(name, known, "choose one of")
-        raise ConfigError(f"unknown agent {name!r}; your own is FILE.py:CLASS{told}")
+        raise ConfigError(f"unknown agent {name!r}; your own is FILE.py:CLASS or a run folder of train{told}")
     config = config or EnvConfig()
     if config.action.kind != "velocity":
         raise ConfigError(
             f"scripted teams need action.kind = 'velocity'; got {config.action.kind!r}: remove this setting"
         )
-    if name == LEARNED:
+    if is_learned(name):
         from twc_env.learned_team import LearnedTeam  # imports the engine, which --help does without
 
-        learned: Policy = LearnedTeam(config)
+        learned: Policy = LearnedTeam(config, None if name == LEARNED else Path(name))
         return learned
     if name in TEAMS:
         team = TEAMS[name]
@@ -119,7 +138,7 @@ def begin(policy: Policy, agent: str, env: ExplorationEnv, seed: int) -> None:
     What users write as FILE.py:CLASS is never given it.
     """
     policy.reset(seed, env.possible_agents)
-    if agent == LEARNED:
+    if is_learned(agent):
         learned: Any = policy
         learned.watch(lambda: env.frames)
     if agent in TEAMS and TEAMS[agent].is_oracle:

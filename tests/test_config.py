@@ -389,3 +389,10 @@ def test_an_unknown_name_is_answered_with_the_few_that_begin_alike_or_with_all()
     assert one_of("noise", names) == known
     assert one_of("beams", names) == known + meant
     assert one_of("beams", [*names, *"abcdef"]) == meant
+
+
+def test_a_name_without_its_section_is_answered_with_the_whole_one_and_a_dotted_one_with_a_table():
+    with pytest.raises(ConfigError, match=r"no setting frontier_slots; did you mean action\.frontier_slots"):
+        from_dict({"frontier_slots": 4})
+    with pytest.raises(ConfigError, match=r"no setting action\.kind here: write a table 'action' for what follows"):
+        from_dict({"action.kind": "frontier"})

@@ -57,7 +57,8 @@ def load(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
             raise DataError("it is not as it was written, since its checksum differs")
         return arrays, json.loads(told["values"])
     except Exception as error:  # a damaged file raises almost any exception
-        what = str(error) if isinstance(error, DataError) else f"{type(error).__name__}: {error}"[:200]
+        damage = f"it is no model, or damaged ({type(error).__name__}: {error}"[:200] + ")"
+        what = str(error) if isinstance(error, DataError) else damage
         raise DataError(f"cannot read the model {path}: {what}; {_REMEDY}") from error
 
 

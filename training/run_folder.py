@@ -188,7 +188,7 @@ def check_run(folder: Path, algorithm: str, task: Task, settings: Any, resume: b
     written = {"algorithm": record.get("algorithm"), **record["task"], **told}
     said = {"id": "task", "area_m2": "area", "overrides": "set"}  # the names of the options
     changed = [
-        f"{said.get(k, k)}={written.get(k)!r} instead of {value!r}"
+        f"{_option(said.get(k, k))} {written.get(k)} instead of {value}"
         for k, value in own.items()
         if written.get(k) != value
     ]
@@ -210,6 +210,10 @@ def open_run(folder: Path, algorithm: str, task: Task, settings: Any, resume: bo
     except WorkerError as error:
         remedy = "--resume continues from the last saved model, if any"
         raise DataError(f"a worker process has died (out of memory or killed); {remedy}") from error
+
+
+def _option(name: str) -> str:
+    return name if name == "algorithm" else f"--{name.replace('_', '-')}"
 
 
 def model_in(path: Path) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -42,9 +43,10 @@ def load_actor(model_path: Path, space: spaces.Space) -> Actor:
     return actor
 
 
-def chooser_of(model_path: Path, env: twc_env.ExplorationEnv, seed: int) -> Choose:
-    """What a trained model, a file or its run folder, does in an environment; raises DataError as `load_actor`."""
-    return sampling(load_actor(model_in(model_path), env.observation_space("robot_0")), env.config, seed)
+def chooser_of(model_path: str | PathLike[str], env: twc_env.ExplorationEnv, seed: int) -> Choose:
+    """What a trained model, a file or its run folder, does in one episode of an environment; the next one needs
+    another. Raises DataError as `load_actor`."""
+    return sampling(load_actor(model_in(Path(model_path)), env.observation_space("robot_0")), env.config, seed)
 
 
 def sampling(actor: Actor, config: twc_env.EnvConfig, seed: int) -> Choose:

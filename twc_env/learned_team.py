@@ -1,10 +1,11 @@
-"""The team `learned` (extra `train`): a shipped policy chooses goals, and robots drive there as in the environment."""
+"""The team `learned` (extra `train`): a trained policy chooses goals, and robots drive there as in the environment."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,11 +26,12 @@ Frames = Callable[[], Sequence[SensorFrame]]
 
 
 class LearnedTeam:
-    """A `Policy` (twc_env.agents) whose robots choose as the shipped policy that suits the settings best."""
+    """A `Policy` (twc_env.agents) whose robots choose as a trained policy: that of a run, or the shipped one that suits
+    the settings best."""
 
-    def __init__(self, config: EnvConfig):
-        """Raises ConfigError for settings that it cannot play, DataError if no policy is shipped or a library
-        lacks."""
+    def __init__(self, config: EnvConfig, model: Path | None = None):
+        """model: the folder of a run, or its model; None: the shipped one. Raises ConfigError for settings that it
+        cannot play, DataError for a model that cannot be read, and if no policy is shipped or a library lacks."""
         if config.failure != FailureConfig() or config.slam.mode == "off":
             raise ConfigError(
                 "learned needs the sensors of all robots and their maps: remove failure.* and slam.mode=off"
@@ -40,14 +42,16 @@ class LearnedTeam:
             from twc_env.training.trained_policy import load_actor, sampling
         except ModuleNotFoundError as error:
             raise DataError(f"learned needs {error.name}; install it with: pip install 'twc_env[train]'") from None
-        folder = shipped_for(config)
+        path = model_in(model or shipped_for(config))
+        folder = path.parent
         trained = task_of(read_settings(folder)).config
         view: dict[str, Any] = {"action": asdict(trained.action), "observation": asdict(trained.observation)}
         self._config = override(config, view)
-        actor = load_actor(model_in(folder), spaces.Dict(block_spaces(self._config)))
+        actor = load_actor(path, spaces.Dict(block_spaces(self._config)))
         self._sampling = partial(sampling, actor, self._config)
+        which = f"learned: the shipped policy for {folder.name}" if model is None else f"{folder}: a policy"
         tell(
-            f"learned: the shipped policy for {folder.name}, trained with {trained.robots} robots in {trained.map}; "
+            f"{which}, trained with {trained.robots} robots in {trained.map}; "
             f"here {config.robots} robots in {config.map}"
         )
 

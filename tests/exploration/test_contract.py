@@ -340,3 +340,26 @@ def test_the_turn_based_environment_has_what_the_parallel_one_has(same):
     assert turns.config == parallel.config
     with pytest.raises(AttributeError, match="no_such_thing"):
         _ = turns.no_such_thing
+
+
+def test_the_results_of_a_given_plan_bear_its_name():
+    plan = twc_env.load_map("gen:office:100:3")
+    env = twc_env.parallel_env(floorplan=plan, robots=1)
+    env.reset(seed=0)
+    assert env.result()["map"] == env.config.map == plan.name
+    assert twc_env.parallel_env(map="mine", floorplan=plan).config.map == "mine"
+
+
+@pytest.mark.parametrize("name", ["max_cycles", "lidar.beam_count", "config", "task", "world"])
+def test_settings_are_no_options_of_a_reset(name):
+    env = twc_env.parallel_env(robots=1)
+    with pytest.raises(twc_env.ConfigError, match=f"no '{name}': settings hold for all episodes"):
+        env.reset(seed=0, options={name: 5})
+    with pytest.raises(twc_env.ConfigError, match="did you mean 'map'"):
+        env.reset(seed=0, options={"Map": "twin-02"})
+    env.reset(seed=0, options={"of another environment": 1})
+
+
+def test_gains_without_frontiers_are_refused():
+    with pytest.raises(twc_env.ConfigError, match=r"for each of observation\.frontiers"):
+        twc_env.parallel_env(config={"observation.gains": True})

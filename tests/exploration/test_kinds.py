@@ -337,3 +337,16 @@ def test_a_robot_that_its_map_shuts_in_looks_through_narrower_gaps(monkeypatch):
     _, infos = env.reset(seed=0)
     assert len(floor) >= 2 and floor[1] > floor[0]
     assert infos["robot_0"]["action_mask"][0] == 1
+
+
+@pytest.mark.parametrize("heading", [0.5, 2.5, 5.0])
+def test_a_robot_beside_a_wall_drives_to_a_waypoint(heading):
+    """Its map showed a pocket of open floor around it alone; it had arrived at once, whatever it was told."""
+    settings = {"action.kind": "waypoint", "lidar.beam_count": 180}
+    env = twc_env.parallel_env(map="twin-01", robots=1, max_cycles=300, config=settings)
+    env.reset(seed=0, options={"starts": [(21.33, 2.73, heading)]})
+    random, decisions = np.random.default_rng(0), 0
+    while env.agents:
+        env.step({"robot_0": random.uniform(-1.0, 1.0, 2).astype(np.float32)})
+        decisions += 1
+    assert env.result()["path_length_m"] > 5.0 and decisions < 30

@@ -50,7 +50,9 @@ def test_an_episode_continues_exactly_from_a_snapshot(kind, before, after, same_
     moment = env.snapshot()
     first = go_on(env, observations, after)
     figures = env.result().figures
-    env.restore(moment)
+    seen, infos = env.restore(moment)
+    assert same_steps([(seen, {}, {})], [(observations, {}, {})])
+    assert ("is_deciding" in infos["robot_0"]) == (kind != "velocity")
     assert same_steps(go_on(env, observations, after), first)
     assert env.result().figures == figures
     assert kind == "velocity" or len(env.engine.team.closures) > 0, "the pose graph was no part of it"
@@ -237,3 +239,35 @@ def test_a_recogniser_with_getstate_is_saved_with_the_episode(tmp_path):
     again = env.step(drive)[0]
     assert all(np.array_equal(again[agent][name], first[agent][name]) for agent in first for name in first[agent])
     assert not np.array_equal(env.step(drive)[0]["robot_0"]["lidar"], again["robot_0"]["lidar"])
+
+
+def test_views_and_turns_continue_exactly_from_a_snapshot(same_steps):
+    own = {"action.goals": "views", "action.timing": "in-turn", "action.decision_max_s": 0.5, "observation.gains": True}
+    env = twc_env.parallel_env(map="twin-02", max_cycles=4000, config={**settings("frontier"), **own})
+    observations, _ = env.reset(seed=2)
+    observations = go_on(env, observations, 40)[-1][0]
+    moment = env.snapshot()
+    first = go_on(env, observations, 20)
+    seen, _ = env.restore(moment)
+    assert same_steps([(seen, {}, {})], [(observations, {}, {})])
+    assert same_steps(go_on(env, seen, 20), first)
+
+
+def test_in_turns_an_episode_goes_on_from_a_snapshot_with_the_first_robot():
+    """The turns kept the observations, rewards and end of the episode before."""
+    action = np.array([0.5, 0.1], np.float32)
+    env = twc_env.env(robots=2, max_cycles=3, config={"lidar.beam_count": 36})
+    env.reset(seed=0)
+    moment, first = env.unwrapped.snapshot(), env.observe("robot_0")
+    for _ in range(5):
+        env.step(action)
+    env.unwrapped.restore(moment)
+    assert env.agents == ["robot_0", "robot_1"] and env.agent_selection == "robot_0"
+    assert all(np.array_equal(first[name], block) for name, block in env.observe("robot_0").items())
+    for _ in range(6):
+        assert env.last()[1:4] == (0.0, False, False) or env.unwrapped.episode.steps > 0
+        env.step(action)
+    over = env.unwrapped.snapshot()
+    assert env.last()[2:4] == (False, True)
+    env.unwrapped.restore(over)
+    assert not env.agents

@@ -57,3 +57,23 @@ def test_the_shipped_policy_of_a_task_suits_its_settings_best(tmp_path, monkeypa
     monkeypatch.setattr(shipped, "FOLDER", tmp_path)
     for task, name in (("Quick", "Quick"), ("Entrance", "Entrance"), ("Office", "Entrance"), ("Mall", "Entrance")):
         assert shipped.shipped_for(task_config(f"twc/Explore{task}-v1")).name == f"Explore{name}-v1"
+
+
+def test_a_run_folder_is_a_team_in_every_command(tmp_path, caplog, refusal):
+    from twc_env.agents.explore import explore, origin_of
+    from twc_env.training.shipped import FOLDER
+
+    from twc_env.__main__ import main
+    from twc_env.config import EnvConfig, override
+
+    run = str(FOLDER / "ExploreQuick-v1")
+    config = override(EnvConfig(), {"robots": 2, "max_cycles": 150, "map": "twin-02"})
+    with caplog.at_level("INFO"):
+        found = [explore(config, agent, 0).result.figures for agent in (run, f"{run}/model.safetensors", "learned")]
+    assert found[0] == found[1] == found[2]
+    assert f"{run}: a policy, trained with 3 robots" in caplog.text
+    assert origin_of(config, run)["agent_digest"] and "agent_digest" not in origin_of(config, "learned")
+    compared = ["compare", "--agents", "random", run, "--maps", "twin-02", "--steps", "20", "--out", str(tmp_path)]
+    assert main([*compared, "--no-pictures"]) == 0
+    assert "there is no model" in refusal(main, ["explore", "--agent", f"{run}/other.safetensors", "--steps", "5"])
+    assert "FILE.py:CLASS or a run folder of train" in refusal(main, ["explore", "--agent", str(tmp_path)])

@@ -512,3 +512,14 @@ def test_other_environments_go_on_from_a_snapshot_with_the_same_bytes(workers):
         first.send(first.sample(), range(3))
         with pytest.raises(TwcError, match=r"without pending steps"):
             first.snapshot()
+
+
+def test_what_episodes_have_is_there_once_they_have_begun():
+    with VectorTeams(1, {"robots": 1, "action.kind": "frontier"}) as teams:
+        for asked in (teams.states, teams.action_masks, teams.sample):
+            with pytest.raises(TwcError, match=r"no episode has started: call reset\(\) first"):
+                asked()
+        teams.reset(0)
+        assert teams.action_masks().any() and teams.states().any()
+    with pytest.raises(ConfigError, match=r"argument 'bulidings'; .* did you mean buildings"):
+        VectorTeams(1, bulidings="train")

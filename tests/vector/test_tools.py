@@ -334,3 +334,25 @@ def test_recording_needs_rgb_array_and_does_not_affect_the_episode(tmp_path, sam
             observations, *_ = env.step({agent: np.array([0.9, 0.5], np.float32) for agent in env.agents})
         seen.append(observations["robot_1"])
     assert all(np.array_equal(seen[0][key], seen[1][key]) for key in same_last)
+
+
+def test_environments_with_neighbouring_seeds_play_different_episodes():
+    """Each played the seeds after its first one: the second began with what the first played next."""
+    envs = gymnasium.make_vec(ID, 3, "sync", max_cycles=2, config=SMALL)
+    envs.reset(seed=5)
+    seeds = [[env.unwrapped.parallel.episode.seed for env in envs.envs]]
+    for _ in range(12):
+        envs.step(envs.action_space.sample())
+        now = [env.unwrapped.parallel.episode.seed for env in envs.envs]
+        seeds += [now] if now != seeds[-1] else []
+    assert seeds[0] == [5, 6, 7] and len(seeds) > 3
+    assert len({seed for row in seeds for seed in row}) == 3 * len(seeds)
+    again = gymnasium.make(ID, max_cycles=2, config=SMALL)
+    again.reset(seed=6)
+    again.reset()
+    assert again.unwrapped.parallel.episode.seed == seeds[1][1]  # decided by the first seed
+
+
+def test_only_episodes_of_time_steps_tell_wrappers_how_many_steps_they_have():
+    choices = gymnasium.make(ID, max_cycles=400, config={**SMALL, "action.kind": "frontier"})
+    assert make_alone().spec.max_episode_steps == 8 and choices.spec.max_episode_steps is None

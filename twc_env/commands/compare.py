@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=list(TEAMS),
         metavar="AGENT",
-        help=f"any of {agent_names()}, or FILE.py:CLASS; the first is the baseline (default: {', '.join(TEAMS)})",
+        help=f"any of {agent_names()}; the first is the baseline (default: {', '.join(TEAMS)})",
     )
     parser.add_argument(
         "--buildings", type=count, default=10, help="number of buildings, from the start of the test split"

@@ -37,10 +37,10 @@ def agents_help() -> str:
 
 
 def agent_names() -> str:
-    """All names of agents, for help texts."""
+    """What may be named as an agent, for help texts."""
     from twc_env.agents.roster import TEAMS as teams
 
-    return ", ".join((*teams, "learned"))
+    return ", ".join((*teams, "learned", "FILE.py:CLASS", "or the folder of a run of train"))
 
 
 def team_config(options: argparse.Namespace, map_name: str | None, steps: int | None) -> EnvConfig:
@@ -98,7 +98,7 @@ def _robots(text: str) -> int | str:
 
 def add_agent(parser: argparse.ArgumentParser) -> None:
     """Options of commands that run one team."""
-    names = f"one of {agent_names()}, or FILE.py:CLASS"
+    names = f"one of {agent_names()}"
     parser.add_argument("--agent", default="nearest-frontier", help=names)
     parser.add_argument("--no-pictures", action="store_true", help="write neither the map picture nor the film")
 

@@ -46,7 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--map", help="bundled name, generated name or file (default: twin-01)")
     parser.add_argument("--seed", type=natural, default=0, help="of start poses, noise and generated signs")
     parser.add_argument(
-        "--agent", default="nearest-frontier", help=f"who drives the others: one of {agent_names()}, or FILE.py:CLASS"
+        "--agent",
+        default="nearest-frontier",
+        help=f"who drives the others: one of {agent_names()}",
     )
     parser.add_argument("--drive", type=natural, metavar="ROBOT", help="steer this robot by the arrow keys")
     parser.add_argument("--speed", type=number(0.1, 100), default=1.0, help="simulated seconds per second, at most")

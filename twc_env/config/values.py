@@ -138,6 +138,9 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
             retired = tuple(name.split("."))
             if retired in RETIRED and value == RETIRED[retired]:
                 continue
+            if "." in str(key):
+                table = str(key).partition(".")[0]
+                raise ConfigError(f"there is no setting {name} here: write a table {table!r} for what follows the dot")
             raise ConfigError(f"there is no setting {name}{_near(key, types, cls is EnvConfig)}")
         is_done = cls is EnvConfig and key == "robot"
         arguments[key] = value if is_done else _value(types[key], value, name)
@@ -359,4 +362,6 @@ def _near(key, known, is_top: bool) -> str:
         return f": it is now {RENAMED[key]}"
     if is_top and key == "task":
         return ": twc_env.task_config(ID) gives the settings of a task, and parallel_env takes task=ID"
+    if is_top and (whole := [name for name in dotted_keys(to_dict(EnvConfig())) if name.endswith(f".{key}")]):
+        return f"; did you mean {' or '.join(whole[:3])}?"  # without its section
     return one_of(key, [*known, "world", "team"] if is_top else known)

@@ -161,7 +161,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if not isinstance(floorplan, (Floorplan, NoneType)):
             raise ConfigError(f"floorplan must be a Floorplan; got {floorplan!r}: name a map or a file as `map`")
         announcer()
-        self.config = resolve(config, task, {"map": map, "robots": robots, "max_cycles": max_cycles})
+        building = floorplan.name if map is None and floorplan is not None else map
+        self.config = resolve(config, task, {"map": building, "robots": robots, "max_cycles": max_cycles})
         # Copies are made from the resolved values: a dict may be changed by its owner later.
         EzPickle.__init__(
             self, config=self.config, render_mode=render_mode, floorplan=floorplan, render_signal=render_signal
@@ -233,8 +234,12 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if self._viewer is not None:
             self._viewer.begin()
             self._viewer.follow(episode)
+        return self._observed(episode)
+
+    def _observed(self, episode: Episode) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Observations and infos of an episode in which no step was made yet, or that was restored."""
         seen = episode.observe()  # also updates the choices that the infos report
-        infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.agents}
+        infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.possible_agents}
         if episode.macro_actions is not None:
             self._tell_choices(infos, episode.macro_actions, 0)
         return self._by_agent(seen), infos
@@ -372,8 +377,9 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         """
         return take_snapshot(self.config, self.episode)
 
-    def restore(self, snapshot: Snapshot) -> None:
-        """Continue from a snapshot of an environment with the same config and version.
+    def restore(self, snapshot: Snapshot):
+        """Continue from a snapshot of an environment with the same config and version; returns the observations and
+        infos then, as `reset` does.
 
         Raises ConfigError if the config or the version differs, DataError if the snapshot is corrupt; the current
         episode is unchanged then.
@@ -384,6 +390,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
             if episode.floorplan is not self.floorplan:
                 self._plan = None
             self._world, self._seed = episode.world, episode.seed
+            return self._observed(episode)
 
     def close(self) -> None:
         """Close the window of render_mode "human" and drop all spectators."""

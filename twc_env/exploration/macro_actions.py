@@ -15,7 +15,7 @@ from twc_env.errors import ActionError
 from twc_env.exploration.actions import action_array, check_agents, shown
 from twc_env.exploration.observation.observation_blocks import EXTRA_CHOICES
 from twc_env.planning.candidates import NOTHING, Candidates, can_tell_places, find_candidates, find_views
-from twc_env.planning.drivers import NARROW_FACTOR, Drivers, map_id
+from twc_env.planning.drivers import ARRIVAL_M, NARROW_FACTOR, Drivers, map_id
 from twc_env.planning.follow import can_reverse
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
@@ -235,16 +235,25 @@ class MacroActions:
         if self._action.kind == "waypoint":
             offset = np.asarray(value, float) * self._action.waypoint_reach_m
             wanted = transform_points(belief.pose_map_robot, offset[None])[0]
-            terrain = self._terrain(belief, 1.0)
-            if not self._finder.spread(terrain, belief.pose_map_robot[:2]):
-                return "place", wanted
-            place = self._finder.nearest_to(terrain, wanted)
-            return "place", wanted if place is None else place
+            return "place", self._reachable(belief, wanted)
         candidates, slots = self.candidates[robot], self._action.frontier_slots
         if value < len(candidates.frontiers_m):
             return "view" if candidates.are_views else "frontier", candidates.frontiers_m[value]
         place = {slots + SIGN: candidates.sign_m, slots + TEAMMATE: candidates.teammate_m}.get(value)
         return None if place is None else ("teammate" if value == slots + TEAMMATE else "place", place)
+
+    def _reachable(self, belief: Belief, wanted: Array) -> Array:
+        """(2,) the place nearest to the one wanted (2,) that the robot can reach; a smaller robot, where this one is
+        shut in beside a wall and would have arrived before it drove off."""
+        here, found = belief.pose_map_robot[:2], wanted
+        for squeeze in (1.0, NARROW_FACTOR):
+            terrain = self._terrain(belief, squeeze)
+            place = self._finder.nearest_to(terrain, wanted) if self._finder.spread(terrain, here) else None
+            if place is not None and (squeeze == 1.0 or math.dist(place, here) > ARRIVAL_M):
+                found = place
+            if place is None or math.dist(found, here) > ARRIVAL_M or math.dist(wanted, here) <= ARRIVAL_M:
+                break
+        return found
 
     def _begin(self, robot: int, belief: Belief, goal: tuple[str, Array] | None) -> None:
         self._stay_until[robot], self._is_view[robot] = 0, goal is not None and goal[0] == "view"

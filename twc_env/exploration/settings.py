@@ -35,6 +35,9 @@ def resolve(
     resolved = override(resolved, {key: value for key, value in shortcuts.items() if value is not None})
     if resolved.slam.oracle == "poses":
         resolved = override(resolved, {"odometry.drift": 0.0})
+    seen, chooses = resolved.observation, resolved.action.kind == "frontier"
+    if seen.gains and not (seen.frontiers or chooses):
+        raise ConfigError("observation.gains has a number for each of observation.frontiers: set that to true, too")
     if resolved.slam.mode == "off" and resolved.action.kind != "velocity":
         raise ConfigError(
             f"action.kind = {resolved.action.kind!r} is planned on the map, and slam.mode = 'off' has none: "

@@ -65,19 +65,24 @@ class SingleRobotEnv(gymnasium.Env):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The spec that `gymnasium.make` sets, with `max_cycles` as `max_episode_steps`, which some wrappers read."""
+        """The spec that `gymnasium.make` sets; where each step lasts one time step, with `max_cycles` as
+        `max_episode_steps`, which some wrappers read."""
         return self._spec
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         self._spec = copy.copy(spec)
-        if self._spec is not None and self._spec.max_episode_steps is None:
+        is_of_time_steps = self._team.config.action.kind == "velocity"
+        if self._spec is not None and self._spec.max_episode_steps is None and is_of_time_steps:
             self._spec.max_episode_steps = self._team.config.max_cycles
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Begin an episode, see `ExplorationEnv.reset`."""
+        """Begin an episode, see `ExplorationEnv.reset`. Without a seed, one is drawn by those drawn before, so that
+        environments with neighbouring first seeds play different episodes."""
         seed = None if seed is None else whole_number("seed", seed, 0)
         super().reset(seed=seed)
+        if seed is None:
+            seed = int(self.np_random.integers(2**31))
         observations, infos = self._team.reset(seed, options)
         return observations[self._agent], infos[self._agent]
 

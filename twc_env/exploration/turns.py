@@ -8,6 +8,7 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
 from twc_env.exploration.actions import one_by_one
 from twc_env.exploration.macro_actions import parsed_action
+from twc_env.exploration.snapshot import Snapshot
 
 
 class TurnsEnv(parallel_to_aec_wrapper):
@@ -16,6 +17,8 @@ class TurnsEnv(parallel_to_aec_wrapper):
     `unwrapped` of PettingZoo is the parallel environment, which has no rewards or terminations that wrappers such as
     `TerminateIllegalWrapper` could change, and an object of PettingZoo's own class fails its `api_test`.
     """
+
+    env: Any
 
     def step(self, action: Any) -> None:
         """Take the action of the robot whose turn it is; raises ActionError for a malformed one, and it stays its
@@ -29,10 +32,33 @@ class TurnsEnv(parallel_to_aec_wrapper):
                 parsed_action(config, action, agent)
         super().step(action)
 
+    def restore(self, snapshot: Snapshot) -> None:
+        """Continue from a snapshot (`ExplorationEnv.restore`); the first robot's turn begins."""
+        begun = self.env.unwrapped.restore(snapshot)
+        if not self.env.agents:  # the episode was over
+            self.agents.clear()
+            return
+        env, self.env = self.env, _Restored(self.env.agents, begun)
+        try:
+            super().reset()
+        finally:
+            self.env = env
+
     @property
     def unwrapped(self) -> Any:
         """The turns, and what only the parallel environment has, such as `result()`."""
         return _Unwrapped(self)
+
+
+class _Restored:
+    """What PettingZoo's `reset` of the turns asks the parallel environment for."""
+
+    def __init__(self, agents: list[str], begun: tuple[dict, dict]):
+        self.agents, self._begun = agents, begun
+
+    def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
+        """Observations and infos of the restored episode."""
+        return self._begun
 
 
 class _Unwrapped:

@@ -13,6 +13,7 @@ import torch
 import twc_env
 from twc_env.agents.policy import begin, make_policy
 from twc_env.config import override
+from twc_env.metrics.means import mean_interval
 from twc_env.pictures.curves import draw_coverage, sampled
 from twc_env.pictures.video import RecordEpisodes
 from twc_env.records.json_values import write_json
@@ -114,8 +115,8 @@ class Evaluation:
 
 
 def _half_width(values: Sequence[float]) -> float:
-    count = len(values)
-    return 1.96 * float(np.std(values, ddof=1)) / math.sqrt(count) if count > 1 else float("nan")
+    mean, _, high = mean_interval(values)
+    return high - mean
 
 
 def _interval(values: Sequence[float]) -> str:

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 DIGITS = 6
 """Decimal places of coverage in the curves."""
-UNSEEN = {f"observation.{block}": False for block in ("lidar", "map", "overview", "wifi", "signs", "team", "frontiers")}
+UNSEEN = {
+    f"observation.{block}": False
+    for block in ("lidar", "map", "overview", "wifi", "signs", "team", "frontiers", "gains")
+}
 """Teams that act on beliefs need no observations; one block has to be there."""
 Acts = Callable[[dict[str, Any]], dict[str, Any] | None]
 """Observations -> actions; None when the team is finished."""

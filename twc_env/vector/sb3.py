@@ -44,8 +44,9 @@ class TeamVecEnv(VecEnv):
         buildings: str | Sequence[str] = (),
         seed: int = 0,
         ray: str | None = None,
+        task: str | None = None,
     ):
-        self.teams = VectorTeams(count, config, workers, buildings, ray)
+        self.teams = VectorTeams(count, config, workers, buildings, ray, task)
         self.robots = self.teams.robots
         self._next_seed = whole_number("seed", seed, 0)
         self.render_mode = None

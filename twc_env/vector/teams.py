@@ -36,7 +36,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, robot_configs, to_dict
-from twc_env.config.checks import whole_number
+from twc_env.config.checks import refuse_arguments, whole_number
 from twc_env.errors import ActionError, ConfigError, DataError, TwcError
 from twc_env.exploration.actions import action_array
 from twc_env.exploration.environment import ExplorationEnv
@@ -67,6 +67,7 @@ class VectorTeams:
         buildings: str | Sequence[str] = (),
         ray: str | None = None,
         task: str | None = None,
+        **unknown: Any,
     ):
         """`workers`: processes that share the environments, of which this is the first; 0 is as 1. `buildings`: a split
         ("train") or names of maps; each new episode plays in one of them, drawn by its seed. Without any, all play on
@@ -76,6 +77,7 @@ class VectorTeams:
         Raises ConfigError for an invalid count or number of workers, or for workers of a process that may have none,
         MapError for an unknown building, TwcError for an invalid configuration, DataError without that cluster.
         """
+        refuse_arguments(unknown, VectorTeams)
         count, workers = whole_number("count", count, 1), whole_number("workers", workers, 0)
         if workers > count:
             raise ConfigError(f"{count} environments cannot be shared among {workers} workers: 0 to {count} workers")
@@ -295,6 +297,12 @@ class VectorTeams:
             raise ActionError(f"each environment takes one action at a time; got ids {wanted}")
         return wanted
 
+    def _begun(self, ids: Iterable[int]) -> list[int]:
+        """`_idle`; raises TwcError before the first `reset`."""
+        if None in self._episodes.seeds:
+            raise TwcError("no episode has started: call reset() first")
+        return self._idle(ids)
+
     def _checked(self, actions: Array, ids: list[int]) -> Array:
         """Actions as an array. Raises ActionError for invalid ones, before any environment has moved."""
         space, given, actions = self.action_space, actions, action_array(actions)
@@ -326,22 +334,23 @@ class VectorTeams:
     def action_masks(self, ids: Iterable[int] | None = None) -> Array:
         """(environments, robots, choices) bool: each robot's valid choices, by default in all environments.
 
-        Raises ConfigError unless `action.kind = "frontier"`, ActionError for ids as `send` does.
+        Raises ConfigError unless `action.kind = "frontier"`, TwcError before the first `reset`, ActionError for ids as
+        `send` does.
         """
         if not isinstance(self.action_space, spaces.Discrete):
             raise ConfigError(
                 f"only choices have masks: action.kind must be 'frontier'; it is {self.config.action.kind!r}"
             )
-        blocks, wanted = self._arrays.observations, self._idle(self._all if ids is None else ids)
+        blocks, wanted = self._arrays.observations, self._begun(self._all if ids is None else ids)
         seen = blocks["action_mask"] if "action_mask" in blocks else blocks[FLAT]  # which ends with the mask
         return seen[wanted][..., -int(self.action_space.n) :] > 0
 
     def states(self, ids: Iterable[int] | None = None) -> Array:
         """(environments, 6 robots) float32: the `state()` of each environment now, by default of all.
 
-        For centralised critics; it holds ground truth. Raises ActionError for ids as `send` does.
+        For centralised critics; it holds ground truth. Raises as `action_masks` for ids and before `reset`.
         """
-        wanted = self._idle(self._all if ids is None else ids)
+        wanted = self._begun(self._all if ids is None else ids)
         if self.config.action.kind == "velocity":
             self._execute(STATE, wanted)
         return self._arrays.states[wanted]
