@@ -145,7 +145,9 @@ def test_an_interrupted_training_reports_it_on_a_new_line(tmp_path, monkeypatch,
 
 @pytest.mark.usefixtures("torch")
 @pytest.mark.parametrize(("end", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
-def test_a_training_ended_from_outside_keeps_its_last_model_and_resumes(end, status, tmp_path, monkeypatch, capsys):
+def test_a_training_ended_from_outside_keeps_its_last_model_and_resumes(
+    end, status, tmp_path, monkeypatch, capsys, refusal
+):
     from twc_env.training import ppo
 
     rollouts, saved = [], ppo.save_model
@@ -167,6 +169,8 @@ def test_a_training_ended_from_outside_keeps_its_last_model_and_resumes(end, sta
     ]  # fmt: skip
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     rollouts += [0] * 9
-    assert main([*train, "--steps", "192", "--resume"]) == 0
+    again = ["train", "ppo", "--workers", "0", "--out", str(tmp_path), "--references", "0", "--resume"]
+    assert "trained with --max-cycles 60 instead of 90; use the same" in refusal(main, [*again, "--max-cycles", "90"])
+    assert main([*again, "--steps", "192"]) == 0  # with the task and the settings of the run
     with (tmp_path / "metrics.csv").open() as file:
         assert [row.split(",")[0] for row in file] == ["decisions", "64", "128", "192"]

@@ -89,13 +89,13 @@ def test_the_state_is_seen_from_the_robot_that_decides():
 
 
 def test_another_task_or_algorithm_is_not_resumed(play, task, tiny, whole, run):
-    with pytest.raises(DataError, match=r"was trained with robots=2 instead of 3; use the same settings"):
+    with pytest.raises(DataError, match=r"was trained with --robots 2 instead of 3; use the same settings"):
         play(replace(task, robots=3), tiny, whole, resume=True)
     with pytest.raises(
-        DataError, match=r"was trained with area=100\.0 instead of 300\.0, set=.*; use the same settings"
+        DataError, match=r"was trained with --area 100\.0 instead of 300\.0, --set .*; use the same settings"
     ):
         play(replace(task, area_m2=300.0, overrides={"lidar.beam_count": 90}), tiny, whole, resume=True)
-    with pytest.raises(DataError, match=r"was trained with algorithm='ppo' instead of 'mappo'"):
+    with pytest.raises(DataError, match=r"was trained with algorithm ppo instead of mappo"):
         play(task, tiny, run, resume=True)
 
 

@@ -142,7 +142,7 @@ def test_a_wrong_map_leaves_no_run_folder(train, settings, tmp_path):
 def test_resuming_with_another_task_is_rejected(train, settings, run):
     from twc_env.training.run_folder import Task
 
-    with pytest.raises(DataError, match=r"was trained with map=.* instead of 'twin-02'.*; use the same settings"):
+    with pytest.raises(DataError, match=r"was trained with --map .* instead of twin-02.*; use the same settings"):
         train(Task(map="twin-02"), settings, 512, run, resume=True)
 
 

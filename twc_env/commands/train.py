@@ -28,13 +28,12 @@ The first hour:
   tensorboard --logdir runs/quick/tensorboard      # meanwhile: return, coverage, wrong merges, ATE, reward terms
   open runs/quick/curve.png                        # then: the curve, with lines for three scripted teams
   twc-env evaluate --suite v1 --model runs/quick --buildings 10 --json runs/quick/test.json    # on test buildings
-  twc-env train mappo --task ExploreQuick-v1 --steps 30000 --out runs/quick --resume   # after an interruption
+  twc-env train mappo --out runs/quick --resume    # after an interruption, with the settings of the run
   twc-env train mappo --task ExploreQuick-v1 --ray auto --out runs/far    # on all machines of a Ray cluster
 docs/learning.md has the rest.
 """
 
 
-AREA_M2 = 250.0
 OF_OPTIONS = ("map", "robots", "max_cycles")
 """Settings that are options of their own."""
 
@@ -70,7 +69,7 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
         f"one map. {more} Writes config.json, model.safetensors, metrics.csv, tensorboard/ and curve.png to the run "
         "folder; the model is saved after each update. A new run needs a new folder.",
         epilog=f"examples:\n  twc-env train {name} --task ExploreQuick-v1 --out runs/quick\n"
-        f"  twc-env train {name} --task ExploreQuick-v1 --out runs/quick --resume\n"
+        f"  twc-env train {name} --out runs/quick --resume\n"
         f"  twc-env train {name} --map twin-01 --robots 3 --set odometry.drift=2 --out runs/twin",
     )
     task = parser.add_argument_group("task")
@@ -81,7 +80,9 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
     task.add_argument("--max-cycles", type=count, help="time steps per episode (default: as the task says, else 500)")
     add_set(task)
     parser.add_argument(
-        "--steps", type=count, default=steps, help="total decisions of all robots, rounded up (default: %(default)s)"
+        "--steps",
+        type=count,
+        help=f"total decisions of all robots, rounded up (default: {steps}; with --resume as before)",
     )
     parser.add_argument(
         "--workers",
@@ -89,7 +90,7 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
         help="worker processes (default: 2, with --ray one per core of the cluster; 0: none, run in this process)",
     )
     add_ray(parser, "; the result is the same, also if workers or machines are lost")
-    parser.add_argument("--seed", type=natural, default=0, help="of network, buildings and episodes")
+    parser.add_argument("--seed", type=natural, help="of network, buildings and episodes (default: 0)")
     module = f"twc_env.training.{MODULES[name]}"
     tuned = parser.add_argument_group("hyperparameters", f"reasons of the defaults: {module}.Settings")
     most = 10.0 if name == "es" else 1.0
@@ -108,10 +109,17 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
         help="validation buildings in which scripted teams are played for curve.png (default: %(default)s; 0: none)",
     )
     add_folder(parser, "--out", f"runs/{name}", "run folder")
-    parser.add_argument("--resume", action="store_true", help="continue from the model in the run folder")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="continue from the model in the run folder, with its task and settings; --steps may be more than before",
+    )
     add_verbosity(parser)
     parser.set_defaults(
-        run=_train, algorithm=name, when_interrupted="interrupted; --resume continues from the last saved model, if any"
+        run=_train,
+        algorithm=name,
+        default_steps=steps,
+        when_interrupted="interrupted; --resume continues from the last saved model, if any",
     )
 
 
@@ -154,27 +162,34 @@ def _add_gradients(tuned: Any, name: str) -> None:
 
 def _train(options: argparse.Namespace) -> int:
     with learning_libraries():
-        from twc_env.training.run_folder import Task, task_id
+        from twc_env.training.run_folder import Task, read_settings, task_id, task_of
 
         algorithm = import_module(f"twc_env.training.{MODULES[options.algorithm]}")
 
-    if options.seed >= SEEDS:
+    if (options.seed or 0) >= SEEDS:
         raise DataError(f"--seed must be 0 to {SEEDS - 1}; got {options.seed}")
     if getattr(options, "hidden_size", None) is not None and options.hidden_size % 4:
         raise DataError(f"--hidden-size must be a multiple of the 4 heads of the attention; got {options.hidden_size}")
     overrides = assignments(options.set)
     _check_task(options, overrides)
     check_folder(options.out)
-    task = Task(
-        None if options.task is None else task_id(options.task),
-        options.map,
-        area_m2=AREA_M2 if options.area is None else options.area,
-        robots=options.robots,
-        max_cycles=options.max_cycles,
-        overrides=overrides,
+    is_begun = options.resume and (options.out / "config.json").is_file()
+    record = read_settings(options.out) if is_begun else {}
+    named = {
+        "id": None if options.task is None else task_id(options.task),
+        "map": options.map,
+        "area_m2": options.area,
+        "robots": options.robots,
+        "max_cycles": options.max_cycles,
+        "overrides": overrides or None,
+    }
+    task = replace(
+        task_of(record) if record else Task(), **{name: value for name, value in named.items() if value is not None}
     )
+    before = record.get("settings", {"steps": options.default_steps})
     given = {field.name: getattr(options, field.name, None) for field in fields(algorithm.Settings)}
-    settings = algorithm.Settings(**{name: value for name, value in given.items() if value is not None})
+    asked = {name: before.get(name) if value is None else value for name, value in given.items()}
+    settings = algorithm.Settings(**{name: value for name, value in asked.items() if value is not None})
     if options.workers is None:
         settings = replace(settings, workers=0 if options.ray else min(settings.workers, settings.environments))
     model_path = algorithm.train(task, settings, options.out, options.resume, not options.quiet, options.ray)
