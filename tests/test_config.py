@@ -396,3 +396,19 @@ def test_a_name_without_its_section_is_answered_with_the_whole_one_and_a_dotted_
         from_dict({"frontier_slots": 4})
     with pytest.raises(ConfigError, match=r"no setting action\.kind here: write a table 'action' for what follows"):
         from_dict({"action.kind": "frontier"})
+
+
+@pytest.mark.parametrize(
+    ("section", "old", "new"),
+    [("keyframe", "mask_mates", "mask_teammates"), ("merging", "sightings_check", "mutual_observations_check")],
+)
+def test_a_renamed_setting_names_the_new_one_wherever_it_stands(section, old, new, tmp_path):
+    told = f"there is no setting slam.{section}.{old}: it is now {new}"
+    (tmp_path / "old.toml").write_text(f"[slam.{section}]\n{old} = true\n")
+    for give in (
+        lambda: override(EnvConfig(), {f"slam.{section}.{old}": "true"}),
+        lambda: from_dict({"slam": {section: {old: True}}}),
+        lambda: load(tmp_path / "old.toml"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            give()

@@ -39,7 +39,7 @@ def test_it_also_plays_a_scripted_team_and_choices_of_frontiers_draws_them_and_r
         "twc_env.replaying.run.run", lambda source, config, note: played.append(config.robots) or Mock()
     )
     assert warm_up.compile_for_commands(steps=20) >= 0
-    assert played == ["nearest-frontier", "informed", "informed", "voronoi", "frontier", 2]
+    assert played == ["nearest-frontier", "informed", "informed", "voronoi", "random", "frontier", 2]
 
 
 LOADED = """

@@ -27,3 +27,18 @@ def test_the_old_name_of_the_teammates_of_a_belief_names_the_new_one():
     with pytest.raises(AttributeError, match=r"^Belief\.mates is now Belief\.teammates$"):
         belief.mates  # noqa: B018
     assert belief.teammates == {}
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "told"),
+    [
+        ("planning", "Driver", r"twc_env\.planning\.Driver is now twc_env\.planning\.Drivers"),
+        ("planning", "path_is_blocked", r"is now twc_env\.planning\.Follower\.is_blocked"),
+        ("datasets.logs.scan_log", "read_carmen_log", r"is now in twc_env\.datasets\.logs\.carmen_log"),
+    ],
+)
+def test_an_old_name_in_a_module_names_the_new_one(module, name, told):
+    with pytest.raises(ImportError, match=told):
+        exec(f"from twc_env.{module} import {name}")
+    with pytest.raises(ImportError, match="cannot import name 'nothing'"):
+        exec(f"from twc_env.{module} import nothing")

@@ -12,9 +12,10 @@ EPISODES = (
     ("informed", {"world": "ward", "lidar.preset": "rplidar-a1", "slam.place_recognition.recogniser": "fused"}),
     ("informed", {"world": "mall", "lidar.preset": "rplidar-a1"}),
     ("voronoi", {"world": "office"}),
+    ("random", {"slam.mode": "off"}),
 )
 """Teams and settings that between them need what no other episode of `twc-env warm-up` does: planning by the map and by
-the true plan, scan descriptors, people, doors, furniture, a scanner's errors and WiFi alone."""
+the true plan, scan descriptors, people, doors, furniture, a scanner's errors, WiFi alone, and dead reckoning."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,8 +77,10 @@ def _replay_sample() -> None:
     from twc_env.replaying.inputs import Asked, read_input
     from twc_env.replaying.odometry_errors import with_errors_of_log
     from twc_env.replaying.run import run
+    from twc_env.running.terminal import without_progress
 
     files = sample_files()
     source = with_errors_of_log(read_input(files.logs, Asked(wifi=files.wifi, signs=files.signs)))
     page = LogPage(source.config.robots, len(source.steps), source.config.dynamics.robot_radius_m)
-    run(source, source.config, page.note).table()
+    with without_progress():
+        run(source, source.config, page.note).table()

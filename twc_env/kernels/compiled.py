@@ -11,7 +11,7 @@ from functools import cache, partial
 from types import ModuleType
 from typing import Any
 
-from numba import njit
+from numba import njit, typeof
 
 from twc_env.kernels.cache_folder import caching_there
 from twc_env.kernels.compilation import one_process_compiles
@@ -72,7 +72,8 @@ def bound(function: Any, held: Any, *others: Any) -> Callable[..., Any]:
     values = held, *others
     kinds = function, kind_of(values)
     if kinds not in _ENTRIES:
-        _ENTRIES[kinds] = function.compile(tuple(map(function.typeof_pyval, values)))
+        entry = function.compile(tuple(map(typeof, values)))
+        _ENTRIES[kinds] = entry if callable(entry) else function  # what `compile` returns is not documented
     return partial(_ENTRIES[kinds], held)
 
 

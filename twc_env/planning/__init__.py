@@ -1,5 +1,7 @@
 """Planning on estimated maps: traversal costs, frontiers, views, path search, path following, coverage walks."""
 
+from typing import NoReturn
+
 from twc_env.planning.candidates import Candidates, can_tell_places, find_candidates, find_views
 from twc_env.planning.covering_walk import WalkGraph, covering_walk, walk_graph
 from twc_env.planning.drivers import Drivers
@@ -47,3 +49,11 @@ __all__ = [
     "walk_graph",
     "whereabouts",
 ]
+
+_RENAMED = {"Driver": "Drivers, of all robots", "path_is_blocked": "Follower.is_blocked"}
+
+
+def __getattr__(name: str) -> NoReturn:
+    if name in _RENAMED:
+        raise ImportError(f"twc_env.planning.{name} is now twc_env.planning.{_RENAMED[name]}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

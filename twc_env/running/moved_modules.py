@@ -36,6 +36,7 @@ MOVED = {
     "exploration.evaluation": "exploration.assessment.evaluation",
     "exploration.rewards": "exploration.assessment.rewards",
     "reproduce.sfw_flats": "reproduce.walls.sfw_flats",
+    "training.evaluate": "suite.evaluation",
     "slam.change_points": "slam.walls.change_points",
     "slam.global_matching": "slam.matching.global_matching",
     "slam.k_clusters": "slam.walls.k_clusters",
@@ -51,7 +52,8 @@ MOVED = {
     "world.floorplan_file": "world.building.floorplan_file",
     "world.router_placement": "world.building.router_placement",
 }
-"""New names by old ones, below `twc_env`: modules that the documentation of version 0.1.0 named."""
+"""New names by old ones, below `twc_env`: modules that the documentation of version 0.1.0 named, and
+of those after it."""
 
 
 class _MovedModules(MetaPathFinder):

@@ -90,6 +90,16 @@ def _clock(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{int(seconds):02d}" if hours else f"{minutes}:{int(seconds):02d}"
 
 
+@contextmanager
+def without_progress() -> Iterator[None]:
+    """No progress is shown in this block."""
+    before, _progress["is_quiet"] = _progress["is_quiet"], True
+    try:
+        yield
+    finally:
+        _progress["is_quiet"] = before
+
+
 def show_line(text: str, is_last: bool = False) -> None:
     """Show the progress of a command: on a terminal in one line that is overwritten, in a log in a line per minute;
     not at all with --quiet."""

@@ -14,7 +14,7 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -313,3 +313,9 @@ def _nearest(times_s: Array, wanted_s: Array) -> Array:
 def short_reason(error: Exception) -> str:
     """What an error says, cut off where it is long."""
     return str(error)[:120]
+
+
+def __getattr__(name: str) -> NoReturn:
+    if name in ("read_carmen_log", "read_any_log"):
+        raise ImportError(f"{name} is now in twc_env.datasets.logs.carmen_log")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
