@@ -208,10 +208,12 @@ FILES_MAX, ROOT_FILES_MAX, TEAM_LINES_MAX = 20, 10, 150
 
 
 @pytest.mark.parametrize("top", ["twc_env", "agents", "training", "tests"])
-def test_no_folder_has_more_than_twenty_files(top):
+def test_no_folder_has_more_than_twenty_files_or_one(top):
     folders = [ROOT / top, *(path for path in (ROOT / top).rglob("*") if path.is_dir() and path.name != "__pycache__")]
     counts = {str(folder.relative_to(ROOT)): sum(path.is_file() for path in folder.iterdir()) for folder in folders}
     assert {folder: count for folder, count in counts.items() if count > FILES_MAX} == {}
+    rooms = [folder for folder in folders if any(folder.glob("*.py"))]
+    assert [str(room) for room in rooms if sum(path.is_file() for path in room.iterdir()) == 1] == []
 
 
 def test_a_scripted_team_is_a_file_of_at_most_150_lines():

@@ -10,7 +10,7 @@ from twc_env.reproduce.elsewhere import generalisation
 from twc_env.reproduce.pose_graphs.robustness import DATASETS
 from twc_env.world.building.splits import SPLITS
 
-RESULTS = Path(__file__).parents[3] / "docs" / "results.md"
+RESULTS = Path(__file__).parents[2] / "docs" / "results.md"
 
 
 def test_every_claim_has_parts_and_fresh_buildings_are_of_no_other_split():

@@ -136,7 +136,7 @@ def test_tables_that_need_a_set_exist():
 
 
 def test_the_page_of_real_data_names_the_same_files_and_tables():
-    page = Path(__file__).parents[3].joinpath("docs/real_data.md").read_text(encoding="utf-8")
+    page = Path(__file__).parents[2].joinpath("docs/real_data.md").read_text(encoding="utf-8")
     rows = page.partition("| folder and files below")[2].split("\n\n")[0].splitlines()[2:]
     for name, each in catalogue().items():
         for file in each.files:
