@@ -360,6 +360,24 @@ def test_settings_are_no_options_of_a_reset(name):
     env.reset(seed=0, options={"of another environment": 1})
 
 
+@pytest.mark.parametrize("kind", ["velocity", "frontier"])
+def test_the_time_that_is_left_is_observed_on_request(kind):
+    settings = {"observation.time_left": True, "action.kind": kind, "lidar.beam_count": 36}
+    env = twc_env.parallel_env(robots=2, max_cycles=40, config=settings)
+    seen, infos = env.reset(seed=0)
+    left = [seen["robot_1"]["time_left"].item()]
+    while env.agents:
+        actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+        seen, *_ = env.step(actions)
+        assert seen["robot_1"] in env.observation_space("robot_1")
+        left.append(seen["robot_1"]["time_left"].item())
+        assert left[-1] == pytest.approx(1.0 - env.episode.steps / 40)
+    assert left[0] == 1.0 and left[-1] == 0.0
+    flat = twc_env.parallel_env(robots=1, config={**settings, "observation.kind": "flat"})
+    assert flat.observation_space("robot_0").shape[0] > 0
+    assert "time_left" not in twc_env.parallel_env(robots=1).observation_space("robot_0").spaces
+
+
 def test_gains_without_frontiers_are_refused():
     with pytest.raises(twc_env.ConfigError, match=r"for each of observation\.frontiers"):
         twc_env.parallel_env(config={"observation.gains": True})

@@ -40,6 +40,7 @@ def block_spaces(config: EnvConfig, robot: int = 0) -> dict[str, spaces.Space]:
         "team": spaces.Box(-1.0, 1.0, (teammates, 5), np.float32),
         "frontiers": spaces.Box(-1.0, 1.0, (slots, 6), np.float32),
         "gains": spaces.Box(0.0, 1.0, (slots,), np.float32),
+        "time_left": spaces.Box(0.0, 1.0, (1,), np.float32),
     }
     wanted = {
         name: space for name, space in blocks.items() if getattr(shape, name) or (chooses and name == "frontiers")

@@ -32,7 +32,8 @@ class ObservationBuilder:
         self._is_flat = shape.kind != "dict"
         kind = type(self)
         made: dict[str, Callable[[ObservationBuilder], Sequence[Array] | Array]] = {
-            "map": kind._maps, "overview": kind._whole_maps, "radio": kind._radio_maps
+            "map": kind._maps, "overview": kind._whole_maps, "radio": kind._radio_maps,
+            "time_left": kind._times_left,
         }  # fmt: skip
         self._makers = [(name, make) for name, make in made.items() if name in self._names]
         self._robots = range(robots)
@@ -53,6 +54,7 @@ class ObservationBuilder:
         """Update paths, WiFi slots and sign readings with one step; needed also if no observation is built."""
         sensed = frames if isinstance(frames, TeamFrames) else TeamFrames.of(frames)
         self._beliefs = TeamBeliefs.of(beliefs)
+        self._step = sensed.step
         self._small.notice(sensed, self._beliefs)
         if any(sensed.signs):
             self._signs.remember(self._beliefs.poses, sensed.time_s, sensed.signs)
@@ -107,6 +109,10 @@ class ObservationBuilder:
             else map_view.crop_around(belief.radio_map, belief.pose_map_robot, cells, cell_m)[:2]
             for belief in self._beliefs
         ]
+
+    def _times_left(self) -> Array:
+        left = np.float32(max(0.0, 1.0 - self._step / self._config.max_cycles))
+        return np.full((len(self._robots), 1), left)
 
     def _whole_maps(self) -> list[Array]:
         return [self._whole_map(belief) for belief in self._beliefs]
