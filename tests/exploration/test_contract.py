@@ -364,7 +364,7 @@ def test_settings_are_no_options_of_a_reset(name):
 def test_the_time_that_is_left_is_observed_on_request(kind):
     settings = {"observation.time_left": True, "action.kind": kind, "lidar.beam_count": 36}
     env = twc_env.parallel_env(robots=2, max_cycles=40, config=settings)
-    seen, infos = env.reset(seed=0)
+    seen, _ = env.reset(seed=0)
     left = [seen["robot_1"]["time_left"].item()]
     while env.agents:
         actions = {agent: env.action_space(agent).sample() for agent in env.agents}
