@@ -32,9 +32,9 @@ def test_pairs_are_resumed_and_compared_with_the_first_agent(tmp_path, monkeypat
     assert first.sooner_s == (0.0, 0.0, 0.0)
     mean, low, high = second.sooner_s
     assert (mean, again[1].sooner_s[0]) == (10.5, 10.5)
-    assert 10.0 <= low <= high <= 11.0
+    assert (low, high) == pytest.approx((10.5 - 0.5 * 12.706, 10.5 + 0.5 * 12.706), abs=1e-3)  # Student's t of two
     assert second.more == pytest.approx((0.1, 0.1, 0.1))
-    assert "10.5 (10.0 to 11.0)" in compare.table_of(again)
+    assert "10.5 (4.1 to 16.9)" in compare.table_of(again)
 
 
 def test_one_building_has_no_interval_and_a_goal_that_nobody_reached_no_time():
