@@ -1,6 +1,6 @@
 import gc
-import importlib.util
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -79,9 +79,18 @@ def test_peers_are_measured_beside_each_episode_and_compared_within_a_repetition
 
 def test_a_peer_that_is_not_installed_is_named_with_the_command_that_installs_it(monkeypatch):
     lines: list[str] = []
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "irsim", None)  # importing it fails
     assert not bench_peers.is_installed("irsim", lines.append)
-    assert "IR-SIM" in lines[0] and "pip install ir-sim" in lines[0] and "twc_env[peers]" in lines[0]
+    assert "IR-SIM is not installed" in lines[0] and "pip install ir-sim" in lines[0] and "twc_env[peers]" in lines[0]
+
+
+def test_a_peer_that_lacks_a_library_is_left_out_with_its_name(monkeypatch, tmp_path):
+    (tmp_path / "irsim.py").write_text("import imageioo")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "irsim", raising=False)
+    lines: list[str] = []
+    assert not bench_peers.is_installed("irsim", lines.append)
+    assert "IR-SIM cannot be imported (No module named 'imageioo')" in lines[0]
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import gc
-import importlib.util
+import importlib
 import io
 import logging
 import os
@@ -183,10 +183,13 @@ def world_plan() -> Floorplan:
 def is_installed(peer: str, report: Report) -> bool:
     """Whether a simulator is installed; if not, reports how to install it."""
     module, name, package = PEERS[peer]
-    if importlib.util.find_spec(module) is not None:
-        return True
-    report(f"{name} is not installed, its figures stay empty: pip install {package}, or pip install 'twc_env[peers]'")
-    return False
+    try:
+        importlib.import_module(module)
+    except ImportError as error:
+        lacks = "is not installed" if getattr(error, "name", None) == module else f"cannot be imported ({error})"
+        report(f"{name} {lacks}, its figures stay empty: pip install {package}, or pip install 'twc_env[peers]'")
+        return False
+    return True
 
 
 @contextlib.contextmanager
