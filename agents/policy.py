@@ -48,7 +48,12 @@ class Policy(Protocol):
 
 def is_learned(name: str) -> bool:
     """Whether a team plays a trained policy: one that comes with the package, or a run folder or model of `train`."""
-    return name == LEARNED or str(name).endswith(SUFFIX) or (Path(name) / f"model{SUFFIX}").is_file()
+    if name == LEARNED or str(name).endswith(SUFFIX):
+        return True
+    try:
+        return (Path(str(name)) / f"model{SUFFIX}").is_file()
+    except OSError:  # no path, such as a name that is too long
+        return False
 
 
 def model_digest(name: str) -> str:
@@ -90,7 +95,7 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     if is_learned(name):
         from twc_env.learned_team import LearnedTeam  # imports the engine, which --help does without
 
-        learned: Policy = LearnedTeam(config, None if name == LEARNED else Path(name))
+        learned: Policy = LearnedTeam(config, None if name == LEARNED else Path(str(name)))
         return learned
     if name in TEAMS:
         team = TEAMS[name]

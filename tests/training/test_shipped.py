@@ -60,11 +60,13 @@ def test_the_shipped_policy_of_a_task_suits_its_settings_best(tmp_path, monkeypa
 
 
 def test_a_run_folder_is_a_team_in_every_command(tmp_path, caplog, refusal):
+    from twc_env.agents import make_policy
     from twc_env.agents.explore import explore, origin_of
     from twc_env.training.shipped import FOLDER
 
     from twc_env.__main__ import main
     from twc_env.config import EnvConfig, override
+    from twc_env.errors import ConfigError
 
     run = str(FOLDER / "ExploreQuick-v1")
     config = override(EnvConfig(), {"robots": 2, "max_cycles": 150, "map": "twin-02"})
@@ -76,4 +78,6 @@ def test_a_run_folder_is_a_team_in_every_command(tmp_path, caplog, refusal):
     compared = ["compare", "--agents", "random", run, "--maps", "twin-02", "--steps", "20", "--out", str(tmp_path)]
     assert main([*compared, "--no-pictures"]) == 0
     assert "there is no model" in refusal(main, ["explore", "--agent", f"{run}/other.safetensors", "--steps", "5"])
-    assert "FILE.py:CLASS or a run folder of train" in refusal(main, ["explore", "--agent", str(tmp_path)])
+    for name in (str(tmp_path), "x" * 300, "a\0b", 5):
+        with pytest.raises(ConfigError, match=r"your own is FILE\.py:CLASS or a run folder of train"):
+            make_policy(name, config)

@@ -162,7 +162,7 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if not isinstance(floorplan, (Floorplan, NoneType)):
             raise ConfigError(f"floorplan must be a Floorplan; got {floorplan!r}: name a map or a file as `map`")
         announcer()
-        building = floorplan.name if map is None and floorplan is not None else map
+        building = floorplan.name or None if map is None and floorplan is not None else map
         self.config = resolve(config, task, {"map": building, "robots": robots, "max_cycles": max_cycles})
         # Copies are made from the resolved values: a dict may be changed by its owner later.
         EzPickle.__init__(
