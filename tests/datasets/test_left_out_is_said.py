@@ -164,7 +164,7 @@ def test_units_zones_and_rows_of_a_table_are_noted(tmp_path):
 
 def test_scans_of_a_bag_that_are_not_used_are_noted(tmp_path):
     pytest.importorskip("rosbags")
-    from tests.datasets.ros.test_bag_log import recording
+    from tests.datasets.test_bag_log import recording
     from twc_env.datasets.ros.bag_log import read_bag
     from twc_env.datasets.ros.bag_writer import write_recording
     from twc_env.datasets.ros.robot_topics import Wishes
