@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import gc
-import importlib
+import importlib.util
 import io
 import logging
 import os
@@ -97,10 +97,16 @@ def _candidates(report: Report) -> dict[str, Callable[[int], Run]]:
         "world": OurRuns(world, world_plan()).once,
         "slam": OurRuns(slam, load_map(SLAM_MAP)).once,
     }
-    if is_installed("irsim", report):
-        candidates["irsim"] = IrsimRuns(IRSIM_STEPS).once
-    if is_installed("mpe2", report):
-        candidates["mpe2"] = Mpe2Runs(MPE2_STEPS).once
+    peers: dict[str, Callable[[], Callable[[int], Run]]] = {
+        "irsim": lambda: IrsimRuns(IRSIM_STEPS).once,
+        "mpe2": lambda: Mpe2Runs(MPE2_STEPS).once,
+    }
+    for peer, make in peers.items():
+        if is_installed(peer, report):
+            try:
+                candidates[peer] = make()
+            except ImportError as error:
+                report(f"{PEERS[peer][1]} cannot be imported, its figures stay empty: {error}")
     return candidates
 
 
@@ -183,13 +189,10 @@ def world_plan() -> Floorplan:
 def is_installed(peer: str, report: Report) -> bool:
     """Whether a simulator is installed; if not, reports how to install it."""
     module, name, package = PEERS[peer]
-    try:
-        importlib.import_module(module)
-    except ImportError as error:
-        lacks = "is not installed" if getattr(error, "name", None) == module else f"cannot be imported ({error})"
-        report(f"{name} {lacks}, its figures stay empty: pip install {package}, or pip install 'twc_env[peers]'")
-        return False
-    return True
+    if importlib.util.find_spec(module) is not None:
+        return True
+    report(f"{name} is not installed, its figures stay empty: pip install {package}, or pip install 'twc_env[peers]'")
+    return False
 
 
 @contextlib.contextmanager
