@@ -1,7 +1,7 @@
 from twc_env.reproduce.logs import odometry_noise
 
 
-def test_a_row_is_the_mean_over_the_draws_of_one_log_size_and_noise(rows_of, monkeypatch):
+def test_a_row_is_the_mean_over_the_draws_of_one_log_size_and_noise(rows_of, monkeypatch, tmp_path):
     def drive(name, size, seed, is_noise_told):
         return {
             "ate_m": size + 0.1 * seed + (name == "intel") + 10.0 * is_noise_told,
@@ -9,6 +9,7 @@ def test_a_row_is_the_mean_over_the_draws_of_one_log_size_and_noise(rows_of, mon
         }
 
     monkeypatch.setattr(odometry_noise, "drive_again", drive)
+    monkeypatch.setenv("TWC_DATA", str(tmp_path))  # of which nothing is read
     table = rows_of(odometry_noise, "--logs", "intel,aces", "--sizes", "0", "2", "--seeds", "0-2")
     assert [(row["log"], row["size"], row["noise"], row["draws"]) for row in table] == [
         (log, size, noise, 3) for log in ("intel", "aces") for size in (0.0, 2.0) for noise in ("assumed", "from log")
