@@ -22,7 +22,7 @@ from twc_env.records.whole_file import write_text
 from twc_env.running.finished_parts import FinishedParts
 
 from .explore import commanded, commanded_stuck_share, origin_of
-from .policy import begin, is_finished, is_learned, make_policy
+from .policy import begin, is_finished, is_model, make_policy
 from .roster import display_name
 
 GOAL = 0.9
@@ -78,7 +78,7 @@ def compare(
         make_policy(agent, config)  # an unknown name fails before the first episode
     parts = [(name, agent, seed) for seed, name in enumerate(maps) for agent in agents]
     found: dict[tuple[str, str, int], Outcome] = {}
-    packages = ("twc_env.agents", "twc_env.training") if any(map(is_learned, agents)) else ("twc_env.agents",)
+    packages = ("twc_env.agents", "twc_env.training") if any(map(is_model, agents)) else ("twc_env.agents",)
     finished = FinishedParts(folder, "compare", to_dict(config), packages)
     if finished.remark:
         tell(finished.remark)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +29,7 @@ from twc_env.running.finished_parts import code_digest
 from twc_env.running.output_folder import alone_in
 
 from . import picture
-from .policy import LEARNED, begin, is_finished, is_learned, make_policy, model_digest
+from .policy import LEARNED, begin, is_finished, is_model, make_policy
 
 WARM_UP_STEPS = 10
 """Steps at the start that are excluded from the speed."""
@@ -141,9 +142,10 @@ def origin_of(config: EnvConfig, agent: str) -> dict[str, str]:
         "back_end_digest": slam.pose_graph.robust,
     }
     own = {key: digest_of(name) for key, name in named.items() if is_in_file(name)}
-    if is_learned(agent) and agent != LEARNED:
-        own["agent_digest"] = model_digest(agent)
-    packages = ("twc_env.agents", "twc_env.training") if is_learned(agent) else ("twc_env.agents",)
+    if is_model(agent) and agent != LEARNED:
+        model = Path(agent, "model.safetensors") if Path(agent).is_dir() else Path(agent)
+        own["agent_digest"] = hashlib.sha256(model.read_bytes()).hexdigest()[:8]
+    packages = ("twc_env.agents", "twc_env.training") if is_model(agent) else ("twc_env.agents",)
     return {
         "code_digest": code_digest(*packages),
         "map_digest": load_map(config.map).digest,

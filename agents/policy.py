@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
-from twc_env.errors import ConfigError, DataError, one_of
+from twc_env.errors import ConfigError, one_of
 from twc_env.records.class_file import class_in, is_in_file
 from twc_env.records.messages import Belief
 
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from twc_env import ExplorationEnv
 
 
-SUFFIX = ".safetensors"
 LEARNED = "learned"
 """Name of the team that plays a policy which comes with the package (`twc_env/learned_team.py`)."""
 
@@ -46,23 +44,15 @@ class Policy(Protocol):
         """Whether there is nothing left to do, so that the episode may end early."""
 
 
-def is_learned(name: str) -> bool:
-    """Whether a team plays a trained policy: one that comes with the package, or a run folder or model of `train`."""
-    if name == LEARNED or str(name).endswith(SUFFIX):
+def is_model(name: str) -> bool:
+    """Whether a team is a trained model: a model file (also of 0.1.0, to refuse it), the folder of a run, or `learned`,
+    which is shipped."""
+    if name == LEARNED or str(name).endswith((".safetensors", ".zip")):
         return True
     try:
-        return (Path(str(name)) / f"model{SUFFIX}").is_file()
+        return not is_in_file(str(name)) and (Path(str(name)) / "config.json").is_file()
     except OSError:  # no path, such as a name that is too long
         return False
-
-
-def model_digest(name: str) -> str:
-    """Digest (eight hex digits) of the model of a run. Raises DataError if it cannot be read."""
-    path = Path(name) / f"model{SUFFIX}" if Path(name).is_dir() else Path(name)
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()[:8]
-    except OSError as error:
-        raise DataError(f"cannot read the model {path}: {error.strerror}; name the folder of a run of train") from error
 
 
 def policy_names() -> tuple[str, ...]:
@@ -80,7 +70,7 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
     Raises ConfigError for an unknown name, and unless `action.kind` is `velocity`; DataError for a model that cannot be
     read.
     """
-    if name not in TEAMS and not is_learned(name) and not is_in_file(str(name)):
+    if name not in TEAMS and not is_model(name) and not is_in_file(str(name)):
         if str(name).endswith(".py"):
             raise ConfigError(f"{name} names a file and no class in it; write {name}:CLASS, for example {name}:Mine")
         begun = [team for team in TEAMS if team.startswith(str(name))]
@@ -92,7 +82,7 @@ def make_policy(name: str, config: EnvConfig | None = None) -> Policy:
         raise ConfigError(
             f"scripted teams need action.kind = 'velocity'; got {config.action.kind!r}: remove this setting"
         )
-    if is_learned(name):
+    if is_model(name):
         from twc_env.learned_team import LearnedTeam  # imports the engine, which --help does without
 
         learned: Policy = LearnedTeam(config, None if name == LEARNED else Path(str(name)))
@@ -143,7 +133,7 @@ def begin(policy: Policy, agent: str, env: ExplorationEnv, seed: int) -> None:
     What users write as FILE.py:CLASS is never given it.
     """
     policy.reset(seed, env.possible_agents)
-    if is_learned(agent):
+    if is_model(agent):
         learned: Any = policy
         learned.watch(lambda: env.frames)
     if agent in TEAMS and TEAMS[agent].is_oracle:

@@ -162,3 +162,17 @@ def test_kernels_work_with_a_numba_that_lacks_the_undocumented_options(monkeypat
     compiled._knows_own_options.cache_clear()
     assert out.tolist() == [2.0, 2.0, 2.0]
     assert ("_nrt" in asked[-1]) == known and {"cache", "error_model"} <= asked[-1]
+
+
+def test_a_kernel_whose_numba_returns_no_entry_point_is_called_as_usual():
+    class Plain:
+        """`compile` of a dispatcher is documented, what it returns is not."""
+
+        def compile(self, _types):
+            return None
+
+        def __call__(self, numbers, factor):
+            return total_of(numbers, factor)
+
+    numbers = np.arange(6.0).reshape(2, 3)
+    assert bound(Plain(), numbers, 2)(2) == total_of(numbers, 2)

@@ -60,7 +60,7 @@ class Replay:
     odom_poses: Array
     """(steps, robots, 3) poses of the front ends after each step."""
     is_lost: Array
-    """(steps, robots) bool: whether each robot was lost in a finished map after each step."""
+    """(steps, robots) bool: whether each robot was lost in a finished map after each step; without one, (steps, 0)."""
     elapsed_s: float
 
     @property
@@ -76,7 +76,8 @@ class Replay:
             own = [frame for _, frame in rows]
             odom = self.odom_poses[[k for k, _ in rows], robot]
             poses, part, group = self._in_map(robot, np.array([frame.step for frame in own]), odom)
-            group[self.is_lost[[k for k, _ in rows], robot] & (group == self._finished_group)] = -1
+            if self._finished_group is not None:
+                group[self.is_lost[[k for k, _ in rows], robot] & (group == self._finished_group)] = -1
             times_s = np.array([self.source.begun_s[robot] + frame.time_s for frame in own])
             mount, logged = self.source.mounts[robot], None
             if self.source.odometry is not None:
@@ -194,13 +195,14 @@ def run(source: ReplayInput, config: EnvConfig, watch: Callable[[int, Engine], N
     contacts, steps = source.contacts, source.steps
     engine = make_engine(config, engine_robots(source, config), prior_of(config))
     first = next(frames[0].step - k for k, frames in enumerate(steps) if frames)
+    localisers = engine.localisers if isinstance(engine, MapLocalisation) else []
     odom_poses, is_lost, step, bar = [], [], first, Bar(len(steps), "steps", every=50)
     for step, frames in enumerate(steps, first):  # steps in the frames may differ between robots
         if frames:
             engine.track(frames)
         engine.absorb(step, contacts[step - first] if contacts else None)
         odom_poses.append(np.array(engine.poses_odom))
-        is_lost.append(_are_lost(engine))
+        is_lost.append([own.is_lost for own in localisers])
         if watch is not None:
             watch(step - first, engine)
         bar.show(step - first + 1)
@@ -208,8 +210,3 @@ def run(source: ReplayInput, config: EnvConfig, watch: Callable[[int, Engine], N
     if last >= config.max_cycles or not source.is_episode:  # a complete episode: the backlog is processed
         engine.finish()
     return Replay(source, config, engine, np.array(odom_poses), np.array(is_lost), time.monotonic() - begun)
-
-
-def _are_lost(engine: Engine) -> list[bool]:
-    localisers = engine.localisers if isinstance(engine, MapLocalisation) else [None] * len(engine.poses_odom)
-    return [each is not None and each.is_lost for each in localisers]

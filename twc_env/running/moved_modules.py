@@ -36,7 +36,6 @@ MOVED = {
     "exploration.evaluation": "exploration.assessment.evaluation",
     "exploration.rewards": "exploration.assessment.rewards",
     "reproduce.sfw_flats": "reproduce.walls.sfw_flats",
-    "training.evaluate": "suite.evaluation",
     "slam.change_points": "slam.walls.change_points",
     "slam.global_matching": "slam.matching.global_matching",
     "slam.k_clusters": "slam.walls.k_clusters",
@@ -48,12 +47,12 @@ MOVED = {
     "slam.robust_backend": "slam.pose_graph.robust_back_end",
     "slam.scan_matching": "slam.matching.scan_matching",
     "slam.trace_joining": "slam.radio.trace_joining",
+    "training.evaluate": "suite.evaluation",
     "world.floorplan": "world.building.floorplan",
     "world.floorplan_file": "world.building.floorplan_file",
     "world.router_placement": "world.building.router_placement",
 }
-"""New names by old ones, below `twc_env`: modules that the documentation of version 0.1.0 named, and
-of those after it."""
+"""New names by old ones, below `twc_env`: modules that the documentation has named."""
 
 
 class _MovedModules(MetaPathFinder):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from twc_env.agents.policy import is_model
 from twc_env.config import override
 from twc_env.exploration.assessment.evaluation import EpisodeResult
 from twc_env.exploration.environment import ExplorationEnv
@@ -26,16 +26,6 @@ UNSEEN = {
 """Teams that act on beliefs need no observations; one block has to be there."""
 Acts = Callable[[dict[str, Any]], dict[str, Any] | None]
 """Observations -> actions; None when the team is finished."""
-
-
-def is_model(team: str) -> bool:
-    """Whether a team is a trained model: a model file (also of 0.1.0, to refuse it), the folder of a
-    run, or the shipped one (`learned`)."""
-    return (
-        team == "learned"
-        or team.endswith((".safetensors", ".zip"))
-        or (not is_in_file(team) and (Path(team) / "config.json").is_file())
-    )
 
 
 def digest_of_team(entry: Entry) -> str:
