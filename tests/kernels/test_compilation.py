@@ -3,12 +3,14 @@
 import gc
 import logging
 import sys
+import threading
 from types import SimpleNamespace
 
 import pytest
 
 from twc_env.kernels import compilation
 from twc_env.kernels.compilation import Announcer
+from twc_env.processes.file_lock import FileLock
 from twc_env.slam import warm_up
 from twc_env.slam.pose_graph import robust_back_end
 
@@ -64,6 +66,19 @@ def test_a_terminal_shows_a_bar_that_makes_way_after_each_kernel(monkeypatch, ca
         assert announcer._bar is None
     assert announcer.total == announcer.count == 6  # more than expected: the bar grows
     assert "compiling" in capsys.readouterr().err
+
+
+def test_a_process_that_waits_for_each_kernel_says_so_once(monkeypatch, caplog, tmp_path):
+    monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(compilation, "SILENT_S", 0.0)
+    held, waiting = FileLock(tmp_path / "compiling.lock"), compilation.OneProcess()
+    with caplog.at_level(logging.WARNING, "twc_env"):
+        for _ in range(2):
+            assert held.await_it(1.0)
+            threading.Timer(0.2, held.release).start()
+            waiting.on_start(OURS)
+            waiting.on_end(OURS)
+    assert [record.message.startswith("waiting") for record in caplog.records] == [True]
 
 
 @pytest.mark.parametrize("collects", [True, False])

@@ -39,6 +39,7 @@ class OneProcess(Listener):
         self._lock: FileLock | None = None
         self._waits = True
         """Whether it waits for others: not again for one that has not ended in time."""
+        self._has_said_so = False
         self.compiled_modules: set[str] = set()
         """Modules with kernels compiled since the lock was taken, whose checksums are still to be written."""
 
@@ -54,7 +55,9 @@ class OneProcess(Listener):
     def _await(self, lock: FileLock) -> None:
         is_taken = lock.await_it(SILENT_S if self._waits else 0.0)
         if is_taken is False and self._waits:
-            _LOG.warning("waiting for another process that compiles kernels, %.0f s at most", WAIT_MAX_S)
+            if not self._has_said_so:  # it may wait for each kernel in turn
+                _LOG.warning("waiting for another process that compiles kernels, %.0f s at most each", WAIT_MAX_S)
+                self._has_said_so = True
             self._waits = lock.await_it(WAIT_MAX_S - SILENT_S) is not False
             if not self._waits:
                 _LOG.warning("it has not ended (is it stopped?): this process compiles for itself what it needs")
