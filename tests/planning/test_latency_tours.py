@@ -25,12 +25,18 @@ def views() -> FloorViews:
     return FloorViews.of(terrain, np.array([3.0, 2.5]), 1.2, 5.0, np.zeros((0, 3)))
 
 
-def _team(views: FloorViews, *starts_m: tuple[float, float], common_min: int = 3, links=None):
+def _team(views: FloorViews, *starts_m: tuple[float, float], common_min: int = 3, sightings_min: int = 0, links=None):
     state = TeamState.begin(len(starts_m), views)
     for robot, start_m in enumerate(starts_m):
         state.stand(robot, np.array([*start_m, 0.0]), views)
     return state, LatencyTours(
-        views, np.ones(len(starts_m)), np.ones(len(starts_m)), np.zeros(len(starts_m), bool), common_min, links
+        views,
+        np.ones(len(starts_m)),
+        np.ones(len(starts_m)),
+        np.zeros(len(starts_m), bool),
+        common_min,
+        sightings_min,
+        links,
     )
 
 
@@ -98,6 +104,28 @@ def test_robots_without_a_common_map_meet(views):
     state.seen[:] = state.seen[0] | state.seen[1]
     _, together = _team(views, (3.0, 2.5), (21.0, 2.5))
     assert together.plan(state, 120.0, 300, np.random.default_rng(0)) >= meeting.value(state, 120.0) - 1.0
+
+
+def test_robots_see_each_other_without_a_wall_between_them(views):
+    first, near, behind = (views.place_at(np.array(at)) for at in ((2.0, 1.0), (4.5, 1.0), (7.5, 1.0)))
+    assert views.sights[first, near] and not views.sights[first, behind]
+    assert np.array_equal(views.sights, views.sights.T)
+    state, _ = _team(views, (2.0, 1.0), (7.5, 1.0), (4.5, 1.0))
+    assert state.sightings.tolist() == [[0, 0, 1], [0, 0, 0], [1, 0, 0]]
+    state.stand(0, np.array([2.01, 1.0, 0.0]), views)
+    assert state.sightings.sum() == 2  # it stands where it stood
+
+
+def test_without_signs_robots_that_never_see_each_other_share_no_map(views):
+    """As much common floor as may be merges nothing until the two have been in view of each other as often as asked."""
+    values = []
+    for seen_before, sightings_min in ((0, 0), (3, 3), (0, 3)):
+        state, tours = _team(views, (2.0, 1.0), (22.0, 1.0), sightings_min=sightings_min)
+        state.read[0] = np.bitwise_or.reduce(views.marks)
+        state.sightings[:] = seen_before
+        tours.tours[0, 0], tours.tours[1, 0] = (views.place_at(np.array(at)) for at in ((2.0, 4.5), (10.0, 2.7)))
+        values.append(tours.value(state, 60.0))
+    assert values[0] == values[1] > 1.05 * values[2]
 
 
 def test_with_a_mapper_each_maps_are_passed_on_in_range_only(views):

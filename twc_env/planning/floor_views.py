@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -81,6 +81,15 @@ class FloorViews:
     """(h, w) int32: the place to which each cell of the terrain belongs, -1 for none."""
     apart_m: float
     """Signs nearer to each other than this count as one."""
+    sights: Array = field(init=False)
+    """(places, places) bool: between which robots see each other, where there are no signs; else (0, 0)."""
+
+    def __post_init__(self) -> None:
+        places_m = self.graph.places_m if not len(self.signs) else np.empty((0, 2))
+        cells = [int(np.argmin(np.hypot(*(self.cells_m - place).T))) for place in places_m]
+        sights = np.array([self.is_seen(place)[cells] for place in range(len(places_m))], bool)
+        sights = sights.reshape(len(places_m), len(places_m))
+        object.__setattr__(self, "sights", sights | sights.T)
 
     @classmethod
     def of(

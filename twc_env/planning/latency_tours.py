@@ -3,10 +3,10 @@
 Minimising the sum of the times at which each part of the floor is first seen is the travelling repairman problem
 (Afrati et al., "The complexity of the travelling repairman problem", RAIRO 20, 1986), here with several robots, views
 that overlap, and views on the way. Floor counts for the team only in its largest common map: two groups share a map
-once they have read enough signs in common, or been at as many places where there are no signs. Tours are built
-greedily, by the gain of a view for its way (Gonzalez-Banos and Latombe 2002), from several first meetings; the best is
-improved by moving, reversing and exchanging parts (Or-opt and 2-opt: Or 1976; Croes 1958), each judged by playing the
-tours.
+once they have read enough signs in common; where there are no signs, once they have been at as many places and their
+robots have seen each other (`slam.merging.mutual_observations`). Tours are built greedily, by the gain of a view for
+its way (Gonzalez-Banos and Latombe 2002), from several first meetings; the best is improved by moving, reversing and
+exchanging parts (Or-opt and 2-opt: Or 1976; Croes 1958), each judged by playing the tours.
 """
 
 from __future__ import annotations
@@ -47,23 +47,31 @@ class TeamState:
     """(robots, words) uint64: the signs that each has read (`FloorViews.marks`)."""
     poses: Array
     """(robots, 3) of each."""
+    sightings: Array
+    """(robots, robots) int64: how often two saw each other when one of them had come to another place."""
 
     @classmethod
     def begin(cls, robots: int, views: FloorViews) -> TeamState:
         """Nobody has been anywhere."""
         seen, read = np.zeros((robots, views.words), np.uint64), np.zeros((robots, views.marks.shape[1]), np.uint64)
-        return cls(np.zeros(robots, np.int64), seen, np.eye(robots, dtype=bool), read, np.zeros((robots, 3)))
+        sightings = np.zeros((robots, robots), np.int64)
+        return cls(np.full(robots, -1), seen, np.eye(robots, dtype=bool), read, np.zeros((robots, 3)), sightings)
 
     def arrays(self) -> tuple[Array, ...]:
         """For kernels."""
-        return self.places, self.seen, self.is_merged, self.read, self.poses
+        return self.places, self.seen, self.is_merged, self.read, self.poses, self.sightings
 
     def stand(self, robot: int, pose: Array, views: FloorViews) -> None:
         """Note that a robot is at a pose (3,); where there are no signs, it counts as one."""
         place = views.place_at(pose[:2])
-        self.places[robot], self.poses[robot] = place, pose
         if not len(views.signs):
             self.read[robot] |= views.marks[place]
+            if place != self.places[robot]:
+                for other in np.flatnonzero(self.places >= 0):
+                    is_seen = other != robot and views.sights[place, self.places[other]]
+                    self.sightings[robot, other] += is_seen
+                    self.sightings[other, robot] += is_seen
+        self.places[robot], self.poses[robot] = place, pose
 
 
 @dataclass(slots=True, eq=False)
@@ -79,6 +87,8 @@ class LatencyTours:
     """... and whether it drives backwards rather than turning around, bool."""
     common_min: int
     """Robots merge their maps after reading so many signs in common."""
+    sightings_min: int = 0
+    """Where there are no signs, they have also to see each other so often."""
     links: Array | None = None
     """(places, places) bool: whether robots at two places hear each other; None: all maps are made by a central mapper
     that hears everyone."""
@@ -132,7 +142,8 @@ class LatencyTours:
         return (
             graph.lengths_m, graph.via, views.seen_words, views.seen_bits, views.marks, self.speeds_m_s,
             self.turn_rates_rad_s, self.reverses, graph.places_m,
-            links, self.links is not None, self.common_min, horizon_s,
+            links, self.links is not None, self.common_min,
+            views.sights, 0 if len(views.signs) else self.sightings_min, horizon_s,
         )  # fmt: skip
 
 
@@ -143,6 +154,17 @@ def _count_common(first, second):
     for w in range(first.shape[0]):
         common += bit_count(first[w] & second[w])
     return common
+
+
+@kernel
+def _count_sightings(sightings, is_merged, a, b):
+    """How often robots that share a map with robot a and those that share one with b have seen each other."""
+    count = 0
+    for c in range(sightings.shape[0]):
+        for d in range(sightings.shape[0]):
+            if is_merged[a, c] and is_merged[b, d]:
+                count += sightings[c, d]
+    return count
 
 
 @kernel
@@ -176,7 +198,7 @@ def _count_new(mask, place, seen_words, seen_bits):
 def _fill(tours, decay, state, fixed):
     """Extend the tours greedily until nothing is left to see or the time is over."""
     places, seen = state[0], state[1]
-    lengths, via, seen_words, seen_bits, _, speeds, _, _, _, _, _, _, horizon = fixed
+    lengths, via, seen_words, seen_bits, speeds, horizon = fixed[0], fixed[1], fixed[2], fixed[3], fixed[5], fixed[14]
     robots = tours.shape[0]
     mask = np.zeros(seen.shape[1], np.uint64)
     at, ends, counts = places.copy(), np.zeros(robots), np.zeros(robots, np.int64)
@@ -238,9 +260,10 @@ def _leg_s(x, y, goal, heading, length, speed, rate, reverses):
 def _value(tours, state, fixed):
     """Integral over time [s] of the cells in the largest common map, and a little of those in others only."""
     lengths, via, seen_words, seen_bits, marks, speeds, rates, reverses, places_m = fixed[:9]
-    links, is_peer, common_min, horizon = fixed[9:]
+    links, is_peer, common_min, sights, sightings_min, horizon = fixed[9:]
     at, seen, is_merged = state[0].copy(), state[1].copy(), state[2].copy()
     read, need = state[3].copy(), np.zeros((state[0].shape[0], state[0].shape[0]), np.int64)
+    sightings = state[5].copy()
     robots, words = seen.shape
     held = np.arange(robots)  # the mask of each robot: that of the first robot of its group with a central mapper
     area, passed_s = np.zeros(robots, np.int64), np.full((robots, robots), -1e9)
@@ -293,6 +316,11 @@ def _value(tours, state, fixed):
             return value
         now, at[r] = due[r], ahead[r]
         read[held[r]] |= marks[at[r]]
+        if sightings_min > 0:
+            for b in range(robots):
+                if b != r and sights[at[r], at[b]]:
+                    sightings[r, b] += 1
+                    sightings[b, r] += 1
         total += _look(together, at[r], seen_words, seen_bits)
         area[held[r]] += _look(seen[held[r]], at[r], seen_words, seen_bits)
         for b in range(robots):
@@ -302,6 +330,8 @@ def _value(tours, state, fixed):
                 continue
             if not is_merged[r, b]:
                 if _count_common(read[held[r]], read[held[b]]) < need[r, b]:
+                    continue
+                if sightings_min > 0 and _count_sightings(sightings, is_merged, r, b) < sightings_min:
                     continue
                 is_c, is_d = is_merged[r].copy(), is_merged[b].copy()
                 for c in range(robots):
