@@ -323,7 +323,7 @@ def _settings() -> str:
     from twc_env.config import EnvConfig
     from twc_env.config.manual import as_toml
 
-    text = "Every setting with its meaning and range, as `twc-env settings` prints it."
+    text = "Every setting with its meaning, default and range, as `twc-env settings` prints it."
     return f"# Settings\n\n{text}\n\n```toml\n{as_toml(EnvConfig(), [])}```\n"
 
 

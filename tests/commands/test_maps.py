@@ -182,6 +182,18 @@ def test_check_distinguishes_valid_from_invalid_maps(tmp_path, capsys):
     assert len(head) == len(sound)
 
 
+def test_starts_of_an_own_plan_that_are_not_used_are_remarked_upon(tmp_path, capsys):
+    write_floorplan(load_map("twin-01"), tmp_path / "mine.json")
+    told = f"{tmp_path / 'mine.json'}: robots start at random, not at its starts, unless --set episode.starts=map"
+    assert run("check", tmp_path / "mine.json", "twin-01") == 0
+    assert capsys.readouterr().err.count(told) == 1
+    episode = ["explore", "--steps", "1", "--no-pictures", "--out", str(tmp_path / "run")]
+    for more, is_told in (([], True), (["--set", "episode.starts=map"], False)):
+        assert explore([*episode, "--map", str(tmp_path / "mine.json"), *more]) == 0
+        assert (told in capsys.readouterr().err) == is_told
+    assert explore(episode) == 0 and "at its starts" not in capsys.readouterr().err
+
+
 def test_schema_prints_the_schema(capsys):
     assert run("schema") == 0
     assert json.loads(capsys.readouterr().out)["title"] == "twc_env/floorplan-1"

@@ -325,6 +325,25 @@ def test_other_settings_and_another_radio_go_before_those_of_the_world():
     assert config == from_dict({"world": "mall", "people": {"count": 3}, "radio": {"preset": "radio-indoor"}})
 
 
+@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize(("world", "dropout", "glass"), [("office", 0.02, 0.6), ("mall", 0.05, 0.3), ("ward", 0.05, 1)])
+def test_another_scanner_in_a_world_leaves_its_glass_and_its_lost_returns(world, dropout, glass, order):
+    settings = dict([("world", world), ("lidar.preset", "rplidar-a1")][::order])
+    config = override(EnvConfig(), settings)
+    place = {"dropout_probability": dropout, "glass_return_probability": glass}
+    assert config.lidar == dataclasses.replace(lidar_preset("rplidar-a1"), **place)
+    assert config == from_dict({"world": world, "lidar": {"preset": "rplidar-a1"}})
+    assert config == override(world_preset(world), {"lidar.preset": "rplidar-a1"}), "a file of that world"
+    assert override(config, {"world": "clean"}) == override(EnvConfig(), {"lidar.preset": "rplidar-a1"})
+
+
+def test_another_scanner_leaves_nothing_that_no_world_has_set():
+    config = override(EnvConfig(), {"lidar.dropout_probability": 0.3, "lidar.mirror_probability": 0.5})
+    assert override(config, {"lidar.preset": "lms-200"}).lidar == lidar_preset("lms-200")
+    ward = override(world_preset("ward"), {"lidar.glass_return_probability": 0.2})
+    assert override(ward, {"lidar.preset": "lms-200"}).lidar.glass_return_probability == 1.0
+
+
 @pytest.mark.parametrize("before", [name for name in WORLD_PRESETS if name != "clean"])
 @pytest.mark.parametrize("after", WORLD_PRESETS)
 def test_another_world_leaves_nothing_of_the_one_before(before, after):

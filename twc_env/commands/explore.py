@@ -5,7 +5,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from twc_env.commands.team_options import add_agent, add_team, folder_name, paragraphs, team_config
+from twc_env.commands.team_options import (
+    add_agent,
+    add_team,
+    folder_name,
+    paragraphs,
+    team_config,
+    tell_unused_starts,
+)
 from twc_env.config import EnvConfig, digest, override
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
 from twc_env.running.command_line import INTERRUPTED
@@ -62,6 +69,8 @@ def _explore(options: argparse.Namespace) -> int:
     from twc_env.agents.explore import explore, write_run
     from twc_env.agents.roster import display_name
     from twc_env.exploration.assessment.result_table import text_of
+    from twc_env.maps import load_map
+    from twc_env.world.building.splits import is_set
 
     config = override(team_config(options, options.map, options.steps), prior_setting(options))
     has_film = not (options.no_film or options.no_pictures)
@@ -69,6 +78,8 @@ def _explore(options: argparse.Namespace) -> int:
         picture.require_libraries(has_film)
     folder = options.out or _run_folder(config, options.agent, options.seed)
     check_folder(folder)
+    if config.episode.starts == "random" and not is_set(config.map):
+        tell_unused_starts(config.map, load_map(config.map))
     film = picture.Film() if has_film else None
     bar = Bar(config.max_cycles, "steps", f"on {folder_name(config.map)}, seed {options.seed}", every=20)
 

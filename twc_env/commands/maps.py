@@ -267,6 +267,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _check_maps(names: Sequence[str], seed: int, findings: dict[str, object]) -> list[str]:
+    from twc_env.commands.team_options import tell_unused_starts
     from twc_env.maps import load_map
     from twc_env.world.building.generate import check_reachable
 
@@ -280,6 +281,8 @@ def _check_maps(names: Sequence[str], seed: int, findings: dict[str, object]) ->
         show_count(done, len(names), " maps")
     if sound:
         print(_table(list(sound.values()), "sound  "))
+    for name, plan in sound.items():
+        tell_unused_starts(name, plan)
     _tell(faults)
     findings["floor_m2"] = {name: round(plan.floor_area_m2, 2) for name, plan in sound.items()}
     return faults

@@ -14,8 +14,9 @@ from twc_env.running.terminal import tell
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Fill the command's parser."""
     parser.description = (
-        "Print settings as commented TOML; values that differ from the default are marked. The output is "
-        "a config file: save it, edit it, and pass it to --config or twc_env.config.load."
+        "Print settings as TOML with comments: those that have their default are commented out, the others are "
+        "marked. The output is a config file: save it, take the # away from what you change, and pass it to --config "
+        "or twc_env.config.load."
     )
     parser.epilog = (
         "examples:\n  twc-env settings lidar slam.keyframe\n"

@@ -1,4 +1,4 @@
-"""Options and folder names that the commands of teams share."""
+"""Options, folder names and a remark that the commands of teams share."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from twc_env.config import ROBOT_PRESETS, TEAM_PRESETS, EnvConfig, override
 from twc_env.errors import ConfigError, DataError
@@ -20,6 +21,10 @@ from twc_env.running.options import (
     count,
     refuse_code,
 )
+from twc_env.running.terminal import tell
+
+if TYPE_CHECKING:
+    from twc_env.world.building.floorplan import Floorplan
 
 TEAMS = ("nearest-frontier", "cost-utility", "assignment", "voronoi", "random")
 
@@ -62,6 +67,14 @@ def _refuse_said_twice(chosen: Mapping[str, object], asked: Mapping[str, object]
         given += [f"--set {key}={asked[key]}" for key in keys if key in asked]
         if len(given) > 1 and not given[0].startswith("--set"):
             raise DataError(f"{' and '.join(given)} name the same setting; leave one of them out")
+
+
+def tell_unused_starts(map_name: str, plan: Floorplan) -> None:
+    """A remark on start poses of a user's own plan, which are not used unless a setting says so."""
+    from twc_env.maps import map_names
+
+    if len(plan.starts) and map_name not in map_names():
+        tell(f"{map_name}: robots start at random, not at its starts, unless --set episode.starts=map says so")
 
 
 def folder_name(map_name: str) -> str:

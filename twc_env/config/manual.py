@@ -1,4 +1,4 @@
-"""Settings as commented TOML: description, allowed values and value of each."""
+"""Settings as TOML with comments: description, allowed values and value of each."""
 
 from __future__ import annotations
 
@@ -14,16 +14,22 @@ from typing import Any
 
 from twc_env.config.checks import choices_of, sections_of
 from twc_env.config.environment import EnvConfig
+from twc_env.config.lidar_presets import LIDAR_PRESETS
+from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.robot_presets import ROBOT_PRESETS, TEAM_PRESETS
 from twc_env.config.values import world_of
 from twc_env.config.world_presets import WORLD_PLACES, WORLD_PRESETS
 from twc_env.errors import ConfigError, did_you_mean
 
 _WIDTH = 118
+_IN_SECTIONS: dict[str, dict[str, dict]] = {"lidar": LIDAR_PRESETS, "radio": RADIO_PRESETS}
+"""Sections with presets, of which the first is the default."""
+_HOW = '"#name = value" is a setting that has its default: take the # away to change it.'
 
 
 def as_toml(config: EnvConfig, sections: Sequence[str] = ()) -> str:
-    """The settings as TOML for `load`; values that differ from their default are marked.
+    """The settings as TOML for `load`: those that have their default are commented out, so that presets in the file
+    may set them; the others are marked.
 
     sections: dotted names of the sections to show, such as "slam.merging" (default: all), or of PRESETS, which are
     explained in comments. Raises ConfigError for an unknown section.
@@ -35,7 +41,8 @@ def as_toml(config: EnvConfig, sections: Sequence[str] = ()) -> str:
             hint = hint or f"; sections are {', '.join(names[1:])}, and presets of {', '.join(PRESETS)}"
             raise ConfigError(f"there is no section {name!r} among the settings{hint}")
     chosen = [name for name in names if not sections or any(f"{name}.".startswith(f"{part}.") for part in sections)]
-    texts = [] if sections else [_commented([*_worlds(config), "`twc-env settings world` tells what each sets."])]
+    texts = [_commented([_HOW])]
+    texts += [] if sections else [_commented([*_worlds(config), "`twc-env settings world` tells what each sets."])]
     texts += [_commented(PRESETS[name](config)) for name in sections if name in PRESETS]
     texts += [_text(name, _section(config, name), _section(EnvConfig(), name)) for name in chosen]
     return "\n\n".join(texts) + "\n"
@@ -50,8 +57,10 @@ def _commented(lines: Sequence[str]) -> str:
 def _worlds(config: EnvConfig, told: Callable[[str], list[str]] = lambda name: []) -> list[str]:
     """Lines on the worlds, each followed by what is `told` of it."""
     lines = [
-        'A world composes effects of reality: world = "NAME" in a file, --set world=NAME in a command. It is none of '
-        f"the settings but sets those that it names; most of those here are of {world_of(config)!r}."
+        'A world composes effects of reality: world = "NAME" as the first line of a file, --set world=NAME in a '
+        "command. It is none of the settings but sets those that it names and that are not set beside it. Its numbers "
+        "of people and of furniture are for about 800 m2.",
+        f"Most settings here are of {world_of(config)!r}.",
     ]
     for name, place in WORLD_PLACES.items():
         lines += [f"{name}: {place}", *told(name)]
@@ -90,14 +99,16 @@ def _text(name: str, values: Any, defaults: Any) -> str:
     summary = " ".join((type(values).__doc__ or "").split())
     lines = [f"# {line}" for line in textwrap.wrap(summary, _WIDTH)]
     lines += [f"[{name}]"] if name else []
+    if presets := _IN_SECTIONS.get(name):
+        lines.append(f"{f'#preset = {json.dumps(next(iter(presets)))}':<36}  # one of {', '.join(presets)}")
     docs = _field_docs(type(values))
     for field in dataclasses.fields(values):
         value, default = getattr(values, field.name), getattr(defaults, field.name)
         if dataclasses.is_dataclass(value):
             continue
         lines += [f"# {line}" for line in textwrap.wrap(docs.get(field.name, ""), _WIDTH)]
-        default_text = "" if value == default else f"; default {_plain(default)}"
-        lines.append(f"{field.name} = {_plain(value)}".ljust(36) + f"  # {_allowed(field, value)}{default_text}")
+        sign, default_text = ("#", "") if value == default else ("", f"; default {_plain(default)}")
+        lines.append(f"{sign}{field.name} = {_plain(value)}".ljust(36) + f"  # {_allowed(field, value)}{default_text}")
     return "\n".join(lines)
 
 

@@ -124,14 +124,19 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
         values = _with_robots(values, values)
     if cls is EnvConfig and "world" in values:
         values = dict(values)
-        preset = to_dict(world_preset(str(values.pop("world"))))
-        for section, _ in _PRESETS.values():
+        world = str(values.pop("world"))
+        preset = to_dict(world_preset(world))
+        _refuse_idle(f"world = {world!r}", preset, to_dict(EnvConfig()), values)
+        for section, presets in _PRESETS.values():
             if isinstance(values.get(section), dict) and "preset" in values[section]:
-                del preset[section]
+                preset[section] = _of_the_place(world, section, presets)
         values = _merged(preset, values)
     if cls in _PRESETS and "preset" in values:
         values = dict(values)
-        values = _merged(dataclasses.asdict(_preset(cls, values.pop("preset"))), values)
+        name = values.pop("preset")
+        preset = dataclasses.asdict(_preset(cls, name))
+        _refuse_idle(f"{where or _PRESETS[cls][0]}.preset = {name!r}", preset, dataclasses.asdict(cls()), values)
+        values = _merged(preset, values)
     for key, value in values.items():
         name = f"{where}.{key}" if where else str(key)
         if key not in types:
@@ -145,6 +150,25 @@ def from_dict(values: dict, cls: type = EnvConfig, where: str = ""):
         is_done = cls is EnvConfig and key == "robot"
         arguments[key] = value if is_done else _value(types[key], value, name)
     return cls(**arguments)
+
+
+def _refuse_idle(preset: str, whole: Mapping, usual: Mapping, given: Mapping) -> None:
+    """Raise ConfigError for a preset all of whose settings are given beside it, and not all as it has them."""
+    before, beside = dotted_keys(usual), dotted_keys(given)
+    own = {key: value for key, value in dotted_keys(whole).items() if value != before[key]}
+    if own and all(key in beside for key in own) and any(beside[key] != value for key, value in own.items()):
+        raise ConfigError(
+            f"{preset} changes nothing: each setting that it has ({', '.join(list(own)[:3])}, ...) is given beside it, "
+            "and goes before it; leave out those, or the preset"
+        )
+
+
+def _of_the_place(world: str, where: str, presets: Mapping[str, dict]) -> dict[str, object]:
+    """What a world sets in a section beside all that presets of the section speak of: no data sheet of a scanner knows
+    how much glass returns, or what gets lost in a building, so another scanner leaves it."""
+    spoken_of = {f"{where}.{name}" for name in {"preset"}.union(*presets.values())}
+    own = {key: value for key, value in WORLD_PRESETS[world].items() if key not in spoken_of}
+    return {key.removeprefix(f"{where}."): own[key] for key in own if key.startswith(f"{where}.")}
 
 
 def _with_robots(values: dict, given: Mapping[str, object]) -> dict:
@@ -225,8 +249,8 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
     Strings are converted to the type of the field, as for command lines. `world` (`world_preset`) is applied first: it
     changes the settings of its effects, and those of the world that the config has (`world_of`), only; `team`
     (`robots.team_of`) is short for `robot` and their number, and of a mixed team fewer `robots` are its first ones;
-    then `radio.preset` and `lidar.preset`, which leave nothing of what the world says about their section; then the
-    others.
+    then `radio.preset` and `lidar.preset`, which leave nothing of what the world says about their section but what no
+    preset speaks of (glass, and returns lost at random); then the others.
     Raises ConfigError for an unknown key or an invalid value.
     """
     if not isinstance(assignments, Mapping) or not all(isinstance(key, str) for key in assignments):
@@ -238,8 +262,11 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
         name = str(assignments.pop("world"))
         world_preset(name)  # refuses unknown names
         values = _left(values, _world_in(values))
-        replaced = tuple(f"{where}." for where, _ in _PRESETS.values() if f"{where}.preset" in assignments)
-        effects = {k: v for k, v in WORLD_PRESETS[name].items() if not (replaced and k.startswith(replaced))}
+        effects = dict(WORLD_PRESETS[name])
+        for where, presets in _PRESETS.values():
+            if f"{where}.preset" in assignments:
+                kept = {f"{where}.{key}": value for key, value in _of_the_place(name, where, presets).items()}
+                effects = {k: v for k, v in effects.items() if not k.startswith(f"{where}.")} | kept
         assignments = effects | assignments
     if "robot" in assignments and "team" in assignments:
         raise ConfigError("robot and team both say which robots there are: give one of them")
@@ -248,9 +275,11 @@ def override(config: EnvConfig, assignments: Mapping[str, object]) -> EnvConfig:
         assignments = {key: value for key, value in assignments.items() if key not in ("robot", "team")}
     elif values["robot"] and str(assignments.get("robots", "")).isdecimal():
         values["robot"] = values["robot"][: int(str(assignments["robots"]))]
-    for section, (where, _) in _PRESETS.items():
+    for section, (where, presets) in _PRESETS.items():
         if f"{where}.preset" in assignments:
-            values[where] = dataclasses.asdict(_preset(section, str(assignments.pop(f"{where}.preset"))))
+            place = _of_the_place(_world_in(values), where, presets)
+            kept = {key: value for key, value in place.items() if values[where][key] == value}
+            values[where] = dataclasses.asdict(_preset(section, str(assignments.pop(f"{where}.preset")))) | kept
     for dotted, value in assignments.items():
         node, parts = values, dotted.split(".")
         for depth, part in enumerate(parts):

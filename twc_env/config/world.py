@@ -32,7 +32,7 @@ class BuildingConfig(Checked):
     access_point_share: float = number(1.0, 0.0, 1.0)
     glass_share: float = number(0.0, 0.0, 1.0, is_later=True)
     """Share of the walls with floor on both sides that are glass, beside those that the map says are. They weaken
-    signals as before; `lidar.glass_return_probability` says how many beams they return."""
+    signals as before; `lidar.glass_return_probability`, which must be below 1, says how many beams they return."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +74,8 @@ class LidarConfig(Checked):
 
     Every setting from the field of view on is one error or limit of real scanners, off by default. `preset` in the
     lidar table of a config file, or `lidar.preset`, sets them as the data sheet of a scanner says: `ideal` (the
-    defaults), `lds-01`, `rplidar-a1`, `utm-30lx`, `lms-200`, `mid-360` (docs/world.md)."""
+    defaults), `lds-01`, `rplidar-a1`, `utm-30lx`, `lms-200`, `mid-360` (docs/world.md); glass and dropout of a `world`
+    stay."""
 
     beam_count: int = number(180, 8, 4096)
     """With fewer than 90 per circle, robots merge later."""
@@ -84,7 +85,8 @@ class LidarConfig(Checked):
     """Probability that a beam that hits something returns nothing. The engine knows this value and does not take gaps
     of a few beams for free floor."""
     glass_return_probability: float = number(1.0, 0.0, 1.0)
-    """Probability that a beam is returned by glass at normal incidence; 1 makes glass an ordinary wall."""
+    """Probability that a beam is returned by glass at normal incidence; 1 makes glass an ordinary wall. No generated or
+    bundled building has glass without `building.glass_share`."""
     glass_incidence_max_rad: float = number(0.6, 0.01, math.pi / 2)
     """Angle of incidence at which that probability has fallen to 0; beyond it beams always pass through glass."""
     field_of_view_rad: float = number(2 * math.pi, 0.1, 2 * math.pi, is_later=True)
@@ -362,8 +364,8 @@ class FailureConfig(Checked):
     device_offset_db: float = number(0.0, -40.0, 40.0)
     """Added to all RSSI readings of the last robot."""
     start_spread_s: float = number(0.0, 0.0, 3600.0, is_later=True)
-    """Robots are switched on one after the other, the last one this long after the first; before, they neither move,
-    sense nor communicate."""
+    """Robots are switched on one after the other, at equal intervals, the last one this long after the first; before,
+    they neither move, sense nor communicate."""
     frame_loss_probability: float = number(0.0, 0.0, 0.99, is_later=True)
     """Probability that a robot's frame never reaches its engine; the next one has the odometry since the last that
     did."""
@@ -372,7 +374,8 @@ class FailureConfig(Checked):
     clock_skew_std_ppm: float = number(0.0, 0.0, 1e5, is_later=True)
     """... and between their rates; 20 to 50 ppm are usual of crystals."""
     kidnap_step: int = number(0, 0, 10_000_000, is_later=True)
-    """Step before which the last robot is lifted and put down elsewhere, unseen by its odometry (0: never)."""
+    """Step before which the last robot, and no other, is lifted and put down elsewhere, unseen by its odometry (0:
+    never). Nobody notices it with scans on request or without laser (docs/people.md)."""
     kidnaps_per_min: float = number(0.0, 0.0, 60.0, is_later=True)
     """Rate at which the same happens to each robot, at random times."""
 

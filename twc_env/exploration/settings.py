@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
+from functools import lru_cache
 from os import PathLike
 from typing import Any
 
 from twc_env.config import EnvConfig, from_dict, override
+from twc_env.config.remarks import remarks_on
 from twc_env.errors import ConfigError
 from twc_env.tasks import TASKS, task_config
+
+_log = logging.getLogger(__name__)
 
 
 def resolve(
@@ -17,7 +22,8 @@ def resolve(
     """One config from an EnvConfig, or from overrides (nested or dotted) of a task or of the defaults; then shortcuts
     that are not None replace its values.
 
-    Raises ConfigError for invalid settings and for settings that exclude each other.
+    Raises ConfigError for invalid settings and for settings that exclude each other; logs, once per process, which do
+    nothing beside the others.
     """
     config = _base(settings, task)
     if config is None:
@@ -43,7 +49,14 @@ def resolve(
             f"action.kind = {resolved.action.kind!r} is planned on the map, and slam.mode = 'off' has none: "
             "take action.kind = 'velocity'"
         )
+    for remark in remarks_on(resolved):
+        _warn(remark)
     return resolved
+
+
+@lru_cache
+def _warn(remark: str) -> None:
+    _log.warning("%s", remark)
 
 
 def _base(config: EnvConfig | Mapping[str, Any] | None, task: str | None) -> EnvConfig | Mapping[str, Any] | None:

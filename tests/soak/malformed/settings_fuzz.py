@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -30,7 +31,7 @@ ROBOTS_MAX, BEAMS_MAX, SLOTS_MAX = 8, 720, 64
 def malformed_settings(count: int, seed: int = 0) -> Iterator[Attempt]:
     """Read `count` malformed files of settings; equal seeds give the same files."""
     random = random_stream(seed, "settings-fuzz")
-    toml = as_toml(EnvConfig()).encode()
+    toml = re.sub(r"^#(?=\w)", "", as_toml(EnvConfig()), flags=re.MULTILINE).encode()  # no setting commented out
     whole = json.dumps(to_dict(EnvConfig())).encode()
     short = (
         b'{"robots": 2, "robot": [{"preset": "handheld"}, "legged"], "lidar": {"preset": "lds-01"}, "world": "ward"}'

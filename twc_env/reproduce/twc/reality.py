@@ -2,8 +2,9 @@
 
 Three robots (`--robots`) start at random poses of generated offices and explore them with a scripted team (`--agent`)
 until it is finished or the steps are over. `clean` has none of the effects; every other row has one, `all` has them
-together, and the worlds are the presets of that name (`world = "office"`), in the same offices. In the rows with
-people, robots wait for whoever moves close to them.
+together, and the worlds are the presets of that name (`world = "office"`), in the same offices. These have no panes of
+glass but in `glass` and `all`, so what the worlds say of glass is without effect. In the rows with people, robots wait
+for whoever moves close to them.
 
 `fully_merged` is the share of the teams that share one map at the end, `merged_share` the mean share of robots in the
 largest map. `wrong_merges` is the number of pairs of robots (or of parts of the path of a carried robot) that shared a
