@@ -271,3 +271,33 @@ def test_a_copy_of_the_engine_continues_identically(copied):
     for robot in range(6):
         assert np.array_equal(twin.belief(robot).pose_map_robot, engine.belief(robot).pose_map_robot)
         assert twin.belief(robot).contact_steps == engine.belief(robot).contact_steps
+
+
+def test_an_engine_taken_out_of_an_episode_keeps_its_clock():
+    env = twc_env.parallel_env(map="twin-01", robots=3)
+    env.reset(seed=0)
+
+    def go_on(steps):
+        for step in range(steps):
+            env.step({f"robot_{k}": np.array([0.8, 0.4 if step % 40 > 25 else 0.0], np.float32) for k in range(3)})
+            yield env.frames, env.contacts
+
+    list(go_on(80))
+    taken = copy.deepcopy(env.engine)
+    for frames, contacts in go_on(80):
+        taken.update(list(frames), contacts)
+    own, other = env.engine.belief(0), taken.belief(0)
+    assert (other.contact_steps, other.step) == (own.contact_steps, own.step) == ({1: 160, 2: 160}, 160)
+    assert digest_of(taken) == digest_of(env.engine)
+
+
+def test_an_engine_goes_on_by_frames_of_single_robots_after_steps_of_a_caller(recorded):
+    config, frames, _ = recorded
+    engine = CooperativeSlam(config, 3)
+    for step in range(30):
+        engine.track(frames[step])
+        engine.absorb(step)
+    for step in range(30, 40):
+        for frame in frames[step]:
+            engine.update([frame])
+        assert engine.belief(0).contact_steps == {1: step, 2: step}

@@ -45,6 +45,11 @@ class Listening:
         """Contacts of the latest step: array and content."""
         self.last_step = 0
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether any step has been noted."""
+        return self._latest is not None
+
     def note(self, step: int, heard: Array) -> None:
         """Record the contacts of a step; heard (listeners, robots) bool, not modified afterwards."""
         is_same = heard is self._latest

@@ -93,7 +93,7 @@ class CooperativeSlam(CopiedWhole):
     _mapper_class: ClassVar[Callable[..., TeamMapper]] = TeamMapper
 
     def __init__(self, config: EnvConfig, robot_count: int, prior: LastingMap | None = None):
-        """prior: the map of an earlier session, which `slam.prior` names (`datasets.read_lasting_map`)."""
+        """prior: the map of an earlier session, which `slam.prior` names (`datasets.lasting_maps.read_lasting_map`)."""
         if not isinstance(config, EnvConfig):
             raise ConfigError(
                 f"config must be an EnvConfig; got {config!r}: twc_env.config.override makes one of a dict"
@@ -312,9 +312,12 @@ class CooperativeSlam(CopiedWhole):
         """`track` and `absorb` in one call.
 
         A step of the team ends when a robot gives its next frame, so each robot may number its frames independently.
+        After steps by `track` and `absorb`, as in an episode, it goes on from the last of them.
         """
         self.track(frames)
         given = self._clocks.given
+        if self._listening.has_begun:
+            given += max(0, self._listening.last_step + 1 - int(given.max()))
         given[self._front_ends.everyone if isinstance(frames, TeamFrames) else [frame.robot for frame in frames]] += 1
         self.absorb(max(self._listening.last_step, int(given.max()) - 1), contacts)
 
@@ -405,7 +408,9 @@ def _check_prior(config: EnvConfig, prior: LastingMap | None) -> None:
     if prior is not None and not isinstance(prior, LastingMap):
         raise ConfigError(f"prior must be a map as datasets.lasting_maps.read_lasting_map gives; got {prior!r:.100}")
     if prior is None:
-        raise ConfigError(f"slam.prior is {slam.prior!r}: give its content, prior=datasets.read_lasting_map(FILE)")
+        raise ConfigError(
+            f"slam.prior is {slam.prior!r}: give its content, prior=datasets.lasting_maps.read_lasting_map(FILE)"
+        )
     reasons = {
         "slam.oracle": slam.oracle != "none" and f"is {slam.oracle!r}: known starts are in another frame",
         "slam.radio_slam.online": slam.radio_slam.online and "is on: radio constraints know no earlier paths",

@@ -28,7 +28,7 @@ class RobotClocks:
         self.times_s = np.full(count, -np.inf)
         """(robots,) time of each robot's last frame, by its own clock."""
         self.given = np.zeros(count, np.int64)
-        """(robots,) number of frames of each robot, counted by the caller."""
+        """(robots,) number of frames of each robot, counted by `CooperativeSlam.update`."""
         self._skipped_s = np.zeros(count)
         """(robots,) time before its first frame and in removed gaps."""
         self.differ = False
