@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from abc import abstractmethod
 from collections.abc import Sequence
 from importlib import import_module
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from twc_env.config import EnvConfig
 from twc_env.errors import ConfigError, one_of
-from twc_env.records.class_file import class_in, is_in_file
+from twc_env.records.class_file import check_call, class_in, is_in_file
 from twc_env.records.messages import Belief
 
 from .roster import TEAMS
@@ -102,21 +101,13 @@ def _of_user(name: str, config: EnvConfig) -> Policy:
     """A policy of a class that FILE.py:CLASS names. Raises ConfigError if it cannot be called as a `Policy`."""
     remedy = "derive it from twc_env.agents.Policy, or add what lacks"
     own = class_in(name, ("reset", "act", "finished"), remedy)
-    _check_call(f"{name}, when it is made,", own, config)
+    how = "as twc_env.agents.Policy says"
+    check_call(f"{name}, when it is made,", how, own, config)
     policy: Policy = own(config)
-    _check_call(f"{name}.reset", policy.reset, 0, ())
-    _check_call(f"{name}.act", policy.act, {})
-    _check_call(f"{name}.finished", policy.finished, {})
+    check_call(f"{name}.reset", how, policy.reset, 0, ())
+    check_call(f"{name}.act", how, policy.act, {})
+    check_call(f"{name}.finished", how, policy.finished, {})
     return policy
-
-
-def _check_call(told: str, function: Any, *arguments: Any) -> None:
-    try:
-        inspect.signature(function).bind(*arguments)
-    except TypeError as error:
-        raise ConfigError(f"{told} cannot be called as twc_env.agents.Policy says: {error}") from error
-    except ValueError:  # it tells no signature
-        pass
 
 
 def is_finished(policy: Policy, beliefs: dict[str, Belief]) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import inspect
 import sys
 from collections.abc import Sequence
 from functools import cache
@@ -37,6 +38,17 @@ def class_in(name: str, needed: Sequence[str], remedy: str) -> Any:
     if missing := _missing(found, needed):
         raise ConfigError(f"{name} has no {' and no '.join(missing)}: {remedy}")
     return found
+
+
+def check_call(told: str, how: str, function: Any, *arguments: Any) -> None:
+    """Raise ConfigError, in the words `told` cannot be called `how`, if a function or class does not take arguments of
+    this number."""
+    try:
+        inspect.signature(function).bind(*arguments)
+    except TypeError as error:
+        raise ConfigError(f"{told} cannot be called {how}: {error}") from error
+    except ValueError:  # it tells no signature
+        pass
 
 
 def digest_of(name: str) -> str:

@@ -13,21 +13,51 @@ from twc_env.__main__ import main
 from twc_env.config import PlaceRecognitionConfig, from_dict, override, to_dict
 from twc_env.config.manual import as_toml
 from twc_env.records.class_file import digest_of
+from twc_env.records.messages import SignObservation
 from twc_env.slam.cues import restricted_config
 from twc_env.slam.mapping.closure_search import make_recogniser
 
 LIBRARY = Path(__file__).parents[3] / "docs/library.md"
 OWN = "places.py:SameRouter"
 SETTING = "slam.place_recognition.recogniser"
+UNFIT = """
+from places import SameRouter
+
+
+class Bare:
+    name = "bare"
+
+    def propose(self, *_): ...
+
+    def sparsify(self, *_): ...
+
+
+class Alone(SameRouter):
+    def propose(self, keyframe): ...
+
+
+class Keeps(SameRouter):
+    def sparsify(self): ...
+
+
+class Writes(SameRouter):
+    def propose(self, keyframe, skipped_robots=()):
+        keyframe.robot = 9
+        for array in (keyframe.ranges_m, keyframe.motion, keyframe.fingerprint.rssi_dbm, keyframe.signs[0].position_m):
+            assert not array.flags.writeable
+        keyframe.ranges_m[:] = 1.0
+"""
 
 
 @pytest.fixture
 def own(tmp_path, monkeypatch):
-    """A config, and overrides that select the recogniser of docs/library.md; its file also has an incomplete class."""
+    """A config, and overrides that select the recogniser of docs/library.md; its file also has an incomplete class,
+    and another one has classes that cannot be called."""
     monkeypatch.chdir(tmp_path)
     text = LIBRARY.read_text().partition("### Your own place recogniser")[2]
     code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0]
     (tmp_path / "places.py").write_text(f"{code}\n\nclass Half:\n    def propose(self, *_):\n        return []\n")
+    (tmp_path / "unfit.py").write_text(UNFIT)
     return EnvConfig(max_cycles=700), {SETTING: OWN, "slam.place_recognition.proximity_m": 0.0}
 
 
@@ -91,6 +121,12 @@ def test_the_settings_mention_custom_classes():
             "places.py:Half",
             r"has no name and no sparsify: a place recogniser has what .*\.Recogniser names \(sparsify was forget",
         ),
+        (
+            "unfit.py:Bare",
+            r"unfit.py:Bare, when it is made, cannot be called with \(slam\.place_rec.*, range_max_m\): too",
+        ),
+        ("unfit.py:Alone", r"Alone.propose cannot be called with \(keyframe, skipped_robots\): too many positional"),
+        ("unfit.py:Keeps", r"Keeps.sparsify cannot be called with \(is_held\): too many positional"),
         ("places", r"must be one of .*, fused or FILE\.py:CLASS; got 'places'"),
     ],
 )
@@ -128,3 +164,11 @@ def test_invalid_candidates_are_rejected_before_the_engine_uses_them(own, keyfra
     assert recogniser.propose(keyframe(0, 0)) == []
     with pytest.raises(DataError, match=remedy):
         recogniser.propose(keyframe(1, 3))
+
+
+def test_a_recogniser_cannot_write_into_the_map(own, keyframe):
+    recogniser = make_recogniser(PlaceRecognitionConfig(recogniser="unfit.py:Writes"), 8.0)
+    shown = keyframe(0, 0, signs=[SignObservation("A1", np.ones(2), 0.0)], macs=[1], rssi_dbm=[-40.0])
+    with pytest.raises(ValueError, match="read-only"):
+        recogniser.propose(shown)
+    assert shown.robot == 0 and shown.ranges_m.min() > 1.0 and shown.ranges_m.flags.writeable
