@@ -16,7 +16,7 @@ from twc_env.config import to_dict
 from twc_env.datasets.buildings.ros_map import write_ros_maps
 from twc_env.datasets.lasting_maps import save_map
 from twc_env.datasets.logs.frame_log import write_frame_log
-from twc_env.datasets.logs.g2o import write_g2o
+from twc_env.datasets.logs.g2o import write_g2o, write_vertices
 from twc_env.datasets.logs.tum import write_tum
 from twc_env.metrics import stuck_share
 from twc_env.pictures.video import film_name
@@ -37,9 +37,9 @@ STUCK_WINDOW_S, STUCK_RADIUS_M = 10.0, 0.3
 """As in `stuck_share` (docs/figures.md)."""
 IDLE_SHARE = 0.05
 _WRITTEN = (
-    "config.json", "frames.npz", "trace.npz", "pose_graph.g2o", "trajectories/robot_*_*.tum", "map.yaml", "map.pgm",
-    "map_[0-9]*.yaml", "map_[0-9]*.pgm", "map.png", "map.pdf", "map.svg", "*-seed*.gif", "episode.gif", "replay.html",
-    "replay.rrd", "figures.csv", "figures.tex", ".part-*",
+    "config.json", "frames.npz", "trace.npz", "pose_graph.g2o", "pose_graph.csv", "trajectories/robot_*_*.tum",
+    "map.yaml", "map.pgm", "map_[0-9]*.yaml", "map_[0-9]*.pgm", "map.png", "map.pdf", "map.svg", "*-seed*.gif",
+    "episode.gif", "replay.html", "replay.rrd", "figures.csv", "figures.tex", ".part-*",
 )  # fmt: skip
 """Files of a run folder besides the report."""
 
@@ -186,6 +186,7 @@ def _write_files(run: Run, folder: Path, pictures: tuple[str, float | None] | No
         write_frame_log(folder / "frames.npz", result.config, run.frames, run.contacts)
     run.trace.write(folder / "trace.npz")
     write_g2o(folder / "pose_graph.g2o", result.graph)
+    write_vertices(folder / "pose_graph.csv", result.graph)
     write_ros_maps(result.grids, folder)
     if pictures is not None:
         picture.draw_map(result, folder / f"map.{pictures[0]}", pictures[1])

@@ -1,5 +1,6 @@
 """The command `explore`: episode, run folder, and error messages."""
 
+import csv
 import json
 import subprocess
 import sys
@@ -42,7 +43,8 @@ def test_a_run_folder_contains_all_documented_files(run_folder):
     pytest.importorskip("matplotlib", reason="pictures need the viz extra")
     names = {str(path.relative_to(run_folder / "run")) for path in (run_folder / "run").rglob("*") if path.is_file()}
     assert names >= {
-        "report.json", "config.json", "map.png", "twin-01-seed4.gif", "pose_graph.g2o", "map.pgm", "map.yaml",
+        "report.json", "config.json", "map.png", "twin-01-seed4.gif", "map.pgm", "map.yaml", "pose_graph.g2o",
+        "pose_graph.csv",
         "trajectories/robot_0_true.tum", "trajectories/robot_1_estimated.tum", "trajectories/robot_1_odometry.tum",
     }  # fmt: skip
 
@@ -66,7 +68,12 @@ def test_trajectories_have_one_pose_per_step_and_the_graph_its_keyframes(run_fol
     times_s, poses = read_tum(run_folder / "run" / "trajectories" / "robot_1_true.tum")
     assert len(poses) == 61
     assert times_s[-1] == pytest.approx(6.0)
-    assert len(read_pose_graph(run_folder / "run" / "pose_graph.g2o").poses) >= 4
+    graph = read_pose_graph(run_folder / "run" / "pose_graph.g2o")
+    assert len(graph.poses) >= 4
+    rows = list(csv.DictReader((run_folder / "run" / "pose_graph.csv").read_text().splitlines()))
+    assert [int(row["vertex"]) for row in rows] == graph.vertex_ids.tolist()
+    assert {row["robot"] for row in rows} == {"0", "1"} and rows[0]["keyframe"] == "0"
+    assert all(float(row["time_s"]) == pytest.approx(int(row["step"]) / 10) for row in rows)
 
 
 def test_the_picture_is_not_blank(run_folder):
@@ -173,7 +180,8 @@ def test_a_run_deletes_the_files_of_an_earlier_run(tmp_path, was_killed):
     assert main([*arguments, "--steps", "5", "--robots", "1", "--no-pictures"]) == 0
     left = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
     assert left == {
-        "config.json", "frames.npz", "trace.npz", "pose_graph.g2o", "map.yaml", "map.pgm", "report.json", "notes.txt",
+        "config.json", "frames.npz", "trace.npz", "pose_graph.g2o", "pose_graph.csv", "map.yaml", "map.pgm",
+        "report.json", "notes.txt",
         *(f"trajectories/{name}.tum" for name in ("robot_0_true", "robot_0_estimated", "robot_0_odometry", "mine")),
     }  # fmt: skip
 

@@ -242,7 +242,7 @@ def test_a_robot_that_was_never_received_has_neither_map_nor_path(tmp_path):
     paths = {f"robot_0_{kind}.tum" for kind in ("estimated", "odometry")}
     written = {path.name for path in (tmp_path / "maps").rglob("*.*")}
     pictures = {"map.png", "replay.html"}
-    assert written == {"map.pgm", "map.yaml", "pose_graph.g2o", "table.csv"} | pictures | paths
+    assert written == {"map.pgm", "map.yaml", "pose_graph.g2o", "pose_graph.csv", "table.csv"} | pictures | paths
 
 
 def test_truth_of_another_run_is_rejected(tmp_path, capsys):

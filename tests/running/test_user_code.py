@@ -38,6 +38,13 @@ def test_the_line_of_the_user_comes_first(mine, command, capsys):
     assert lines[-1] == "--verbose shows the whole traceback" and not any("Traceback" in line for line in lines)
 
 
+def test_a_comprehension_is_told_once(mine, capsys):
+    mine.write_text(MINE.replace("return 1 / 0", "return [[k / 0 for k in range(2)] for _ in range(2)]"))
+    assert main(EXPLORE) == 1
+    lines = [line for line in capsys.readouterr().err.splitlines() if str(mine) in line]
+    assert lines == [f"error in your code: {mine}, line 9, in helper", f"called from {mine}, line 6, in act"]
+
+
 def test_verbose_shows_the_whole_traceback_above(mine, capsys):
     assert main([*EXPLORE, "--verbose"]) == 1
     text = capsys.readouterr().err

@@ -242,6 +242,9 @@ def test_the_pose_graph_has_one_chain_per_robot_and_every_accepted_closure(engin
     counts = [len(team.keyframes[r]) for r in range(3)]
     kinds = graph["edges_kind"]
     assert len(graph["nodes"]) == sum(counts)
+    assert np.array_equal(graph["node_robots"], graph["node_ids"]), "nobody was carried"
+    for (robot, index), step, time_s in zip(graph["node_ids"], graph["node_steps"], graph["node_times_s"], strict=True):
+        assert (step, time_s) == (team.keyframes[robot][index].step, team.keyframes[robot][index].time_s)
     assert kinds.count("odometry") == sum(count - 1 for count in counts)
     assert kinds.count("closure") == sum(c.status == "accepted" for c in team.closures)
     for kind, (a, b) in zip(kinds, graph["edges_ij"], strict=True):

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from twc_env.datasets.buildings.ros_map import write_ros_maps
-from twc_env.datasets.logs.g2o import write_g2o
+from twc_env.datasets.logs.g2o import write_g2o, write_vertices
 from twc_env.datasets.logs.tum import write_tum
 from twc_env.datasets.ros.bag_writer import RobotEstimate, write_estimates
 from twc_env.errors import DataError
@@ -25,7 +25,9 @@ def write_maps(folder: Path, team: TeamMapper) -> None:
     if (folder / "pose_graph.g2o").is_file():
         _delete([*folder.glob("map_[0-9]*.pgm"), *folder.glob("map_[0-9]*.yaml")])
     write_ros_maps(map(team.grid_of, groups_by_size(team)), folder)
-    write_g2o(folder / "pose_graph.g2o", team.graph())
+    graph = team.graph()
+    write_g2o(folder / "pose_graph.g2o", graph)
+    write_vertices(folder / "pose_graph.csv", graph)
 
 
 def write_paths(folder: Path, replay: Replay) -> None:

@@ -24,8 +24,14 @@ def told_of_user_code(error: BaseException) -> str | None:
     ]
     if not frames:
         return None
+    frames = [frame for frame, outer in zip(frames, [None, *frames], strict=False) if not _is_on_line_of(outer, frame)]
     lines = []
     for k, (file, line, where, source) in enumerate(reversed(frames)):
         lines.append(f"{'called from' if k else 'error in your code:'} {file}, line {line}, in {where}\n    {source}\n")
     kind = "".join(traceback.format_exception_only(error)).strip()
     return f"{lines[0]}{kind}\n{''.join(lines[1:])}"
+
+
+def _is_on_line_of(outer: tuple[str, ...] | None, frame: tuple[str, ...]) -> bool:
+    """Whether a frame is a comprehension or a lambda in the line from which it is called."""
+    return outer is not None and frame[:2] == outer[:2] and frame[2].startswith("<")

@@ -178,7 +178,8 @@ class CooperativeSlam(CopiedWhole):
         return self.mappers[0]
 
     def mapper_of(self, robot: int) -> TeamMapper:
-        """The mapper whose map this robot uses."""
+        """The mapper whose map this robot uses. Raises TwcError for an unknown robot."""
+        self._check_robot(robot)
         return self.mappers[0 if self._is_central else robot]
 
     def views(self) -> list[View]:

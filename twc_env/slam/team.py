@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig
-from twc_env.errors import DataError
+from twc_env.errors import DataError, TwcError
 from twc_env.records.geometry import between
 from twc_env.records.lasting_map import LastingMap
 from twc_env.records.messages import (
@@ -252,7 +252,7 @@ class TeamMapper:
 
     def poses_of(self, robot: int) -> Array:
         """(keyframes, 3) poses of one robot in its group's map frame, including removed keyframes; of a carried robot,
-        each in the map of the group that has that segment."""
+        each in the map of the group that has that segment. Raises TwcError for an unknown robot."""
         return np.concatenate([self._graph.poses_of(segment) for segment in self.segments.of(robot)])
 
     def segment_path(self, segment: int) -> tuple[Array, Array]:
@@ -316,7 +316,9 @@ class TeamMapper:
             rows[robots] = of_segments[latest]
 
     def grid_of(self, group: int) -> GridMap:
-        """The current merged map of a group."""
+        """The current merged map of a group. Raises TwcError for an unknown group."""
+        if not (isinstance(group, (int, np.integer)) and 0 <= group < len(self.groups)):
+            raise TwcError(f"groups are 0 to {len(self.groups) - 1}; got {group!r}")
         return self.groups[group].grid.snapshot()
 
     def signs_of(self, group: int) -> KnownSigns:
@@ -354,8 +356,13 @@ class TeamMapper:
         return RadioTrail(self.segments.robots_in(segments), self._graph.poses[np.concatenate(nodes), :2], fingerprints)
 
     def graph(self) -> dict[str, Array | list[str]]:
-        """The pose graph as arrays: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
-        return self._graph.as_arrays()
+        """The pose graph as arrays: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind.
+
+        And of each keyframe node_robots (k, 2), its robot (-1: a map of an earlier session) and the index among that
+        one's keyframes; node_steps (k,) and node_times_s (k,), by the robot's own frames.
+        """
+        graph = self._graph.as_arrays()
+        return graph | {"node_robots": self.segments.of_robots(np.asarray(graph["node_ids"]))}
 
     # --- closures ---
 

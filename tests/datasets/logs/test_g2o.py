@@ -7,7 +7,7 @@ import pytest
 
 from tests.real_data import DATA, needs_data
 from twc_env.config import PoseGraphConfig
-from twc_env.datasets.logs.g2o import write_g2o
+from twc_env.datasets.logs.g2o import write_g2o, write_vertices
 from twc_env.datasets.logs.pose_graph_file import read_pose_graph
 from twc_env.errors import DataError
 from twc_env.slam.pose_graph import robust_back_end as robust_backend
@@ -44,7 +44,32 @@ def test_the_graph_of_a_team_is_numbered_robot_by_robot(tmp_path):
     assert np.allclose(read.poses, graph["nodes"][[0, 2, 1, 3]], atol=1e-6)
     assert [tuple(edge) for edge in read.edges.tolist()][:3] == [(0, 1), (2, 3), (0, 2)]
     assert read.is_odometry.tolist() == [True, True, False, False]
-    assert "FIX 3" in (tmp_path / "a.g2o").read_text().splitlines()
+    assert "FIX 1000" in (tmp_path / "a.g2o").read_text().splitlines()
+
+
+@pytest.mark.parametrize(("counts", "first"), [((5, 5), 1000), ((900, 3), 1000), ((901, 3), 2000), ((3, 1901), 3000)])
+def test_a_closure_from_the_end_of_a_path_to_the_start_of_the_next_is_no_odometry(tmp_path, counts, first):
+    """The second robot begins where the first ends."""
+    ids = np.array([(robot, k) for robot in range(2) for k in range(counts[robot])])
+    nodes = np.column_stack([ids.sum(axis=1) + (counts[0] - 2) * ids[:, 0], ids[:, 0] / 2, np.zeros(len(ids))])
+    ij = np.array([(k, k + 1) for k in range(len(ids) - 1)])
+    graph = {"nodes": nodes, "node_ids": ids, "edges_ij": ij, "edges_z": np.diff(nodes, axis=0)}
+    information = np.tile(np.diag([100.0, 100.0, 400.0]), (len(ij), 1, 1))
+    write_g2o(tmp_path / "a.g2o", graph | {"edges_information": information})
+    read = read_pose_graph(tmp_path / "a.g2o")
+    assert read.vertex_ids[counts[0]] == first
+    assert np.flatnonzero(~read.is_odometry).tolist() == [counts[0] - 1]
+
+
+def test_a_table_tells_whose_keyframe_each_vertex_is(tmp_path):
+    """Robot 1 was carried: its second part has a number of its own in the graph."""
+    graph = {"node_ids": np.array([[1, 0], [0, 0], [2, 0], [3, 0], [1, 3]]), "node_steps": np.array([4, 5, 0, 60, 21])}
+    graph["node_robots"] = np.array([[1, 0], [0, 0], [-1, 0], [1, 4], [1, 3]])
+    write_vertices(tmp_path / "a.csv", graph | {"node_times_s": np.array([0.4, 0.5, 0.0, 6.0, 2.1])})
+    assert (tmp_path / "a.csv").read_text().splitlines() == [
+        "vertex,robot,keyframe,step,time_s", "0,0,0,5,0.5", "1000,1,0,4,0.4", "1001,1,3,21,2.1", "2000,prior,0,,",
+        "3000,1,4,60,6",
+    ]  # fmt: skip
 
 
 def test_a_graph_in_map_coordinates_keeps_its_micrometres(tmp_path):

@@ -124,10 +124,14 @@ def test_frames_of_other_number_types_are_accepted_at_any_time(kind):
 
 
 @pytest.mark.parametrize("robot", [2, -1])
-def test_a_belief_of_a_robot_outside_the_team_is_rejected(robot):
+def test_a_robot_outside_the_team_is_rejected(robot):
     engine = CooperativeSlam(CONFIG, 2)
-    with pytest.raises(TwcError, match="robots are 0 to 1"):
-        engine.belief(robot)
+    team = engine.team
+    for asked in (engine.belief, engine.pose_map_robot, engine.mapper_of, team.poses_of, team.keyframe_steps):
+        with pytest.raises(TwcError, match=f"robots are 0 to 1; got {robot}"):
+            asked(robot)
+    with pytest.raises(TwcError, match=f"groups are 0 to 1; got {robot}"):
+        team.grid_of(robot)
 
 
 def test_an_engine_needs_a_config():

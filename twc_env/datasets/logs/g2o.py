@@ -1,8 +1,10 @@
-"""Writes pose graphs in the g2o format (VERTEX_SE2, EDGE_SE2), as g2o, gtsam and Ceres tools read them."""
+"""Writes pose graphs in the g2o format (VERTEX_SE2, EDGE_SE2), as g2o, gtsam and Ceres tools read them, and a table of
+whose keyframe each vertex is."""
 
 from __future__ import annotations
 
 import gzip
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,19 +17,23 @@ from twc_env.errors import DataError
 from twc_env.records.whole_file import whole_file
 
 _UPPER = np.triu_indices(3)
+ROBOT_STEP, ROBOT_GAP = 1000, 100
+"""Each robot's vertices begin at another multiple of the first, so large that at least the second lies between two."""
+PRIOR = "prior"
+"""Robot of the vertices of a map of an earlier session, in the table."""
 
 
 def write_g2o(path: str | Path, graph: Mapping[str, Any]) -> None:
     """Write a graph: nodes (k, 3), edges_ij (e, 2), edges_z (e, 3), edges_information (e, 3, 3); packed for .gz.
 
-    Vertices are numbered as in `nodes`, or, with `node_ids` (k, 2: robot, keyframe), robot by robot, with a number left
-    out between them, so that neighbouring ones are odometry; the one with the index `fixed` in `nodes` (default: the
-    first) is fixed. Raises DataError for inconsistent shapes, non-finite values and edges from a node to itself.
+    Vertices are numbered as in `nodes`, or, with `node_ids` (k, 2: robot, keyframe), by `vertex_numbers`; the one with
+    the index `fixed` in `nodes` (default: the first) is fixed. Raises DataError for inconsistent shapes, non-finite
+    values and edges from a node to itself.
     """
     nodes, ij, z, information = _checked(graph)
     ids = np.asarray(graph.get("node_ids", np.column_stack([np.zeros(len(nodes)), np.arange(len(nodes))])))
     order = np.lexsort((ids[:, 1], ids[:, 0]))
-    number = np.argsort(order) + np.unique(ids[:, 0], return_inverse=True)[1]
+    number = vertex_numbers(ids)
     lines = [f"VERTEX_SE2 {i} {_pose(pose)}" for i, pose in zip(number[order], nodes[order], strict=True)]
     lines += [f"FIX {number[int(graph.get('fixed', 0))]}"] if len(nodes) else []
     for (i, j), measured, matrix in zip(number[ij], z, information, strict=True):
@@ -35,6 +41,32 @@ def write_g2o(path: str | Path, graph: Mapping[str, Any]) -> None:
     text = "\n".join(lines) + "\n"
     with whole_file(path) as beside:
         beside.write_bytes(gzip.compress(text.encode()) if str(path).endswith(".gz") else text.encode())
+
+
+def vertex_numbers(ids: Array) -> Array:
+    """(k,) numbers of the vertices of keyframes (k, 2: robot, keyframe): from 0, and of each further robot from the
+    next multiple of 1000 (of 2000 and so on where one has more than 900).
+
+    The jump tells readers that a closure from the last keyframe of a robot to the first of the next is no odometry.
+    """
+    _, rank, counts = np.unique(ids[:, 0], return_inverse=True, return_counts=True)
+    first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    place = np.argsort(np.lexsort((ids[:, 1], ids[:, 0]))) - first[rank]
+    step = ROBOT_STEP * math.ceil((counts.max(initial=0) + ROBOT_GAP) / ROBOT_STEP)
+    numbers: Array = rank * step + place
+    return numbers
+
+
+def write_vertices(path: str | Path, graph: Mapping[str, Any]) -> None:
+    """Write a table of the vertices that `write_g2o` writes of `TeamMapper.graph()`: vertex, robot (`PRIOR`: a map of
+    an earlier session), keyframe among the robot's own, and its step and time_s by the robot's frames."""
+    columns = vertex_numbers(graph["node_ids"]), graph["node_robots"], graph["node_steps"], graph["node_times_s"]
+    lines = ["vertex,robot,keyframe,step,time_s"]
+    for vertex, (robot, keyframe), step, time_s in sorted(zip(*(part.tolist() for part in columns), strict=True)):
+        origin = f"{robot},{keyframe},{step},{time_s:.9g}" if robot >= 0 else f"{PRIOR},{keyframe},,"
+        lines.append(f"{vertex},{origin}")
+    with whole_file(path) as beside:
+        beside.write_text("\n".join(lines) + "\n")
 
 
 def _checked(graph: Mapping[str, Any]) -> tuple[Array, Array, Array, Array]:

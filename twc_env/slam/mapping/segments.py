@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.errors import TwcError
 from twc_env.records.messages import Keyframe
 
 NO_ROBOT = -1
@@ -55,8 +56,16 @@ class Segments:
         return replace(keyframe, robot=segment, index=keyframe.index - self._first_index[segment])
 
     def of(self, robot: int) -> list[int]:
-        """The segments of a robot, in order."""
-        return [segment for segment, owner in enumerate(self.owners) if owner == robot]
+        """The segments of a robot, in order. Raises TwcError for an unknown robot."""
+        found = [segment for segment, owner in enumerate(self.owners) if owner == robot]
+        if not found:
+            raise TwcError(f"robots are 0 to {len(self.current) - 1}; got {robot!r}")
+        return found
+
+    def of_robots(self, ids: Array) -> Array:
+        """(k, 2) robots and indices among their keyframes of keyframes (k, 2: segment, index in it); `NO_ROBOT` and the
+        index in the map of those of a prior map."""
+        return np.stack([np.array(self.owners)[ids[:, 0]], np.array(self._first_index)[ids[:, 0]] + ids[:, 1]], axis=1)
 
     def robots_in(self, segments: tuple[int, ...]) -> tuple[int, ...]:
         """The robots whose latest segment is among these."""

@@ -373,15 +373,19 @@ class TeamGraph(GraphArrays):
         return self._readings.known(self.poses, robots)
 
     def as_arrays(self) -> dict[str, Array | list[str]]:
-        """The graph of used edges: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
-        ids = np.zeros((self.node_count, 2), np.int64)
-        for robot in range(len(self.keyframes)):
-            indices = self._indices_of(robot)
-            ids[self.path_of(robot)] = np.stack([np.full(len(indices), robot), indices], axis=1)
+        """The graph of used edges: nodes, node_ids, node_steps, node_times_s, edges_ij, edges_z, edges_information,
+        edges_kind."""
+        ids, times_s = np.zeros((self.node_count, 2), np.int64), np.zeros(self.node_count)
+        for robot, path in enumerate(self.keyframes):
+            indices, nodes = self._indices_of(robot), self.path_of(robot)
+            ids[nodes] = np.stack([np.full(len(indices), robot), indices], axis=1)
+            times_s[nodes] = [keyframe.time_s for keyframe in path]
         used = self.is_used
         return {
             "nodes": self.poses,
             "node_ids": ids,
+            "node_steps": self.step_of_node,
+            "node_times_s": times_s,
             "edges_ij": self.ends[used],
             "edges_z": self.measured[used],
             "edges_information": self.information[used],
