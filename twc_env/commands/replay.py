@@ -48,9 +48,10 @@ def add_arguments(replay: argparse.ArgumentParser) -> None:
         "Several logs are a team; their maps are merged where scans fit. `sample` is a log of the package. The engine "
         "uses nothing but the logs.\n\n"
         "With --out, the folder gets map.pgm + .yaml (ROS map_server; map_2 ... of robots whose maps are not merged), "
-        "pose_graph.g2o, trajectories/*.tum (for evo), table.csv, map.png and the page replay.html. Of a run "
-        "folder, --html and --rerun run nothing: they convert its trace.npz and report.json to a web page with a time "
-        "slider, replay.html, or to a recording for the Rerun viewer, replay.rrd, in that folder or in --out."
+        "pose_graph.g2o, pose_graph.csv (whose keyframe each vertex is), trajectories/*.tum (for evo), table.csv, "
+        "map.png and the page replay.html. Of a run folder, --html and --rerun run nothing: they convert its trace.npz "
+        "and report.json to a web page with a time slider, replay.html, or to a recording for the Rerun "
+        "viewer, replay.rrd, in that folder or in --out."
     )
     replay.epilog = (
         "examples:\n  twc-env replay sample --out runs/sample\n"

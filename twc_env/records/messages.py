@@ -308,8 +308,9 @@ class Belief:
     pose_odom: Array = field(default_factory=lambda: np.zeros(3))
     """(3,) pose according to its front end, in the frame in which it started: continuous, never corrected."""
     pose_std: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) standard deviation of the drift since the robot's last closure [m, m, rad]; `reproduce stress` compares it
-    with the actual error."""
+    """(3,) standard deviation of the drift since the robot's last closure [m, m, rad], so exactly 0 just after one: not
+    the marginal covariance of the pose, as errors of the map are no part of it. `reproduce stress` compares it with the
+    actual error."""
     since_closure_m: float = 0.0
     """Path length since that closure, or since the start."""
     contact_steps: dict[int, int] = field(default_factory=dict)

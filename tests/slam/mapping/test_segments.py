@@ -29,6 +29,14 @@ def test_keyframes_of_a_new_segment_are_numbered_from_zero_under_a_new_number():
     assert segments.owners == [0, 1, 2, 1] and segments.of(1) == [1, 3] and not segments.is_whole
 
 
+def test_keyframes_of_segments_are_told_by_their_robots():
+    segments = Segments(2)
+    segments.add_prior()
+    segments.begin(keyframe(1, 7))
+    ids = np.array([[0, 3], [1, 6], [2, 5], [3, 0], [3, 2]])
+    assert segments.of_robots(ids).tolist() == [[0, 3], [1, 6], [-1, 5], [1, 7], [1, 9]]
+
+
 def test_a_carried_robot_is_where_its_latest_segment_is():
     segments = Segments(2)
     segments.begin(keyframe(0, 4))

@@ -66,7 +66,7 @@ class EpisodeResult:
     """Verified closures of the largest group's mapper: kind, status, reason, correct, target, source, and the estimated
     positions target_m, source_m (building frame)."""
     graph: dict
-    """The pose graph: nodes, node_ids, edges_ij, edges_z, edges_information, edges_kind."""
+    """The pose graph, as `TeamMapper.graph` gives it: nodes, node_ids, edges_ij, edges_z and so on."""
 
     def __repr__(self) -> str:
         return result_table.text_of(self.figures)
