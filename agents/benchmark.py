@@ -16,7 +16,7 @@ import twc_env
 from twc_env import EnvConfig
 from twc_env.config import digest
 from twc_env.errors import UNFIT
-from twc_env.pictures.curves import draw_coverage, sampled
+from twc_env.pictures.curves import MAPPED, draw_coverage, sampled
 from twc_env.pictures.replay_page import read_trace
 from twc_env.processes.worker_processes import in_processes
 from twc_env.records.json_values import write_json
@@ -197,7 +197,7 @@ def write_tables(
         title = f"{agent}, largest group of robots"
         drawn = {name: values for name, (values, _) in curves.items()}
         path = folder / f"coverage.{pictures[0]}"
-        paths.append(draw_coverage(drawn, max(times), path, title, pictures[1]))
+        paths.append(draw_coverage(drawn, max(times), path, title, pictures[1], MAPPED))
     return paths
 
 

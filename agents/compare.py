@@ -26,7 +26,7 @@ from .policy import begin, is_finished, is_model, make_policy
 from .roster import display_name
 
 GOAL = 0.9
-"""Share of the floor to be mapped correctly."""
+"""Share of the floor to be in a correctly merged map."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,10 @@ class Outcome:
     """Simulated time until `GOAL` was reached; the episode's duration if it never was."""
     is_reached: bool
     coverage: float
-    """Floor mapped correctly at the end by the largest group."""
+    """`coverage_correct` of the report: floor mapped correctly at the end by the largest group, merged rightly or
+    not."""
+    coverage_end: float
+    """Floor in a correctly merged map, the best one, when the rewards were last evaluated."""
     coverage_mean: float
     """The same, averaged over the maximum duration of an episode."""
     path_m: float
@@ -48,21 +51,28 @@ class Outcome:
     stuck_share: float = 0.0
     """Share of the time in which a robot that was told to move stayed within 0.3 m for 10 s; maximum over robots."""
     curve: tuple[float | None, ...] = ()
-    """Floor mapped correctly by the best correctly merged group: `SAMPLES` values over the longest time; None before
-    it was first evaluated."""
+    """`coverage_end` over time: `SAMPLES` values over the longest time; None before it was first evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """One agent over all buildings, compared with the first agent."""
+    """One agent over all buildings and seeds, compared with the first agent."""
 
     agent: str
     outcomes: tuple[Outcome, ...]
     sooner_s: tuple[float, float, float]
     """Time by which it reaches `GOAL` sooner than the first agent: mean and 95 % confidence interval. One
-    building has no interval (NaN); all are NaN where neither ever reaches it."""
+    episode has no interval (NaN); all are NaN where neither ever reaches it."""
     more: tuple[float, float, float]
     """Gain in coverage over time (`coverage_mean`), likewise."""
+
+
+def places(maps: Sequence[str], seeds: Sequence[int] | None = None) -> list[tuple[str, int]]:
+    """Building and seed of each episode: every seed in every building; without seeds one each, its place in the
+    list."""
+    if seeds is None:
+        return [(name, seed) for seed, name in enumerate(maps)]
+    return [(name, seed) for name in maps for seed in seeds]
 
 
 def compare(
@@ -72,11 +82,12 @@ def compare(
     folder: Path,
     processes: int = 1,
     tell: Callable[[str], None] = lambda text: None,
+    seeds: Sequence[int] | None = None,
 ) -> list[Standing]:
-    """Run every agent on every map, with the index of the map as seed; finished episodes are read from the folder."""
+    """Run every agent in all `places`; finished episodes are read from the folder."""
     for agent in agents:
         make_policy(agent, config)  # an unknown name fails before the first episode
-    parts = [(name, agent, seed) for seed, name in enumerate(maps) for agent in agents]
+    parts = [(name, agent, seed) for name, seed in places(maps, seeds) for agent in agents]
     found: dict[tuple[str, str, int], Outcome] = {}
     packages = ("twc_env.agents", "twc_env.training") if any(map(is_model, agents)) else ("twc_env.agents",)
     finished = FinishedParts(folder, "compare", to_dict(config), packages)
@@ -86,7 +97,7 @@ def compare(
     for k, outcome in in_processes(run, parts, processes):
         found[parts[k]] = outcome
         tell(_line(len(found), len(parts), parts[k], outcome))
-    outcomes = {agent: tuple(found[name, agent, seed] for seed, name in enumerate(maps)) for agent in agents}
+    outcomes = {agent: tuple(found[name, agent, seed] for name, seed in places(maps, seeds)) for agent in agents}
     return [_standing(agent, outcomes[agent], outcomes[agents[0]]) for agent in agents]
 
 
@@ -114,7 +125,7 @@ def explore(config: EnvConfig, agent: str, seed: int) -> Outcome:
     steps = int(reached[0]) + 1 if len(reached) else config.max_cycles
     return Outcome(
         steps * config.dynamics.time_step_s, bool(len(reached)), float(figures["coverage_correct"]),
-        float(curve.mean()), float(figures["path_length_m"]), float(figures["team_ate_m"]),
+        covered[-1], float(curve.mean()), float(figures["path_length_m"]), float(figures["team_ate_m"]),
         int(figures["merged_robots"]), int(figures["wrong_merges"]),
         commanded_stuck_share(result, commands),
         tuple(sampled(np.arange(first, len(covered)), np.array(covered[first:]), config.max_cycles)),
@@ -125,7 +136,7 @@ NUMBERS = tuple(key for key in Outcome.__slots__ if key != "curve")
 
 
 def rows_of(standings: Sequence[Standing]) -> list[list[str]]:
-    """Titles, and one row of cells per agent: means over buildings (time also as interquartile mean, time stuck as
+    """Titles, and one row of cells per agent: means over episodes (time also as interquartile mean, time stuck as
     maximum), and the gain over the first agent. A time to what was never reached is a dash."""
     goal = f"{100 * GOAL:.0f} %"
     rows = [[
@@ -155,7 +166,7 @@ def means_of(standings: Sequence[Standing]) -> list[dict[str, Any]]:
             "agent": display_name(s.agent), "episodes": len(s.outcomes), "reached_share": of["is_reached"].mean(),
             "goal_s": times_s.mean() if is_reached else None,
             "goal_s_iqm": trim_mean(times_s, 0.25) if is_reached else None,
-            "mean_coverage": of["coverage_mean"].mean(), "final_coverage": of["coverage"].mean(),
+            "mean_coverage": of["coverage_mean"].mean(), "final_coverage": of["coverage_end"].mean(),
             "path_m": of["path_m"].mean(), "team_ate_m": of["team_ate_m"].mean(),
             "wrong_merges": int(of["wrong_merges"].sum()), "stuck_share_max": of["stuck_share"].max(),
         }  # fmt: skip
@@ -177,6 +188,7 @@ def write_tables(
     config: EnvConfig,
     folder: Path,
     pictures: tuple[str, float | None] | None,
+    seeds: Sequence[int] | None = None,
 ) -> list[Path]:
     """Write compare.json, episodes.csv, compare.csv (`means_of`), compare.tex (`rows_of`), and coverage over time as
     a picture; returns their paths.
@@ -186,7 +198,7 @@ def write_tables(
     episodes = [
         {"agent": s.agent, "map": name, "seed": seed, **{key: getattr(o, key) for key in NUMBERS}}
         for s in standings
-        for seed, (name, o) in enumerate(zip(maps, s.outcomes, strict=True))
+        for (name, seed), o in zip(places(maps, seeds), s.outcomes, strict=True)
     ]
     paths = [folder / "compare.json"]
     write_json(paths[0], as_json(standings))
@@ -198,7 +210,8 @@ def write_tables(
     if pictures is not None and all(o.curve for s in standings for o in s.outcomes):
         curves = {display_name(s.agent): [o.curve for o in s.outcomes] for s in standings}
         time_max_s = config.max_cycles * config.dynamics.time_step_s
-        title = f"{len(maps)} building{'s' * (len(maps) > 1)}, {config.robots} robots"
+        each = "" if seeds is None else f", {len(seeds)} seed{'s' * (len(seeds) > 1)}"
+        title = f"{len(maps)} building{'s' * (len(maps) > 1)}{each}, {config.robots} robots"
         paths.append(draw_coverage(curves, time_max_s, folder / f"coverage.{pictures[0]}", title, pictures[1]))
     return paths
 
@@ -227,9 +240,10 @@ def _interval(triple: tuple[float, float, float], form: str) -> str:
 
 
 def _line(count: int, total: int, part: tuple[str, str, int], outcome: Outcome) -> str:
-    name, agent, _ = part
+    name, agent, seed = part
     reached = f"{outcome.goal_s:.0f} s" if outcome.is_reached else "not reached"
-    return f"[{count}/{total}] {name} {display_name(agent)}: {GOAL:.0%} {reached}, at the end {outcome.coverage:.3f}"
+    where = f"[{count}/{total}] {name}, seed {seed}"
+    return f"{where}, {display_name(agent)}: {GOAL:.0%} {reached}, at the end {outcome.coverage_end:.3f}"
 
 
 def _once(config: EnvConfig, finished: FinishedParts, part: tuple[str, str, int]) -> Outcome:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray as Array
 
-ENDS = "coverage_correct", "merged_robots", "wrong_merges", "team_ate_m"
+ENDS = "merged_robots", "wrong_merges", "team_ate_m"
 """Of the last info of an episode."""
 
 

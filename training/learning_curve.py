@@ -16,14 +16,14 @@ from .progress import progress_bar
 SHOWN = {
     "mean_coverage": "score",
     "return": "return",
-    "coverage": "coverage_correct",
+    "coverage": "terms/coverage",
     "merged_robots": "merged_robots",
     "wrong_merges": "wrong_merges",
     "ate_m": "team_ate_m",
     "length": "steps",
 }
-"""Columns of metrics.csv, and of an episode what they are the mean of: `mean_coverage` is that over time, which is
-maximised; `length` is in time steps."""
+"""Columns of metrics.csv, and of an episode what they are the mean of: `coverage` is the floor in a correctly merged
+map at its end, `mean_coverage` the same over time, which is maximised; `length` is in time steps."""
 COLUMNS = ("decisions", "episodes", *SHOWN, "decisions_per_s")
 EPISODES_SHOWN = 100
 """Number of the most recent episodes over which means are computed."""

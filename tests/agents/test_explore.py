@@ -299,5 +299,5 @@ def test_on_a_terminal_progress_is_one_line_and_an_error_begins_a_new_one(monkey
     monkeypatch.setattr("twc_env.agents.explore.explore", run)
     assert main(["explore", "--steps", "100", "--no-pictures", "--out", str(tmp_path / "run")]) == 2
     first, second, _ = capsys.readouterr().err.split("\n")
-    assert "60/100 steps on twin-01, seed 0, 25.0% mapped correctly, 0:01 left at most" in first
+    assert "60/100 steps on twin-01, seed 0, 25.0% in a correctly merged map, 0:01 left at most" in first
     assert second == "error: no room"

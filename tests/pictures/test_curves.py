@@ -39,6 +39,7 @@ def test_each_team_has_its_curve_band_and_entry(tmp_path):
     assert [line.get_label() for line in axes.lines] == ["first (3 episodes)", "alone (1 episode)"]
     assert len(axes.collections) == 1  # one episode has no interval
     assert axes.lines[0].get_ydata()[-1] == pytest.approx(90.0) and axes.get_xlabel() == "simulated time [s]"
+    assert axes.get_ylabel() == "floor in a correctly merged map [%]"
     assert len({line.get_color() for line in axes.lines}) == 2
     path = draw_coverage({"first": values}, 60.0, tmp_path / "new" / "a.pdf", "a title")
     assert path.read_bytes().startswith(b"%PDF")

@@ -53,6 +53,16 @@ def test_coverage_does_not_depend_on_the_reward_of_training(task):
         assert play(alone) == play(team)
 
 
+def test_the_coverage_of_a_wrong_merge_is_that_whose_mean_is_taken(task, monkeypatch):
+    from twc_env.exploration.assessment import map_scores
+    from twc_env.exploration.assessment.rewards import Standing
+    from twc_env.suite.evaluation import scripted
+
+    monkeypatch.setattr(map_scores, "standing", lambda *_: Standing([0.0] * 3, [[0.0] * 3]))
+    played = scripted(replace(task, max_cycles=20), "nearest-frontier", 0)
+    assert (played.coverage, played.mean_coverage, played.curve[-1]) == (0.0, 0.0, 0.0)
+
+
 def test_the_error_of_a_model_of_another_view_names_what_to_do(task, run, tmp_path, capsys):
     from twc_env.training.run_folder import write_settings
 

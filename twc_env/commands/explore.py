@@ -84,7 +84,7 @@ def _explore(options: argparse.Namespace) -> int:
     bar = Bar(config.max_cycles, "steps", f"on {folder_name(config.map)}, seed {options.seed}", every=20)
 
     def watch(done: int, share: float) -> None:
-        bar.show(done, f"{share:.1%} mapped correctly", f"{share:.1%} mapped")
+        bar.show(done, f"{share:.1%} in a correctly merged map", f"{share:.1%} in a correct map")
 
     run = explore(config, options.agent, options.seed, film, watch, options.save)
     end_line()

@@ -17,6 +17,8 @@ SAMPLES = 101
 FEW = 5
 """With fewer episodes than this the legend says of how many the interval is: it hardly tells anything."""
 SIZE_IN = (6.4, 4.2)
+MERGED, MAPPED = "floor in a correctly merged map", "floor mapped correctly"
+"""What curves show: the `coverage` of the rewards, or `coverage_correct` of reports (docs/figures.md)."""
 
 
 def sampled(steps: Array, values: Array, steps_max: int) -> list[float | None]:
@@ -26,7 +28,7 @@ def sampled(steps: Array, values: Array, steps_max: int) -> list[float | None]:
     return [None if k < 0 else round(float(values[k]), 6) for k in at]
 
 
-def coverage_figure(curves: Mapping[str, Any], time_max_s: float, title: str) -> Any:
+def coverage_figure(curves: Mapping[str, Any], time_max_s: float, title: str, what: str = MERGED) -> Any:
     """A figure of curves (episodes, samples) by name: their means, and the 95 % intervals of these, from where all
     episodes are known."""
     times_s = np.linspace(0.0, time_max_s, SAMPLES)
@@ -34,7 +36,7 @@ def coverage_figure(curves: Mapping[str, Any], time_max_s: float, title: str) ->
         from matplotlib.patches import Patch
 
         figure = new_figure(SIZE_IN)
-        axes = figure.add_subplot(xlabel="simulated time [s]", ylabel="floor mapped correctly [%]")
+        axes = figure.add_subplot(xlabel="simulated time [s]", ylabel=f"{what} [%]")
         axes.set(ylim=(0, 102), xlim=(0, time_max_s))
         axes.grid(alpha=0.3, lw=0.6)
         axes.spines[["top", "right"]].set_visible(False)
@@ -61,7 +63,7 @@ def _episodes(count: int) -> str:
 
 
 def draw_coverage(
-    curves: Mapping[str, Any], time_max_s: float, path: Path, title: str, dpi: float | None = None
+    curves: Mapping[str, Any], time_max_s: float, path: Path, title: str, dpi: float | None = None, what: str = MERGED
 ) -> Path:
     """Write the figure; returns its path."""
-    return save_figure(coverage_figure(curves, time_max_s, title), path, dpi)
+    return save_figure(coverage_figure(curves, time_max_s, title, what), path, dpi)

@@ -35,10 +35,9 @@ class Episode:
     """Result of one policy in one building."""
 
     coverage: float
-    """Share of the floor mapped correctly by the largest group at the end."""
+    """Share of the floor in a correctly merged map, the best one, at the end."""
     mean_coverage: float
-    """Share of the floor mapped correctly by the best correctly merged group, averaged over the episode's time
-    steps."""
+    """The same, averaged over the longest time of an episode."""
     merged_robots: int
     wrong_merges: int
     curve: tuple[float | None, ...] = ()
@@ -231,4 +230,4 @@ def _played(
     total += (budget - elapsed) * reached  # an episode that has ended early keeps its last value
     first = int(np.searchsorted(steps, min(task.config.reward.period_steps, elapsed)))
     curve = tuple(sampled(np.array(steps[first:]), np.array(covered[first:]), budget))
-    return Episode(info["coverage_correct"], total / budget, info["merged_robots"], info["wrong_merges"], curve)
+    return Episode(reached, total / budget, info["merged_robots"], info["wrong_merges"], curve)

@@ -111,7 +111,7 @@ def write_leaderboard(
                 draw_curves(standings, folder / "curves.png")
             drawn = [
                 ("Performance profiles", folder / "profiles.png"),
-                ("Floor mapped correctly over time", folder / "curves.png"),
+                ("Floor in a correctly merged map over time", folder / "curves.png"),
             ]
             (folder / "leaderboard.html").write_text(page_of(standings, origin.title, lead, drawn), encoding="utf-8")
             written += [path for _, path in drawn] + [folder / "leaderboard.html"]

@@ -21,7 +21,7 @@ INTERVAL = 2
 PICTURES = (
     "The share of the episodes whose score is above a threshold, averaged over tasks. The higher a curve, the better. "
     "Bands are 95 % intervals.",
-    "The share of the floor that the best correctly merged group has mapped correctly, over simulated time in seconds: "
+    "The share of the floor in a correctly merged map, the best one, over simulated time in seconds: "
     "mean over buildings. Bands are 95 % intervals.",
 )
 """Captions of the pictures."""
@@ -36,11 +36,11 @@ DEFINITIONS = {
     "score": "interquartile mean over buildings of {score}, with its 95 % stratified bootstrap interval",
     "probability of improvement": "of scoring higher than the best other team in the same building; references do not "
     "count as others",
-    "mean coverage": "area under the curve of the floor mapped correctly by the best correctly merged group, divided "
-    "by the budget of time",
+    "mean coverage": "area under the curve of the floor in a correctly merged map, the best one, divided by the budget "
+    "of time",
     "wrong merges": "pairs of robots whose maps were merged wrongly at some time, over all episodes",
     "times [s]": "medians of simulated time: until all robots share one correct map, and until 50, 90 and 99 % of the "
-    "floor are mapped correctly; - if half of the teams never get there",
+    "floor are in such a map; - if half of the teams never get there",
     "ATE, sent, path, collisions": "means over buildings, of the whole team",
     "stuck [%]": "share of the time in which a robot that was told to move stayed in place",
 }

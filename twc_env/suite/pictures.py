@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from twc_env.pictures.curves import MERGED
 from twc_env.pictures.style import INK, TEAMS, TRUE_WALL, legend_below, new_figure, save_figure
 from twc_env.suite.entries import REFERENCES
 from twc_env.suite.standings import THRESHOLDS, Standings
@@ -23,7 +24,7 @@ DPI = 200
 
 
 def draw_curves(standings: Standings, path: Path) -> None:
-    """Correctly mapped floor over time, one panel per task: mean over buildings with its 95 % interval."""
+    """Floor in a correctly merged map over time, one panel per task: mean over buildings with its 95 % interval."""
     figure, panels = _panels(len(standings.tasks))
     for panel, task in zip(panels, standings.tasks, strict=True):
         for team in standings.teams:
@@ -35,7 +36,7 @@ def draw_curves(standings: Standings, path: Path) -> None:
         panel.set(title=title_of(task), ylim=(0, 1.02), xlim=(0, curve["time_s"][-1]))
     for k, panel in enumerate(panels):
         if k % COLUMNS == 0:
-            panel.set_ylabel("floor mapped correctly")
+            panel.set_ylabel(MERGED)
         if k + COLUMNS >= len(panels):
             panel.set_xlabel("simulated time [s]")
     _finish(figure, panels, path)

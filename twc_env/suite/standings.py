@@ -43,9 +43,9 @@ class Row:
     improvement_over: str
     """... which is this one; references are no others."""
     coverage_mean: float
-    """Area under the curve of correctly mapped floor: its mean over the budget of time."""
+    """Area under the curve of the floor in a correctly merged map: its mean over the budget of time."""
     coverage_end: float
-    """Correctly mapped floor at the end."""
+    """That floor at the end."""
     wrong_merges: int
     """Pairs of robots, summed over episodes."""
     merged_s: float
@@ -59,7 +59,7 @@ class Row:
     stuck_share: float
     """Mean share of the time in which a robot that was told to move stayed in place (`commanded_stuck_share`)."""
     to_50_s: float
-    """Median time until this share of the floor was mapped correctly."""
+    """Median time until this share of the floor was in a correctly merged map."""
     to_90_s: float
     to_99_s: float
     ended_share: float
@@ -77,7 +77,7 @@ class Standings:
     rows: tuple[Row, ...]
     """Task by task, the highest score first; with several tasks, `ALL` before them."""
     curves: dict[str, dict[str, dict[str, list[float]]]]
-    """Task -> team -> `time_s`, `mean`, `low`, `high` of the correctly mapped floor over time."""
+    """Task -> team -> `time_s`, `mean`, `low`, `high` of the floor in a correctly merged map over time."""
     profiles: dict[str, dict[str, list[float]]]
     """Team -> `share`, `low`, `high` of the episodes that score above each of `THRESHOLDS`, averaged over tasks."""
     twins: tuple[TwinRow, ...]
