@@ -56,7 +56,18 @@ def test_robots_that_explore_on_find_the_map_of_the_earlier_session():
         env.step(dict.fromkeys(env.agents, 0))
     assert env.engine.found_prior(0) and env.engine.found_prior(1)
     assert float((env.engine.belief(0).grid.log_odds < 0).sum()) > before
-    assert env.result()["wrong_merges"] == 0
+    result = env.result()
+    assert result["wrong_merges"] == 0
+    assert result["found_prior"] == [0, 1] and result["prior_closures"] >= 2
+    told = [" ".join(line.split()) for line in str(result).splitlines()]
+    assert f"saved map found by robots 0, 1, by {result['prior_closures']} more loop closures" in told
+    assert f"floor mapped correctly {result['coverage_correct']:.1%}, with what the saved map held" in told
+
+
+def test_a_report_says_that_the_map_of_the_earlier_session_was_not_found(env):
+    told = [" ".join(line.split()) for line in str(env.result()).splitlines()]
+    assert "saved map not found" in told
+    assert f"floor mapped correctly {env.result()['coverage_correct']:.1%}" in told
 
 
 @pytest.mark.parametrize("steps", ["", "0", "-3", "many", "1e3", "2000000", "²"])

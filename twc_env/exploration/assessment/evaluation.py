@@ -230,6 +230,7 @@ def evaluate(
             "precision": _or_none(counted.precision),
             "recall": _or_none(counted.recall),
         },
+        **(_of_saved_map(engine, best, config.robots) if config.slam.prior else {}),
         "lacked": engine.lacked(),
         "bytes_by_kind": {kind: int(count) for kind, count in sorted(engine.bytes_sent.items())},
         "config_digest": config_digest(config),
@@ -250,6 +251,14 @@ def evaluate(
         closures=closures,
         graph=best.view.mapper.graph(),
     )
+
+
+def _of_saved_map(engine: Engine, best: GroupScore, robot_count: int) -> dict[str, Any]:
+    """Robots in the frame of the map of an earlier session, and accepted closures with it, whose truth is unknown."""
+    mapper = best.view.mapper
+    ends = [(c.candidate.target[0], c.candidate.source[0]) for c in mapper.closures if c.status == "accepted"]
+    robots = [robot for robot in range(robot_count) if engine.found_prior(robot)]
+    return {"found_prior": robots, "prior_closures": sum(mapper.prior in pair for pair in ends)}
 
 
 def _or_none(value: float) -> float | None:

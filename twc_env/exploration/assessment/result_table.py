@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -23,6 +24,7 @@ FIGURES = (
     ("wall IoU", "wall_iou", ".3f"),
     ("odometry-only wall IoU", "odometry_wall_iou", ".3f"),
     ("loop closures", "closures", ""),
+    ("saved map", "found_prior", ""),
     ("path length, all robots", "path_length_m", ".1f m"),
     ("collisions", "collisions", "d"),
     ("contacts with people", "people_collisions", "d"),
@@ -48,9 +50,13 @@ def rows_of(figures: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def keyed_rows(figures: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """The same with the key in the report before them."""
-    of_all = {"merged_robots": f" of {figures['robots']}"} if "robots" in figures else {}
+    more = {"merged_robots": f" of {figures['robots']}"} if "robots" in figures else {}
+    if count := figures.get("prior_closures"):
+        more["found_prior"] = f", by {count} more loop closures"
+    if len(figures.get("found_prior", ())) >= figures.get("merged_robots", math.inf):
+        more["coverage_correct"] = ", with what the saved map held"
     return [
-        (key, name, value_of(figures[key], form) + of_all.get(key, "")) for name, key, form in FIGURES if key in figures
+        (key, name, value_of(figures[key], form) + more.get(key, "")) for name, key, form in FIGURES if key in figures
     ]
 
 
@@ -61,6 +67,8 @@ def value_of(value: Any, form: str) -> str:
     if isinstance(value, Mapping):
         precision = value_of(value.get("precision"), ".1% ")
         return f"{value['accepted']} accepted of {value['proposed']} proposed, precision {precision}"
+    if isinstance(value, Sequence):
+        return f"found by robot{'s' * (len(value) > 1)} {', '.join(map(str, value))}" if value else "not found"
     form, _, unit = form.partition(" ")
     return f"{value:{form}} {unit}".rstrip()
 
