@@ -236,7 +236,8 @@ def test_words_are_completed_also_those_of_commands_that_are_not_imported_yet(tm
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["explore", "--no-gif"], "--no-gif: it is --no-film now"),
+        (["explore", "--no-gif"], "--no-gif: it is --no-film;"),
+        (["explore", "--max-cycles", "60"], "--max-cycles 60: it is --steps;"),
         (
             ["evaluate", "--films", "runs/films"],
             "--films takes no value now, they are written to films in --out FOLDER",

@@ -80,8 +80,8 @@ def folded(line: str, width: int) -> list[str]:
 
 
 USAGE_LINES_MAX = 4
-RENAMED = {"--no-gif": "--no-film"}
-"""Options that have another name now, which the error tells."""
+RENAMED = {"--no-gif": "--no-film", "--max-cycles": "--steps"}
+"""Options that have another name now, or in another command, which the error tells."""
 WITHOUT_VALUE = {
     "--films": "they are written to films in --out FOLDER",
     "--html": "the page is replay.html in --out FOLDER",
@@ -129,7 +129,7 @@ class Parser(argparse.ArgumentParser):
         if options:
             new = RENAMED.get(options[0])
             is_known = new in self._option_string_actions
-            return f": it is {new} now" if is_known else did_you_mean(options[0], self._option_string_actions)
+            return f": it is {new}" if is_known else did_you_mean(options[0], self._option_string_actions)
         words = list(sys.argv[1:] if args is None else args)
         before = [words[k - 1] for k in range(1, len(words)) if words[k] == unknown[0]]
         lost = [option for option in before if option in WITHOUT_VALUE]
