@@ -2,6 +2,6 @@
 
 import twc_env  # noqa: F401  first: handles Ctrl-C during the other imports
 
-from .policy import Policy, make_policy, policy_names
+from .policy import Policy, begin, make_policy, policy_names
 
-__all__ = ["Policy", "make_policy", "policy_names"]
+__all__ = ["Policy", "begin", "make_policy", "policy_names"]

@@ -23,6 +23,14 @@ def test_dir_lists_the_public_names_before_they_are_loaded():
     assert "ExplorationEnv" in run("import twc_env; print(dir(twc_env))")
 
 
+@pytest.mark.parametrize("name", ["agents", "config", "datasets", "metrics", "planning", "vector"])
+def test_a_public_submodule_is_there_without_an_import_of_its_own_and_loaded_only_then(name):
+    code = f"import sys, twc_env; print('twc_env.{name}' in sys.modules, {name!r} in dir(twc_env), twc_env.{name})"
+    was_loaded, is_listed, *shown = run(code).split()
+    assert was_loaded == "False" and is_listed == "True"
+    assert f"<module 'twc_env.{name}' from" in " ".join(shown)
+
+
 def test_an_environment_needs_no_slow_part_of_scipy_to_start():
     parts = tuple(f"scipy.{name}" for name in ("linalg", "ndimage", "sparse", "spatial", "special", "stats"))
     code = f"import sys, twc_env.exploration.environment; print([name for name in {parts!r} if name in sys.modules])"

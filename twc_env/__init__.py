@@ -77,12 +77,17 @@ _HOME = {
     "map_names": "maps",
 }
 
+_SUBMODULES = ("agents", "config", "datasets", "metrics", "planning", "vector")
+"""Imported when they are first asked for, as `twc_env.metrics`."""
+
 
 def __dir__() -> list[str]:
-    return __all__
+    return [*__all__, *_SUBMODULES]
 
 
 def __getattr__(name: str) -> Any:
+    if name in _SUBMODULES:
+        return import_module(f"twc_env.{name}")
     if name in _HOME:
         return getattr(import_module(f"twc_env.{_HOME[name]}"), name)
     raise AttributeError(f"module 'twc_env' has no attribute {name!r}")

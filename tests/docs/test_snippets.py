@@ -33,7 +33,7 @@ NEEDS = {
     "RLlib": "ray",
     "Rendering and recording": "PIL",
 }
-NEEDS_OF_OTHERS = {"learning 0": "torch"}
+NEEDS_OF_OTHERS = {"learning 0": "torch", "Error over time": "matplotlib"}
 
 
 @pytest.fixture(scope="module")

@@ -22,9 +22,9 @@ from twc_env.running.terminal import Bar, end_line, tell
 _EXPLORE_HELP = """\
 Run one episode with a scripted team and write a run folder:
 report.json (metrics, defined in docs/figures.md), config.json, map.png, a film named by map and seed such as
-twin-01-seed0.gif, map.pgm + map.yaml, pose_graph.g2o, pose_graph.csv (whose keyframe each vertex is)
-and trajectories/*.tum (readable by evo). Ctrl-C or SIGTERM ends the episode early, and the folder is written of the
-steps until then (exit status 130 or 143); a second Ctrl-C ends the command at once.
+twin-01-seed0.gif, map.pgm + map.yaml, frames.npz and trace.npz (docs/frames.md), pose_graph.g2o, pose_graph.csv (whose
+keyframe each vertex is) and trajectories/*.tum (readable by evo). Ctrl-C or SIGTERM ends the episode early, and the
+folder is written of the steps until then (exit status 130 or 143); a second Ctrl-C ends the command at once.
 
 examples:
   twc-env explore
