@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 pytestmark = pytest.mark.usefixtures("torch")
@@ -48,3 +49,15 @@ def test_a_curve_of_one_point_is_seen_and_its_legend_counts_the_episodes(tmp_pat
     (line,) = figures[0].axes[0].lines
     assert line.get_marker() == "o" and list(line.get_ydata()) == pytest.approx([86.84])
     assert line.get_label() == "in training, last 1 episodes"
+
+
+def test_after_a_wrong_merge_the_coverage_shown_is_the_end_of_that_whose_mean_is_shown():
+    from twc_env.training.episode_totals import EpisodeTotals
+    from twc_env.training.learning_curve import SHOWN
+
+    totals, ended = EpisodeTotals(1), {}
+    for gain in (0.4, -0.4):  # the map that is lost was paid for
+        info = {"reward_terms": {"coverage": gain}, "time_steps": 10, "coverage_correct": 0.8, "merged_robots": 2}
+        info |= {"wrong_merges": 1, "team_ate_m": 9.0}
+        ended = totals.add(0, np.array([gain / 2]), np.array([gain]), [info], gain < 0)
+    assert (ended[SHOWN["coverage"]], ended[SHOWN["mean_coverage"]]) == (0.0, 0.0)
