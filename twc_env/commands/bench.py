@@ -5,15 +5,30 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from twc_env.commands.team_options import refuse_said_twice
 from twc_env.records.json_values import write_json
 from twc_env.records.text_tables import aligned_text
 from twc_env.running.learning_libraries import learning_libraries
-from twc_env.running.options import add_json, add_ray, add_set, assignments, count, natural
+from twc_env.running.options import add_json, add_ray, add_set, assignments, count, natural, refuse_ignored
 from twc_env.running.terminal import aligned, tell, terminal_width
 from twc_env.tasks import SUITES
 
 if TYPE_CHECKING:
     from twc_env.config import EnvConfig
+
+DEFAULTS: dict[str, object] = {"map": "twin-01", "max_cycles": 1500}
+EPISODES = 3
+_OF_EPISODES = ("map", "robots", "beams", "steps")
+IGNORED: dict[str, tuple[tuple[str, ...], str]] = {
+    "training": (_OF_EPISODES, "plays its task, which --set changes"),
+    "teams": (_OF_EPISODES, "plays its task, which --set changes"),
+    "memory": ((*_OF_EPISODES, "episodes", "set"), "measures the tasks of the suite v1 as they are"),
+    "peers": ((*_OF_EPISODES, "episodes", "set"), "has fixed settings"),
+    "scaling": ((*_OF_EPISODES, "episodes", "set"), "has fixed settings"),
+    "vector": (("episodes",), "plays one episode of --steps in each environment"),
+    "long": (("episodes",), "plays one episode of --steps"),
+}
+"""What is measured instead of the speed of episodes -> the options that it does not use, and why."""
 
 
 def add_arguments(speed: argparse.ArgumentParser) -> None:
@@ -33,12 +48,12 @@ def add_arguments(speed: argparse.ArgumentParser) -> None:
         "  twc-env bench --vector --map twin-02 --steps 1000\n"
         "  twc-env bench --long --map gen:office:800:7 --robots 4 --steps 20000 --set link.topology=peer"
     )
-    speed.add_argument("--map", default="twin-01", help="bundled name, generated name or file")
+    speed.add_argument("--map", help="bundled name, generated name or file (default: twin-01)")
     speed.add_argument("--robots", type=count, help="number of robots (default: 3, or those of --set team=...)")
     speed.add_argument("--beams", type=count, help="beams per scan (default: 180, or those of --set lidar.preset=...)")
-    speed.add_argument("--steps", type=count, default=1500, help="steps per episode")
+    speed.add_argument("--steps", type=count, help="steps per episode (default: 1500)")
     speed.add_argument(
-        "--episodes", type=count, default=3, help="episodes, with seeds 0, 1, ...; with --training: updates"
+        "--episodes", type=count, help="episodes, with seeds 0, 1, ...; with --training: updates (default: 3)"
     )
     add_set(speed)
     instead = speed.add_mutually_exclusive_group()
@@ -83,11 +98,10 @@ def add_arguments(speed: argparse.ArgumentParser) -> None:
 
 def _bench(options: argparse.Namespace) -> None:
     from twc_env.bench.rates import bench
-    from twc_env.config import EnvConfig, override
 
-    told = {"robots": options.robots, "lidar.beam_count": options.beams}
-    settings = {"map": options.map, "max_cycles": options.steps} | {k: v for k, v in told.items() if v is not None}
-    config = override(EnvConfig(), {**settings, **assignments(options.set)})
+    _refuse_other(options)
+    options.episodes = options.episodes or EPISODES
+    config = _config_of(options)
     if options.parts:
         _bench_parts(config, options)
         return
@@ -117,6 +131,25 @@ def _bench(options: argparse.Namespace) -> None:
         else:
             print(f"{key:<28} {value:,.3f}" if isinstance(value, float) else f"{key:<28} {value}")
     write_json(options.json, figures)
+
+
+def _refuse_other(options: argparse.Namespace) -> None:
+    """Raise DataError for an option that what is measured would ignore."""
+    if not options.training:
+        refuse_ignored(options, ("workers", "ray"), "it needs --training TASK")
+    for measured, (others, why) in IGNORED.items():
+        if getattr(options, measured):
+            refuse_ignored(options, others, f"--{measured} {why}")
+
+
+def _config_of(options: argparse.Namespace) -> EnvConfig:
+    from twc_env.config import EnvConfig, override
+
+    named = {"map": options.map, "robots": options.robots, "lidar.beam_count": options.beams}
+    chosen = {key: value for key, value in (named | {"max_cycles": options.steps}).items() if value is not None}
+    asked = assignments(options.set)
+    refuse_said_twice(chosen, asked)
+    return override(EnvConfig(), DEFAULTS | chosen | asked)
 
 
 def _bench_peers(options: argparse.Namespace) -> dict:

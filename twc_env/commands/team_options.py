@@ -26,6 +26,13 @@ from twc_env.running.terminal import tell
 if TYPE_CHECKING:
     from twc_env.world.building.floorplan import Floorplan
 
+SETTINGS_OF_OPTIONS = {
+    "--map": ("map",),
+    "--robots": ("robots", "team"),
+    "--steps": ("max_cycles",),
+    "--beams": ("lidar.beam_count",),
+}
+"""Option -> the settings that say the same."""
 TEAMS = ("nearest-frontier", "cost-utility", "assignment", "voronoi", "random")
 
 
@@ -54,15 +61,15 @@ def team_config(options: argparse.Namespace, map_name: str | None, steps: int | 
     named = {"map": map_name, team: options.robots, "max_cycles": steps}
     chosen = {key: value for key, value in named.items() if value is not None}
     base, asked = config_of(options.config), assignments(options.set)
-    _refuse_said_twice(chosen, asked)
+    refuse_said_twice(chosen, asked)
     if not options.allow_code:
         refuse_code(base, options.config, asked)
     return override(override(base, chosen), asked)
 
 
-def _refuse_said_twice(chosen: Mapping[str, object], asked: Mapping[str, object]) -> None:
+def refuse_said_twice(chosen: Mapping[str, object], asked: Mapping[str, object]) -> None:
     """Raise DataError where an option and --set name the same thing: one of them would be ignored."""
-    for option, keys in (("--map", ("map",)), ("--robots", ("robots", "team")), ("--steps", ("max_cycles",))):
+    for option, keys in SETTINGS_OF_OPTIONS.items():
         given = [f"{option} {chosen[key]}" for key in keys if key in chosen]
         given += [f"--set {key}={asked[key]}" for key in keys if key in asked]
         if len(given) > 1 and not given[0].startswith("--set"):

@@ -88,6 +88,18 @@ def refuse_jobs_with_ray(options: argparse.Namespace) -> None:
         raise ConfigError(f"--jobs {options.jobs}: a Ray cluster uses all of its cores; leave it out with --ray")
 
 
+def refuse_ignored(options: argparse.Namespace, names: Iterable[str], why: str) -> None:
+    """Raise DataError for the first of these options that was given, as it would be ignored. `why` says so, in words
+    that follow the option. None, False and an empty list are options that were not given."""
+    for name in names:
+        value = getattr(options, name, None)
+        if value is None or value is False or value == []:
+            continue
+        told = " ".join(map(str, value)) if isinstance(value, list) else value
+        shown = "" if value is True else f" {told}"
+        raise DataError(f"--{name.replace('_', '-')}{shown}: {why}; leave it out")
+
+
 def add_allow_code(parser: argparse.ArgumentParser) -> None:
     """The option `--allow-code`, see `refuse_code`."""
     parser.add_argument(
