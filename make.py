@@ -1,15 +1,18 @@
-"""The two commands of the README where there is no make, such as on Windows:
+"""The commands of the Makefile where there is no make, such as on Windows; all but `coverage` and `clean`:
 
     py make.py demo       install into .venv (no torch), run one episode; pictures in runs/demo
     py make.py test       install torch too and run all tests
+    py make.py setup      .venv with everything but torch
     py make.py docs       build the documentation site into build/site; with --repository OWNER/NAME, where the
                           project lies on GitHub, notebooks get links to Colab
     py make.py check      format, lint, types, import arrows and costs
     py make.py test-bounds       the engine's tests with bounds checks of compiled code (slow)
     py make.py soak       hours: 1,000,000 steps, malformed input of every kind; counts in runs/soak
+    py make.py test-ray   RLlib trains a team, Ray plays a benchmark, in .venv-ray
+    py make.py train-torchrl     PPO of TorchRL on a task
     py make.py train-benchmarl   MAPPO of BenchMARL on a task, in .venv-benchmarl
 
-The same as `make` of that name. Needs Python 3.11 or newer.
+Each is the same as `make` of that name. Needs Python 3.11 or newer.
 """
 
 from __future__ import annotations
@@ -31,12 +34,15 @@ SOAK = (
 )
 STEPS = "--steps 1000000 --resume runs/soak/episodes.jsonl --json runs/soak/trust.json"
 PYTEST = ["-m", "pytest", "-q", "-n", "auto", "--maxprocesses", "4", "--dist", "worksteal"]
+RAY_TESTS = ["tests/running/test_ray_cluster.py", "tests/suite/test_ray.py"]
+RAY_TESTS += ["tests/vector/test_ray_pool.py", "tests/training/test_resuming.py"]
 TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
     "demo": (
         ".venv/installed-demo",
         [*PINS, "-e", ".[viz]"],
         [["-m", "twc_env", "explore", "--map", "twin-01", "--out", "runs/demo"]],
     ),
+    "setup": (".venv/installed-dev", DEV, []),
     "check": (
         ".venv/installed-dev",
         DEV,
@@ -68,6 +74,21 @@ TARGETS: dict[str, tuple[str, list[str], list[list[str]]]] = {
         ],
     ),
     "docs": (".venv/installed-docs", [*PINS, "-e", ".[viz,docs]"], [["-m", "mkdocs", "build", "--strict"]]),
+    "test-ray": (
+        ".venv-ray/installed",
+        ["-e", ".[ray,viz,train]", "torch==2.13.0", "pytest", "hypothesis"],
+        [
+            ["-c", "import ray.rllib"],
+            ["-m", "pytest", "-q", "-k", "rllib or RLlib", "tests/vector/test_tools.py", "tests/docs/test_snippets.py"],
+            ["-m", "pytest", "-q", *RAY_TESTS],
+            ["docs/tutorials/rllib_ppo.py", "1200", "runs/rllib", "twc/ExploreQuick-v1"],
+        ],
+    ),
+    "train-torchrl": (
+        ".venv/installed-test",
+        TEST,
+        [["docs/tutorials/torchrl_ppo.py", "1200", "runs/torchrl", "twc/ExploreQuick-v1"]],
+    ),
     "train-benchmarl": (
         ".venv-benchmarl/installed",
         ["-e", ".[viz]", "benchmarl>=1.5", "torch==2.13.0"],

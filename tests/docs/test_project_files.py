@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -79,15 +80,19 @@ def test_without_make_the_same_targets_are_built_with_the_same_extras():
     targets, optional = json.loads(done.stdout)
     makefile = re.sub(r"\\\n\s*", "", (ROOT / "Makefile").read_text())
     make_pins = ("-c", "constraints.txt")
+    known = set(re.findall(r"^([a-z-]+):.*##", makefile, re.MULTILINE))
+    assert known - set(targets) == {"help", "coverage", "clean"} and set(targets) <= known
+    asked = subprocess.run([sys.executable, "make.py"], cwd=ROOT, capture_output=True, text=True).stdout
+    assert set(re.findall(r"make\.py (\S+)", asked)) == set(targets) and "but `coverage` and `clean`" in asked
     for target, (mark, packages, commands) in targets.items():
         rule = re.search(rf"^{re.escape(mark)}:.*?(?=^\S)", makefile, re.DOTALL | re.MULTILINE)
         assert rule is not None and re.search(rf"^{target}: .*{re.escape(mark)}", makefile, re.MULTILINE)
         assert all(package in rule[0] for package in packages if package not in make_pins), target
         recipe = re.search(rf"^{target}:.*?(?=^\S)", makefile[rule.end() :], re.DOTALL | re.MULTILINE)
         assert recipe is not None
-        ours = [" ".join(command[2:] if command[1] == "twc_env" else command) for command in commands]
+        ours = [command[2:] if command[1] == "twc_env" else command for command in commands]
         theirs = re.findall(r"^\t(?:\w+=\S+ )*(?:\$\(PY\)|\.venv\S*/bin/\S+) (.+)$", recipe[0], re.MULTILINE)
-        assert [re.sub(r" +", " ", words) for words in theirs] == ours
+        assert [shlex.split(words) for words in theirs] == ours
         tried = re.findall(r"\$\(INSTALL\) (.+?) \|\| echo \"(.+?)\"", rule[0])
         others = [(" ".join(packages[2:]), names) for packages, names in optional.get(mark, [])]
         assert [words.replace("'", "") for words, _ in tried] == [words for words, _ in others]
