@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from twc_env.records.whole_file import whole_file
+from twc_env.running.terminal import tell
 
 from .progress import progress_bar
 
@@ -43,6 +44,8 @@ class LearningCurve:
     def __enter__(self) -> LearningCurve:
         from torch.utils.tensorboard import SummaryWriter
 
+        if self._decisions >= self._total:
+            tell(f"nothing to train: {self._folder} has {self._decisions} decisions, --steps asks for {self._total}")
         rows = rows_until(self._decisions, self._path) if self._decisions else []
         with whole_file(self._path) as beside, beside.open("w", newline="") as file:
             csv.writer(file).writerows([COLUMNS, *rows])

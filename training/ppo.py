@@ -198,9 +198,8 @@ def train(
     with closing(NotedTeams(raw, config.max_cycles)) as teams, open_run(folder, "ppo", task, settings, resume) as path:
         model = _new_model(teams, settings)
         told = load_into(model, teams, path) if resume else {}
-        if settings.steps > model.num_timesteps:
-            with LearningCurve(folder, settings.steps, model.num_timesteps, told, show_progress) as curve:
-                left = settings.steps - model.num_timesteps
+        with LearningCurve(folder, settings.steps, model.num_timesteps, told, show_progress) as curve:
+            if (left := settings.steps - model.num_timesteps) > 0:
                 model.learn(left, Saving(curve, settings.seed, teams, path), reset_num_timesteps=False)
     return path
 

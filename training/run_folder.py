@@ -179,13 +179,14 @@ def check_run(folder: Path, algorithm: str, task: Task, settings: Any, resume: b
     record = read_settings(folder)
     if not has_model:
         raise DataError(f"{folder} has no {FILE_NAME} to resume from; start without --resume")
+    if record.get("algorithm") != algorithm:
+        other = f"{record.get('algorithm')} instead of {algorithm}"
+        raise DataError(f"{folder} was trained with {other}; use the same, or name another --out")
     told: Mapping[str, Any] = record["settings"]
     free = {name: told.get(name, getattr(settings, name)) for name in ("workers", "steps")}
     settings = replace(settings, **free)  # how many processes there are, and when training ends
-    own: dict[str, Any] = {
-        "algorithm": algorithm, **{**asdict(task), "kinds": list(task.kinds)}, **asdict(settings)
-    }  # fmt: skip
-    written = {"algorithm": record.get("algorithm"), **record["task"], **told}
+    own: dict[str, Any] = {**asdict(task), "kinds": list(task.kinds), **asdict(settings)}
+    written = {**record["task"], **told}
     said = {"id": "task", "area_m2": "area", "overrides": "set"}  # the names of the options
     changed = [
         f"{_option(said.get(k, k))} {written.get(k)} instead of {value}"
@@ -213,7 +214,7 @@ def open_run(folder: Path, algorithm: str, task: Task, settings: Any, resume: bo
 
 
 def _option(name: str) -> str:
-    return name if name == "algorithm" else f"--{name.replace('_', '-')}"
+    return f"--{name.replace('_', '-')}"
 
 
 def model_in(path: Path) -> Path:

@@ -16,10 +16,15 @@ LEARNED = "learned"
 FOLDER = Path(__file__).with_name("shipped_policies")
 
 
+def shipped() -> list[Path]:
+    """The folders of all policies that come with this version."""
+    return [path.parent for path in sorted(FOLDER.glob(f"*/{FILE_NAME}"))]
+
+
 def shipped_for(config: EnvConfig) -> Path:
     """The folder of the policy that suits settings best: trained on this task; else in buildings of this set; else with
     most nearly this number of robots. Raises DataError if no policy comes with this version."""
-    folders = [path.parent for path in sorted(FOLDER.glob(f"*/{FILE_NAME}"))]
+    folders = shipped()
     if not folders:
         raise DataError("no policy comes with this version: train one with twc-env train mappo")
 

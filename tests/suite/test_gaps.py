@@ -29,6 +29,8 @@ def test_the_gap_is_that_between_the_best_scripted_team_and_the_informed_one():
     assert row["score"] == pytest.approx(0.5 / 0.8, abs=0.02)
     assert (row["wrong_merges"], row["wrong_merges_of_best"]) == (3, 3)
     assert row["low"] < row["score"] < row["high"]
+    assert set(row["mean_coverage"]) == {"model", *shares} - {"runs/mine"}
+    assert row["mean_coverage"]["model"] - row["mean_coverage"]["minpos"] == pytest.approx(row["lead"])
 
 
 def test_there_is_no_gap_where_the_informed_team_is_not_ahead():

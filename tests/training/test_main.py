@@ -33,6 +33,13 @@ from twc_env.__main__ import main
         (["benchmark", "--set", "map=twin-02"], "--set map: the maps are chosen with --maps"),
         (["evaluate", "--buildings", "3"], "--buildings 3: it needs --suite v1"),
         (["evaluate", "--agents", "minpos", "random"], "--agents minpos random: it needs --suite v1"),
+        (["evaluate"], "there is no runs/ppo: name the folder of your run, for example --model runs/quick"),
+        (["evaluate", "--suite", "v1"], "there is no runs/ppo: name the folder of your run"),
+        (
+            ["evaluate", "--model", "learned"],
+            "--model learned: a policy is shipped for a task of the suite; add --suite v1",
+        ),
+        (["evaluate", "--suite", "v1", "--agents", "minpos", "learned"], "--agents learned: it is a trained model, no"),
         (["evaluate", "--suite", "v1", "--seeds", "0-3"], "--seeds 0-3: --suite v1 plays --buildings of its tasks"),
         (["evaluate", "--suite", "v1", "--no-pictures"], "--no-pictures: --suite v1 plays"),
         (["train", "mappo", "--hidden-size", "6"], "--hidden-size must be a multiple of the 4 heads"),
@@ -171,6 +178,8 @@ def test_a_training_ended_from_outside_keeps_its_last_model_and_resumes(
     rollouts += [0] * 9
     again = ["train", "ppo", "--workers", "0", "--out", str(tmp_path), "--references", "0", "--resume"]
     assert "trained with --max-cycles 60 instead of 90; use the same" in refusal(main, [*again, "--max-cycles", "90"])
+    of_other = refusal(main, ["train", "mappo", *again[2:]])
+    assert of_other == f"error: {tmp_path} was trained with ppo instead of mappo; use the same, or name another --out\n"
     assert main([*again, "--steps", "192"]) == 0  # with the task and the settings of the run
     with (tmp_path / "metrics.csv").open() as file:
         assert [row.split(",")[0] for row in file] == ["decisions", "64", "128", "192"]

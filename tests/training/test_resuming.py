@@ -58,6 +58,16 @@ def test_the_result_does_not_depend_on_the_number_of_processes(task, tiny, whole
     assert model_of(tmp_path) == model_of(whole)
 
 
+def test_a_finished_run_that_is_resumed_says_that_there_is_nothing_to_train(task, tiny, whole, tmp_path, caplog):
+    play, settings = tiny
+    again = shutil.copytree(whole, tmp_path / "again")
+    with caplog.at_level("INFO"):
+        play(task, replace(settings, steps=10), again, resume=True)
+    done = curve_of(whole)[-1][0]
+    assert f"nothing to train: {again} has {done} decisions, --steps asks for 10" in caplog.text
+    assert model_of(again) == model_of(whole) and curve_of(again) == curve_of(whole)
+
+
 def test_a_run_that_is_resumed_ends_like_one_that_was_never_interrupted(task, tiny, whole, tmp_path, monkeypatch):
     from twc_env.training.learning_curve import LearningCurve
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from twc_env.agents.policy import LEARNED, is_model
 from twc_env.commands.train import SEEDS
 from twc_env.errors import DataError
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
@@ -18,6 +19,7 @@ from twc_env.running.options import (
     count,
     parse_seeds,
     picture_options,
+    refuse_ignored,
     refuse_jobs_with_ray,
 )  # fmt: skip
 from twc_env.running.terminal import aligned, tell, terminal_width
@@ -25,6 +27,7 @@ from twc_env.tasks import SUITES
 
 SCRIPTED = ("nearest-frontier", "information-gain", "minpos")
 """Teams beside which models are evaluated: the reference, and those that lead tasks (docs/leaderboard.md)."""
+MODEL = Path("runs/ppo")
 SEEDS_OF_BUILDINGS, BUILDINGS = "0-19", 10
 """Defaults without a suite, and with one."""
 
@@ -46,8 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MODEL",
         nargs="+",
         type=Path,
-        default=[Path("runs/ppo")],
-        help="a run folder, or a model file next to its config.json; several with --suite (default: runs/ppo)",
+        help="a run folder, or a model file next to its config.json; with --suite several, or learned for the shipped "
+        f"policy (default: {MODEL})",
     )
     add_json(parser)
     parser.add_argument(
@@ -96,10 +99,12 @@ def _evaluate(options: argparse.Namespace) -> int:
     seeds = parse_seeds(options.seeds or SEEDS_OF_BUILDINGS)
     if max(seeds) >= SEEDS:
         raise DataError(f"--seeds must be 0 to {SEEDS - 1}; got {max(seeds)}")
-    if len(options.model) > 1:
-        raise DataError(f"--model {options.model[1]}: several models need --suite v1; name one")
+    model, *others = _models(options)
+    if others:
+        raise DataError(f"--model {others[0]}: several models need --suite v1; name one")
+    if str(model) == LEARNED:
+        raise DataError(f"--model {LEARNED}: a policy is shipped for a task of the suite; add --suite v1")
     check_folder(options.out)
-    model = options.model[0]
     where = options.jobs, options.ray
     folder = options.out or (model if model.is_dir() else model.parent) / "evaluation"
     films = folder / "films" if options.films else None
@@ -120,29 +125,26 @@ def _refuse_other(options: argparse.Namespace) -> None:
         why = f"--suite {options.suite} plays --buildings of its tasks and draws nothing"
     else:
         given, why = ("tasks", "agents", "split", "buildings"), "it needs --suite v1; without one, choose with --seeds"
-    for name in given:
-        if value := getattr(options, name, None):
-            told = " ".join(map(str, value)) if isinstance(value, list) else value
-            shown = "" if value is True else f" {told}"
-            raise DataError(f"--{name.replace('_', '-')}{shown}: {why}; leave it out")
+    refuse_ignored(options, given, why)
 
 
 def _evaluate_suite(options: argparse.Namespace) -> int:
-    with learning_libraries():
-        from twc_env.training.run_folder import model_in, read_settings, task_of
     from twc_env.suite.entries import REFERENCES, Entry, entries, suite_tasks
     from twc_env.suite.gaps import rows_of_models
     from twc_env.suite.runs import play_all
 
     folder = options.out or Path("runs/evaluation")
     check_folder(folder)
-    models = [str(path) for path in options.model]
+    for agent in options.agents or ():
+        if is_model(agent):
+            raise DataError(f"--agents {agent}: it is a trained model, no scripted team; name it with --model")
+    models = [str(path) for path in _models(options)]
     played: dict[str, list[str]] = {}
     for model in models:
-        own = task_of(read_settings(model_in(Path(model)).parent)).id
-        if options.tasks is None and own not in SUITES[options.suite]:
+        own = _tasks_of(model)
+        if options.tasks is None and not own <= set(SUITES[options.suite]):
             raise DataError(f"{model} was not trained on a task of suite {options.suite}: name tasks with --tasks")
-        for task in suite_tasks(options.suite, options.tasks or [own]):
+        for task in suite_tasks(options.suite, options.tasks or sorted(own)):
             played.setdefault(task, []).append(model)
     planned: list[Entry] = []
     for task, own_models in played.items():
@@ -154,7 +156,28 @@ def _evaluate_suite(options: argparse.Namespace) -> int:
     if options.json != TERMINAL:
         shown = [{key: value for key, value in row.items() if key != "mean_coverage"} for row in rows]
         print(aligned(shown, terminal_width()))
-        for row in {row["task"]: row for row in rows}.values():
-            areas = ", ".join(f"{team} {area:.3f}" for team, area in row["mean_coverage"].items())
-            print(f"{row['task']}: mean coverage: {areas}")
+        for task in played:
+            areas: dict[str, float] = {}
+            for row in (row for row in rows if row["task"] == task):
+                areas |= {
+                    row["model"] if team == "model" else team: area for team, area in row["mean_coverage"].items()
+                }
+            print(f"{task}: mean coverage: {', '.join(f'{team} {area:.3f}' for team, area in areas.items())}")
     return 0
+
+
+def _models(options: argparse.Namespace) -> list[Path]:
+    """Those that are named, or the default if it is there."""
+    if options.model is None and not MODEL.exists():
+        raise DataError(f"there is no {MODEL}: name the folder of your run, for example --model runs/quick")
+    return options.model or [MODEL]
+
+
+def _tasks_of(model: str) -> set[str]:
+    """The tasks on which a model was trained; of `learned` those that a policy is shipped for."""
+    with learning_libraries():
+        from twc_env.training.run_folder import model_in, read_settings, task_of
+        from twc_env.training.shipped import shipped
+
+    folders = shipped() if model == LEARNED else [model_in(Path(model)).parent]
+    return {task_of(read_settings(folder)).id or "" for folder in folders}

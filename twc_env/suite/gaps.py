@@ -25,7 +25,8 @@ def rows_of_models(
     `score`: interquartile mean between random (0) and informed (1); `gap_closed`: (model - best) / (informed - best) of
     the mean area under the curve, where the best scripted team is the one with the greatest mean, and None unless the
     informed one is ahead of it with an interval above 0; `lead`: model - best of that area. All with 95 % intervals
-    from a bootstrap over buildings, the same for all teams (percentiles, 2,000 resamples).
+    from a bootstrap over buildings, the same for all teams (percentiles, 2,000 resamples). `mean_coverage`: the mean
+    area of the row's own model, as `model`, and of the teams beside it.
     """
     rows = []
     for task in dict.fromkeys(entry.task for entry in entries):
@@ -44,6 +45,7 @@ def rows_of_models(
             is_gap = _with_interval(_lead, informed, other)[1] > 0.0
             gaps = _with_interval(_gap_closed, mine, other, informed) if is_gap else (math.nan,) * 3
             lead, lead_low, lead_high = _with_interval(_lead, mine, other)
+            beside = {team: float(area.mean()) for team, area in areas.items() if team not in models}
             rows.append(
                 {
                     "task": task, "model": model, "seed": _seed_of(model), "buildings": len(mine),
@@ -51,7 +53,7 @@ def rows_of_models(
                     **dict(zip(("gap_closed", "gap_low", "gap_high"), gaps, strict=True)),
                     "best_scripted": best, "lead": lead, "lead_low": lead_low, "lead_high": lead_high,
                     "wrong_merges": merges[model], "wrong_merges_of_best": merges[best],
-                    "mean_coverage": {team: float(area.mean()) for team, area in areas.items()},
+                    "mean_coverage": {"model": float(mine.mean()), **beside},
                 }
             )  # fmt: skip
     return rows
