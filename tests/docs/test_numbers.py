@@ -93,6 +93,24 @@ def covered(model: str) -> float:
     return read("results/es")[0]["mean_coverage"][model]
 
 
+def leads() -> str:
+    """Of the policies that `es` trained: in all buildings of Entrance, and the least and greatest in Radio."""
+    radio = [r["lead"] for r in read("results/es-seeds") if r["task"] == "twc/ExploreRadio-v1"]
+    return listed([read("results/es-entrance")[0]["lead"], min(radio), max(radio)])
+
+
+def behind() -> str:
+    """How far the shipped policy is behind in Quick."""
+    return listed([-read("results/es")[0]["lead"]])
+
+
+def most_merges() -> str:
+    """Most wrong merges of a training seed in Radio, and those of the best scripted team."""
+    radio = [r for r in read("results/es-seeds") if r["task"] == "twc/ExploreRadio-v1"]
+    most = max(radio, key=lambda r: r["wrong_merges"])
+    return f"{most['wrong_merges']} {most['wrong_merges_of_best']}"
+
+
 def waiting(name: str) -> str:
     """Number of closures that wait for others, of a run that says so."""
     return re.search(r"(\d+) closures between them wait", " ".join(read(name)["lacked"]))[1]
@@ -151,6 +169,21 @@ NUMBERS = [
     ("results.md", "and WiFi alone by {}.", lambda: gaps("wifi departments", 1)),
     ("results.md", "columns contradict each other by {} points", lambda: f"{twc_table1.contradiction() / 2:.1f}"),
     ("results.md", "original signs of the map, `twc` differs by {} points", lambda: gaps("twc", 1)),
+    (
+        "learning.md",
+        "leads by {} of the floor mapped over time; in 100 of `ExploreRadio-v1` each of three training seeds does, "
+        "by {} to {};",
+        leads,
+    ),
+    ("learning.md", "more wrong merges than that team, {} against {}.", most_merges),
+    ("learning.md", "In Quick itself the shipped one is {} behind", behind),
+    (
+        "learning.md",
+        "in all hundred the lead of seed 0 is {}, not {},",
+        lambda: listed([read("results/es-entrance")[0]["lead"], read("results/es-seeds")[0]["lead"]]),
+    ),
+    ("results.md", "by {} of the floor mapped over time in Entrance, by {} to {} in Radio", leads),
+    ("results.md", "level with that team in Office, and {} behind it in Quick", behind),
     (
         "learning.md",
         "leads `information-gain` by {}.",
