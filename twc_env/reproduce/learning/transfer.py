@@ -8,6 +8,7 @@ buildings.
 - 2, 3, 5, 8 robots: test buildings of ExploreQuick-v1; the shipped policy was trained with 3
 - flats: of HouseExpo, the largest 20 first, 3 robots, 2,000 time steps
 - floors: ROS maps of real floors, 3 robots, 2,000 time steps
+- ipa floors: the maps of real floors of ipa's collection, 3 robots, 2,000 time steps
 """
 
 from __future__ import annotations
@@ -27,10 +28,16 @@ from twc_env.world.building.splits import family_of, split_names
 
 CHOOSES = ("buildings", "kinds", "agents")
 TASK = "twc/ExploreQuick-v1"
-FLATS, FLOORS = "flats", "floors"
+FLATS, FLOORS, IPA_FLOORS = "flats", "floors", "ipa floors"
 TEAM_SIZES = {f"{robots} robots": robots for robots in (2, 3, 5, 8)}
-KINDS = (*TEAM_SIZES, FLATS, FLOORS)
+KINDS = (*TEAM_SIZES, FLATS, FLOORS, IPA_FLOORS)
+STEPS = 2000
+"""In buildings of other kinds than the task's."""
 FLOOR_MAPS = "intel.yaml", "lse_arena.yaml", "willow-2010-02-18-0.10.yaml"
+IPA_MAPS = (
+    *(f"Freiburg{building}_scan" for building in (52, 79, 101)), "lab_d_scan", "lab_f_scan", "lab_intel", "lab_ipa",
+    "NLB", "office_a", "office_b", "office_d",
+)  # fmt: skip
 FLATS_MAX = 20
 
 
@@ -50,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rows(options: argparse.Namespace, runner: Runner) -> list[dict]:
     """One row per kind and scripted team."""
-    teams = (options.model, *options.agents)
+    teams = tuple(dict.fromkeys((options.model, *options.agents)))
     parts = [
         (kind, team, number)
         for kind in options.kinds
@@ -86,6 +93,8 @@ def maps_of(kind: str) -> list[str]:
         return list(split_names("test", family_of(task_config(TASK).map)))
     if kind == FLOORS:
         return [str(data_folder() / "maps" / "ros" / name) for name in FLOOR_MAPS]
+    if kind == IPA_FLOORS:
+        return [str(data_folder() / "maps" / "ipa" / f"{name}.png") for name in IPA_MAPS]
     folder = data_folder() / "houseexpo"
     with (folder / "INDEX.csv").open() as file:
         areas_m2 = {row["id"]: float(row["free_area_m2"]) for row in csv.DictReader(file)}
@@ -96,8 +105,8 @@ def maps_of(kind: str) -> list[str]:
 def entry_of(kind: str, team: str, number: int) -> Entry:
     """One episode of a team."""
     given: dict[str, object] = {"map": maps_of(kind)[number], "robots": TEAM_SIZES.get(kind, 3)}
-    if kind in (FLATS, FLOORS):
-        given["max_cycles"] = 2000
+    if kind not in TEAM_SIZES:
+        given["max_cycles"] = STEPS
     config: EnvConfig = override(task_config(TASK), given)
     return Entry(TASK, config, team, number)
 
