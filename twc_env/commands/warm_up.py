@@ -13,9 +13,15 @@ EPISODES = (
     ("informed", {"world": "mall", "lidar.preset": "rplidar-a1"}),
     ("voronoi", {"world": "office"}),
     ("random", {"slam.mode": "off"}),
+    ("segments", {"slam.cues.text": False}),
+    ("rrt", {"slam.prior": "earlier-session:300"}),
+    ("nearest-frontier", {"slam.cues.lidar": False, "failure.kidnap_step": 300}),
 )
-"""Teams and settings that between them need what no other episode of `twc-env warm-up` does: planning by the map and by
-the true plan, scan descriptors, people, doors, furniture, a scanner's errors, WiFi alone, and dead reckoning."""
+"""Teams and settings that between them need what no other episode of `twc-env warm-up` does: planning by the map, the
+true plan, rooms and random trees, scan descriptors, people, doors, furniture, a scanner's errors, WiFi alone, dead
+reckoning, an earlier session's map, one robot alone, and radio without scan matching."""
+TEAM_SIZES = 4, 8
+"""Numbers of robots of tasks of the suite that no episode here has: views of maps are compiled for each number."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,8 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Compile what episodes need, in every world, with every scanner, team and learner, and what replays of logs "
         "need, and keep it on disk: some minutes. The first episode on a machine does so anyway; this is for images "
-        "and clusters, whose processes then start at once. What few commands need (walls from WiFi, localisation in "
-        "saved maps) is compiled when it is first used."
+        "and clusters, whose processes then start at once. What few settings and commands need (glass, walls from "
+        "WiFi, localisation in saved maps) is compiled when it is first used."
     )
     parser.epilog = (
         "examples:\n  twc-env warm-up\n  NUMBA_CACHE_DIR=/opt/kernels twc-env warm-up\n\n"
@@ -62,6 +68,8 @@ def compile_for_commands(steps: int = STEPS) -> int:
     settings = {"map": MAP, "robots": 2, "max_cycles": steps}
     for team, own in EPISODES:
         explore(override(EnvConfig(), {**settings, **own}), team, SEED)
+    for robots in TEAM_SIZES:
+        ExplorationEnv(config=override(EnvConfig(), {**settings, "robots": robots})).reset(seed=SEED)
     env = ExplorationEnv(config=override(EnvConfig(), {**settings, "action.kind": "frontier"}), render_mode="rgb_array")
     seen, _ = env.reset(seed=SEED)
     while env.agents:

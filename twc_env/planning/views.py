@@ -199,8 +199,10 @@ def _grow(kind, nodes, count, samples, step):
     """
     height, width = kind.shape
     points, room = np.empty((samples.shape[0], 2)), nodes.shape[0] // LANES * LANES + LANES
-    rows, columns, away, least = np.full(room, np.inf), np.full(room, np.inf), np.empty(room), np.empty(LANES)
-    rows[:count], columns[:count] = nodes[:count, 0], nodes[:count, 1]
+    rows, columns, away, least = np.empty(room), np.empty(room), np.empty(room), np.empty(LANES)
+    rows[:], columns[:] = np.inf, np.inf
+    for k in range(count):
+        rows[k], columns[k] = nodes[k, 0], nodes[k, 1]
     found = 0
     for i in range(samples.shape[0]):
         row, column = samples[i, 0] * height, samples[i, 1] * width

@@ -70,6 +70,15 @@ def _transform_covariance(x, y, heading, covariance):
 
 
 @borrowing_kernel
+def _copy(motion, covariance, into, covariance_into):
+    """Write a motion and its covariance into others: by loops, as assigning slices takes seconds to compile."""
+    for i in range(3):
+        into[i] = motion[i]
+        for j in range(3):
+            covariance_into[i, j] = covariance[i, j]
+
+
+@borrowing_kernel
 def _compose_with(motion, covariance, further, further_covariance):
     """Compose a motion and its covariance, in place, with a further motion."""
     c, s = math.cos(further[2]), math.sin(further[2])
@@ -149,18 +158,20 @@ def _bypass(ends, measured, covariances, is_gone):
             if is_gone[node]:
                 passed[length] = node
                 length += 1
-                starts[node], motions[node], spreads[node] = start, whole[count], whole_covariances[count]
+                starts[node] = start
+                _copy(whole[count], whole_covariances[count], motions[node], spreads[node])
         stretches[count, 0], stretches[count, 1] = start, node
         count += 1
         further[:], further_spread[:] = 0.0, 0.0
         for k in range(length - 1, -1, -1):  # backwards: relative to the stretch's other end, if that is more certain
             edge = edge_from[passed[k]]
-            back[:], back_spread[:] = measured[edge], covariances[edge]
+            _copy(measured[edge], covariances[edge], back, back_spread)
             _compose_with(back, back_spread, further, further_spread)
-            further[:], further_spread[:] = back, back_spread
+            _copy(back, back_spread, further, further_spread)
             if _variance_m2(back_spread) < _variance_m2(spreads[passed[k]]):
                 _reverse(back, back_spread)
-                starts[passed[k]], motions[passed[k]], spreads[passed[k]] = node, back, back_spread
+                starts[passed[k]] = node
+                _copy(back, back_spread, motions[passed[k]], spreads[passed[k]])
     return stretches[:count], whole[:count], whole_covariances[:count], starts, motions, spreads
 
 
@@ -172,12 +183,12 @@ def _transfer(ends, measured, covariances, starts, motions, spreads):
         i, j = ends[e, 0], ends[e, 1]
         if starts[i] >= 0:
             ends[e, 0] = starts[i]
-            back[:], back_spread[:] = motions[i], spreads[i]
+            _copy(motions[i], spreads[i], back, back_spread)
             _compose_with(back, back_spread, measured[e], covariances[e])
-            measured[e], covariances[e] = back, back_spread
+            _copy(back, back_spread, measured[e], covariances[e])
         if starts[j] >= 0:
             ends[e, 1] = starts[j]
-            back[:], back_spread[:] = motions[j], spreads[j]
+            _copy(motions[j], spreads[j], back, back_spread)
             _reverse(back, back_spread)
             _compose_with(measured[e], covariances[e], back, back_spread)
         loose[e] = _variance_m2(covariances[e])
