@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import EnvConfig, robot_configs
-from twc_env.planning import FeltObstacles, MovingObstacles, shown
+from twc_env.planning import FeltObstacles, MovingObstacles, has_glass, shown
 from twc_env.records.messages import Belief
 
 from .policy import Policy
@@ -23,6 +23,7 @@ class CarefulTeam(Policy):
     def __init__(self, team: Policy, config: EnvConfig):
         self._team, self._own = team, [own.dynamics for own in robot_configs(config)]
         self._waits, self._feels = config.people.count > 0, config.clutter.furniture > 0
+        self._has_glass = has_glass(config)
         self._obstacles: dict[str, MovingObstacles] = {}
         self._felt: dict[str, FeltObstacles] = {}
         self._speed_max_m_s: dict[str, float] = {}
@@ -32,7 +33,7 @@ class CarefulTeam(Policy):
         self._team.reset(seed, agents)
         own = dict(zip(agents, self._own, strict=True))
         self._speed_max_m_s = {agent: each.speed_max_m_s for agent, each in own.items()}
-        self._obstacles = {agent: MovingObstacles(each) for agent, each in own.items() if self._waits}
+        self._obstacles = {agent: MovingObstacles(each, self._has_glass) for agent, each in own.items() if self._waits}
         self._felt = {agent: FeltObstacles(each) for agent, each in own.items() if self._feels}
 
     def give_truth(self, *truth: Any) -> None:

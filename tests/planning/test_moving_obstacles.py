@@ -123,3 +123,34 @@ def test_of_a_speed_only_the_share_towards_somebody_is_limited():
         [scan_with([(far * c, far * s)]) for far in np.linspace(1.6, 0.9, 8)] for c, s in ((1, 0), (0.5, 0.866))
     )
     assert limit_m_s(aside) == pytest.approx(2.0 * limit_m_s(ahead), rel=0.1)
+
+
+def panes(count, random, share=0.3):
+    """Scans of a pane 0.8 m ahead, 0.7 m wide, which returns a share of the beams, in front of walls 3 m away."""
+    angles = 2 * math.pi * np.arange(BEAMS) / BEAMS
+    x, y = np.cos(angles), np.sin(angles)
+    is_pane = (x > 0.0) & (np.abs(0.8 * y / np.where(x > 0.0, x, 1.0)) < 0.35)
+    return [
+        np.where(is_pane & (random.random(BEAMS) < share), 0.8 / np.where(is_pane, x, 1.0), 3.0) for _ in range(count)
+    ]
+
+
+def test_glass_that_comes_and_goes_in_one_place_is_no_person():
+    """It is one for the first seconds, and where nobody expects glass; who comes nearer beside it is one still."""
+    scans, pose = panes(80, np.random.default_rng(0)), np.zeros(3)
+    expecting, other = MovingObstacles(DynamicsConfig(), has_glass=True), MovingObstacles(DynamicsConfig())
+    limits = np.array([[each.limit_m_s(pose, scan, 0.5, NOBODY) for each in (expecting, other)] for scan in scans])
+    assert (limits[1:40] < 0.5).all()
+    assert (limits[50:, 0] == math.inf).all() and (limits[50:, 1] < 0.5).all()
+    for k, scan in enumerate(panes(8, np.random.default_rng(1))):
+        limit = expecting.limit_m_s(pose, np.minimum(scan, scan_with([(1.2 - 0.1 * k, 0.6)])), 0.5, NOBODY)
+    assert limit < 0.5
+
+
+def test_people_who_walk_by_one_after_the_other_stay_people():
+    obstacles, limits = MovingObstacles(DynamicsConfig(), has_glass=True), []
+    for _ in range(3):
+        for k in range(30):
+            limits.append(obstacles.limit_m_s(np.zeros(3), scan_with([(0.7, 1.5 - 0.13 * k)]), 0.5, NOBODY))
+    passing = np.array(limits).reshape(3, 30).min(axis=1)
+    assert (passing == passing[0]).all() and passing[0] < 0.5

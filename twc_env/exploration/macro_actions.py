@@ -17,6 +17,7 @@ from twc_env.exploration.observation.observation_blocks import EXTRA_CHOICES
 from twc_env.planning.candidates import NOTHING, Candidates, can_tell_places, find_candidates, find_views
 from twc_env.planning.drivers import ARRIVAL_M, NARROW_FACTOR, Drivers, map_id
 from twc_env.planning.follow import can_reverse
+from twc_env.planning.moving_obstacles import has_glass
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
 from twc_env.records.geometry import transform_points
@@ -129,7 +130,7 @@ class MacroActions:
         own = robot_configs(config)
         self._drivers = Drivers(
             [each.dynamics for each in own], self._finder, config.people.count > 0, config.clutter.furniture > 0,
-            [config.action.reverses and can_reverse(each) for each in own],
+            [config.action.reverses and can_reverse(each) for each in own], has_glass(config),
         )  # fmt: skip
         self._search = CandidateSearch(config, self._finder)
         self._are_candidates_used = config.action.kind == "frontier" or config.observation.frontiers

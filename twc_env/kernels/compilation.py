@@ -22,7 +22,7 @@ from twc_env.processes.file_lock import FileLock
 _LOG = logging.getLogger("twc_env")
 SILENT_S, WAIT_MAX_S = 5.0, 300.0
 """Wait for another process that compiles until this one says so, and the longest one; then this one compiles too."""
-FIRST_STEP, EPISODE, EVERYTHING = 180, 300, 590
+FIRST_STEP, EPISODE, EVERYTHING = 180, 300, 660
 """Functions compiled until the first step of the default environment, for one episode, and by `twc-env warm-up`: the
 lengths of bars."""
 

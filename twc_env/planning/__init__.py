@@ -9,7 +9,7 @@ from twc_env.planning.felt_obstacles import FeltObstacles, shown
 from twc_env.planning.floor_views import FloorViews, place_graph
 from twc_env.planning.follow import Follower, as_action, can_reverse, drive_to, room_around_m
 from twc_env.planning.latency_tours import LatencyTours, TeamState
-from twc_env.planning.moving_obstacles import MovingObstacles
+from twc_env.planning.moving_obstacles import MovingObstacles, has_glass
 from twc_env.planning.path_finder import Disc, PathFinder, Plan
 from twc_env.planning.radio_whereabouts import Whereabouts, whereabouts
 from twc_env.planning.terrain import FREE, UNKNOWN, WALL, Terrain, is_frontier
@@ -42,6 +42,7 @@ __all__ = [
     "drive_to",
     "find_candidates",
     "find_views",
+    "has_glass",
     "is_frontier",
     "place_graph",
     "room_around_m",

@@ -150,12 +150,13 @@ class Drivers:
 
     def __init__(
         self, dynamics: Sequence[DynamicsConfig], finder: PathFinder, waits_for_people: bool = False,
-        feels: bool = False, reverses: Sequence[bool] = (),
+        feels: bool = False, reverses: Sequence[bool] = (), has_glass: bool = False,
     ):  # fmt: skip
         """waits_for_people: slow down while something moves close to a robot; feels: avoid what one bumped into;
-        reverses (robots,): whether each drives backwards where its path leads back, by default none."""
+        reverses (robots,): whether each drives backwards where its path leads back, by default none; has_glass: of
+        `MovingObstacles`."""
         self._dynamics, self._finder = dynamics, finder
-        self._obstacles = [MovingObstacles(own) for own in dynamics] if waits_for_people else None
+        self._obstacles = [MovingObstacles(own, has_glass) for own in dynamics] if waits_for_people else None
         self._felt = [FeltObstacles(own) for own in dynamics] if feels else []
         self._felt_m = [np.zeros((0, 2)) for _ in dynamics]
         """(k, 2) of each robot, in its frame: what it has felt."""

@@ -1,7 +1,10 @@
 """How fast a robot may drive where something moves close to it: an obstacle where there was free space in the scan
 before. The nearer, the slower, so that it stands before somebody who walks towards it has come: speed and separation
 monitoring as in ISO/TS 15066, with people of usual speed. Only what the robot drives towards counts: one that people
-have come close to may go where they are not."""
+have come close to may go where they are not.
+
+Glass returns some beams and lets others pass, so that it seems to appear again and again where it is. What has done so
+for seconds in one place is no person (`GLASS_TIMES`)."""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import DynamicsConfig
+from twc_env.config import DynamicsConfig, EnvConfig, robot_configs
 from twc_env.kernels.compiled import kernel
 from twc_env.records.geometry import transform_points
 from twc_env.records.messages import Belief
@@ -38,14 +41,27 @@ HOLD_S = 0.4
 """Something that stops stays a moving obstacle for this long ..."""
 BESIDE_HOLD_S = 2.0
 """... and narrow things beside the robot for this long."""
+GLASS_TIMES, GLASS_BIN_S, GLASS_MEMORY_S = 7, 0.5, 5.0
+"""Glass is what has seemed to move in one place in so many parts of so long of the last seconds, but the latest part.
+Somebody who walks by does so in one or two."""
+GLASS_M = 0.15
+"""Within this distance it is one place."""
+GLASS_MAX = 4096
+"""Most places that are remembered."""
 _AROUND_M = 0.1 * np.array([[x, y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
 """A wall of the map this near to an end point is what it met."""
 
 
+def has_glass(config: EnvConfig) -> bool:
+    """Whether scanners see glass now and then, where there is any."""
+    return any(own.lidar.glass_return_probability < 1.0 for own in robot_configs(config))
+
+
 @kernel
 def _limit(
-    ranges, is_wall, pose, old_ranges, old_pose, radius, reach, beside, forward, teammates, teammate_radius, braking
-):
+    ranges, is_wall, pose, old_ranges, old_pose, radius, reach, beside, forward, teammates, teammate_radius, braking,
+    moved, now, bin_steps,
+):  # fmt: skip
     """Greatest speed towards end points within `reach` on something narrow that lies well inside the free space of the
     old scan, infinite if there are none; and whether something narrow, moved or not, is nearer than `beside`, except
     at beams that meet a wall of the map, is_wall (beams,).
@@ -53,7 +69,11 @@ def _limit(
     The beams beside its bearing must have been free as well: along a grazing wall, ranges of neighbours differ. Points
     behind a robot that drives forward (1) or back (-1), or within teammate_radius of teammates (k, 2), do not count.
     Of a speed, only its share towards the point is limited.
+
+    moved (k, 3): ring of where something moved (x, y) and when (step), with the number of all so far in its last row;
+    empty if there is no glass. now: this step; bin_steps: `GLASS_BIN_S`.
     """
+    remembers = moved.shape[0] > 0
     beams = ranges.shape[0]
     per_beam = beams / (2.0 * math.pi)
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -68,7 +88,7 @@ def _limit(
             continue
         speed = _stops_within(ranges[i] - radius - LEG_M, braking) / towards
         is_near = not is_beside and ranges[i] < beside and not is_wall[i]
-        if not (speed < limit or is_near):
+        if not (speed < limit or is_near or remembers):
             continue
         is_teammate = False
         for k in range(teammates.shape[0]):
@@ -77,7 +97,7 @@ def _limit(
             continue
         if is_near:
             is_beside = _width(ranges, i) < WIDTH_M
-        if not speed < limit:
+        if not (speed < limit or remembers):
             continue
         wx, wy = pose[0] + c * ax - s * ay - old_pose[0], pose[1] + s * ax + c * ay - old_pose[1]
         dx, dy = old_c * wx + old_s * wy, old_c * wy - old_s * wx
@@ -85,9 +105,39 @@ def _limit(
         is_free = True
         for b in range(beam - 1, beam + 3):
             is_free &= old_ranges[b % beams] > away + SHIFT_M
-        if is_free and _width(ranges, i) < WIDTH_M:
-            limit = speed
+        if not is_free or _width(ranges, i) >= WIDTH_M:
+            continue
+        if remembers:
+            x, y = pose[0] + c * ax - s * ay, pose[1] + s * ax + c * ay
+            is_glass = _has_come_and_gone(moved, x, y, now, bin_steps)
+            _remember(moved, x, y, now)
+            if is_glass:
+                continue
+        limit = min(limit, speed)
     return limit, is_beside
+
+
+@kernel
+def _has_come_and_gone(moved, x, y, now, bin_steps):
+    """Whether something seemed to move within GLASS_M of (x, y) in GLASS_TIMES parts of the time before this part."""
+    times, last = 0, -1
+    count = int(moved[-1, 0])
+    for k in range(max(0, count - moved.shape[0] + 1), count):
+        row = k % (moved.shape[0] - 1)
+        part = (now - int(moved[row, 2])) // bin_steps
+        if part < 1 or part * GLASS_BIN_S > GLASS_MEMORY_S or part == last:
+            continue
+        if (moved[row, 0] - x) ** 2 + (moved[row, 1] - y) ** 2 < GLASS_M**2:
+            times, last = times + 1, part
+    return times >= GLASS_TIMES
+
+
+@kernel
+def _remember(moved, x, y, now):
+    """Add that something seemed to move at (x, y)."""
+    row = int(moved[-1, 0]) % (moved.shape[0] - 1)
+    moved[row, 0], moved[row, 1], moved[row, 2] = x, y, now
+    moved[-1, 0] += 1.0
 
 
 @kernel
@@ -139,8 +189,11 @@ def _meets_walls(belief: Belief, reach_m: float) -> Array:
 class MovingObstacles:
     """Remembers the recent scans of one robot."""
 
-    def __init__(self, dynamics: DynamicsConfig):
+    def __init__(self, dynamics: DynamicsConfig, has_glass: bool = False):
+        """has_glass: as the function of this name says."""
         self._dynamics = dynamics
+        self._moved, self._step = np.zeros((GLASS_MAX + 1 if has_glass else 0, 3)), 0
+        self._bin_steps = max(1, round(GLASS_BIN_S / dynamics.time_step_s))
         self._earlier: deque[tuple[Array, Array]] = deque(maxlen=max(1, round(LAG_S / dynamics.time_step_s)) + 1)
         self._hold_steps, self._beside_steps, self._held_m_s, self._forward = 0, 0, math.inf, 1.0
 
@@ -176,7 +229,9 @@ class MovingObstacles:
             ranges, np.zeros(len(ranges), bool) if is_wall is None else is_wall, self._earlier[-1][0], old_ranges,
             old_pose, radius_m, radius_m + REACH_M, radius_m + BESIDE_M, forward,
             np.ascontiguousarray(teammates_m, float), 2.0 * radius_m, self._dynamics.acceleration_max_m_s2,
+            self._moved, self._step, self._bin_steps,
         )  # fmt: skip
+        self._step += 1
         tick_s = self._dynamics.time_step_s
         if found_m_s < math.inf:
             self._hold_steps, self._beside_steps = round(HOLD_S / tick_s), round(BESIDE_HOLD_S / tick_s)
