@@ -134,6 +134,22 @@ def test_the_map_the_film_and_the_page_use_the_same_words(small):
     assert "true pose at the end" in of_map and "undecided closures (1)" in of_map
 
 
+def test_a_closure_shows_on_the_floor_of_a_map_and_is_fainter_among_many(small):
+    start_m = small.true_poses[0, 0, :2]
+    here, away = (
+        {"status": "rejected", "correct": False, "target_m": end_m, "source_m": end_m + 0.7}
+        for end_m in (start_m, start_m - 900.0)
+    )
+
+    def picture(closures):
+        figure = dataclasses.replace(small, closures=closures).plot()
+        figure.canvas.draw()
+        return np.asarray(figure.canvas.buffer_rgba()).astype(int)
+
+    few, many = (np.abs(picture([here] + [away] * (n - 1)) - picture([away] * n)).max() for n in (30, 300))
+    assert few > many > 15
+
+
 def test_start_and_end_look_like_no_other_mark_and_their_samples_like_no_wall(small):
     (legend,) = small.plot().legends
     marks = {name.get_text(): mark for name, mark in zip(legend.get_texts(), legend.legend_handles, strict=True)}

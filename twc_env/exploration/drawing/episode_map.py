@@ -27,8 +27,10 @@ BESIDE_MAX = 0.3
 WIDE_IN, NARROW_IN, HEIGHT_MAX_IN = 11.0, 8.0, 12.0
 NAMES_MAX = 80
 """Signs beyond these get no name, as there is no room for more."""
-LINES_CLEAR = 100
+LINES_CLEAR = 30
 """More closures of a kind than this are drawn below the paths, and fainter the more there are."""
+BELOW_PATHS = 1.999
+"""Their order: odometry is at 2, the walls of the topmost map at 1.995."""
 FINER = 3
 """Small cells per cell of a map along each axis, in which walls are drawn before their outlines are traced."""
 TRUE_WIDTH, ESTIMATED_WIDTH, ODOMETRY_WIDTH = 3.2, 1.1, 0.8
@@ -229,7 +231,7 @@ def _draw_closures(axes: Any, result: Any) -> list[tuple[Any, str]]:
         if not lines[name]:
             continue
         entries.append((Line2D([], [], color=palette.CLOSURE, **look), f"{name} ({len(lines[name])})"))
-        faint = {"alpha": max(0.1, LINES_CLEAR / len(lines[name])), "zorder": 1.9}
+        faint = {"alpha": max(0.1, LINES_CLEAR / len(lines[name])), "zorder": BELOW_PATHS}
         drawn = {"zorder": look["zorder"]} | (faint if len(lines[name]) > LINES_CLEAR and "marker" not in look else {})
         axes.add_collection(
             LineCollection(lines[name], colors=palette.CLOSURE, linewidths=look["lw"], linestyles=look["ls"], **drawn)
