@@ -86,6 +86,28 @@ def test_estimates_stay_beside_the_true_robots_at_the_start_after_merges_and_wit
     assert merged and away_m.max() < 0.1
 
 
+def test_the_page_shows_walls_and_estimates_that_ever_lay_beside_the_building_but_none_far_away(run, tmp_path):
+    shutil.copy(run / "report.json", tmp_path)
+    with np.load(run / "trace.npz") as data:
+        trace = dict(data)
+    x0, y0, x1, y1 = data_of(write_page(run, run / "page.html"))["bounds_m"]
+    ends_m = trace["walls_m"].reshape(-1, 2)
+    assert np.allclose([x0, y0, x1, y1], [*ends_m.min(axis=0), *ends_m.max(axis=0)], atol=0.1)
+
+    def bounds(by_m, of_robot_m):
+        moments, poses = json.loads(str(trace["moments"])), trace["estimated_poses"].copy()
+        moments[1]["layers"][0]["pose_building_map"][0] += by_m
+        poses[3, 0, 1] += of_robot_m
+        np.savez(
+            tmp_path / "trace.npz", **{**trace, "moments": np.array(json.dumps(moments)), "estimated_poses": poses}
+        )
+        return data_of(write_page(tmp_path, tmp_path / "page.html"))["bounds_m"]
+
+    wide = bounds(x1 - x0, -(y1 - y0))
+    assert wide[0] == x0 and wide[3] == y1 and x1 + 1 < wide[2] <= x1 + 0.31 * (x1 - x0) and wide[1] < y0 - 1
+    assert np.allclose(bounds(900.0, 0.0), [x0, y0, x1 + 0.3 * (x1 - x0), y1], atol=0.1)
+
+
 def test_long_episodes_keep_a_bounded_number_of_moments(monkeypatch):
     monkeypatch.setattr("twc_env.exploration.trace.MOMENTS_MAX", 4)
     _, trace, _ = play(watched=True)

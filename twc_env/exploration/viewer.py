@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,10 @@ from numpy.typing import NDArray as Array
 from twc_env.config import RadioConfig, robot_configs
 from twc_env.exploration.assessment.episode_record import EpisodeRecord
 from twc_env.exploration.assessment.map_scores import GroupScore
+from twc_env.exploration.drawing.extent import grown_extent_m, wall_points_m
 from twc_env.exploration.drawing.frame import framed, legend_of
 from twc_env.exploration.drawing.layers import Layers, layered
-from twc_env.exploration.drawing.rendering import ClosureLine, Scene, SignalLayer
+from twc_env.exploration.drawing.rendering import ClosureLine, Scene, SignalLayer, building_box_m
 from twc_env.exploration.drawing.window import Window
 from twc_env.exploration.episode import Episode
 from twc_env.records.geometry import compose, transform_points
@@ -35,10 +37,12 @@ class Viewer:
         self._signal: tuple[Floorplan, SignalLayer] | None = None
         self._seen = SeenClosures()
         self._shown_step = -1
+        self._shown_m: Array | None = None
+        """As of `Scene`: it grows with maps that lie askew."""
 
     def begin(self) -> None:
         """Prepare for a new episode."""
-        self._seen, self._shown_step = SeenClosures(), -1
+        self._seen, self._shown_step, self._shown_m = SeenClosures(), -1, None
 
     def draw(self, episode: Episode) -> Array | None:
         """The picture of the present state; None if it is shown in the window. Waits while the window is paused."""
@@ -73,14 +77,24 @@ class Viewer:
         lines = self._seen.lines(scores, episode.record.count, episode.config.dynamics.time_step_s)
         layers = self._layers
         signal = self._signal_of(episode.floorplan, episode.config.radio) if layers.signal else None
+        self._grow_to(scores, episode.floorplan)
         if layers.robot is not None:
             scores = [v for v in scores if layers.robot in v.view.viewers] or scores
         others = {"people_m": episode.world.people_m, "things_m": episode.world.things_m}
         radii_m = tuple(own.dynamics.robot_radius_m for own in robot_configs(episode.config))
         scene = scene_of(episode.floorplan, episode.engine, episode.record, scores, lines, signal, radii_m, **others)
+        scene = replace(scene, shown_m=self._shown_m)
         caption = f"{Path(episode.floorplan.name).name}, seed {episode.seed}: {episode.caption()}"
         help_text = "" if self.window is None else self.window.help_text
         return framed(layered(scene, layers), caption, help_text, legend_of(scene))
+
+    def _grow_to(self, scores: Sequence[GroupScore], plan: Floorplan) -> None:
+        """Let the pictures from now on show the walls of these maps, too, but nothing far away."""
+        cells = plan.cells()
+        box_m = building_box_m(cells.origin_m, cells.wall, cells.resolution_m)
+        walls_m = np.vstack([wall_points_m(score.grid, score.pose_building_map) for score in scores])
+        shown_m = grown_extent_m(box_m, box_m if self._shown_m is None else self._shown_m, walls_m)
+        self._shown_m = shown_m if (shown_m != box_m).any() else None
 
     def _signal_of(self, plan: Floorplan, config: RadioConfig) -> SignalLayer:
         if self._signal is None or self._signal[0] is not plan:

@@ -21,8 +21,10 @@ from twc_env.datasets.logs.arrays_file import read_arrays
 from twc_env.errors import UNFIT, DataError, TwcError
 from twc_env.exploration.assessment.result_table import keyed_rows, remarks_of
 from twc_env.exploration.drawing import palette
+from twc_env.exploration.drawing.extent import extent_m, wall_points_m
 from twc_env.exploration.drawing.smooth_map import NUMBERS
-from twc_env.exploration.trace import FORMAT, TRACE_KEYS
+from twc_env.exploration.trace import FORMAT, TRACE_KEYS, WALL
+from twc_env.records.messages import GridMap
 from twc_env.records.whole_file import whole_file
 from twc_env.world.sensors.signal_map import SIGNAL_SPAN_DBM
 
@@ -81,13 +83,16 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
     """
     config: EnvConfig = from_dict(json.loads(str(trace["config"])))
     walls = trace["walls_m"].reshape(-1, 4)
-    corners = trace["walls_m"].reshape(-1, 2)
     moments = json.loads(str(trace["moments"]))
     starts = np.concatenate([[0], trace["map_ends"]])
     packed = trace["maps"].tobytes()
     layers = [layer for moment in moments for layer in moment["layers"]]
+    shown_m = [trace["estimated_poses"][..., :2].reshape(-1, 2)]
     for layer, first, end in zip(layers, starts[:-1], starts[1:], strict=True):
         layer["cells"] = base64_of(packed[first:end])
+        shown_m.append(_wall_points_m(layer, packed[first:end]))
+    ends_m = walls.reshape(-1, 2)
+    bounds_m = extent_m(np.array([ends_m.min(axis=0), ends_m.max(axis=0)]), np.vstack(shown_m))
     return {
         "robots": config.robots,
         "robot_radii_m": [own.dynamics.robot_radius_m for own in robot_configs(config)],
@@ -99,7 +104,7 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
         "colours": list(palette.ROBOTS),
         "figures": [list(row) for row in keyed_rows(report)],
         "remarks": remarks_of(report),
-        "bounds_m": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()],
+        "bounds_m": bounds_m.ravel().tolist(),
         "walls_m": rounded(walls),
         "signs_m": rounded(trace["signs_m"]),
         "sign_texts": json.loads(str(trace["sign_texts"])),
@@ -110,6 +115,13 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
         "moments": moments,
         "report": report,
     }
+
+
+def _wall_points_m(layer: dict[str, Any], cells: bytes) -> Array:
+    """(n, 2) places of a layer's walls in the building frame."""
+    kind = np.frombuffer(zlib.decompress(cells), np.uint8).reshape(layer["shape"])
+    grid = GridMap((kind == WALL).astype(np.int16), np.array(layer["origin_m"]), layer["resolution_m"])
+    return wall_points_m(grid, layer["pose_building_map"])
 
 
 def _signal(trace: dict[str, Array]) -> dict[str, Any]:

@@ -36,7 +36,7 @@ class RecordEpisodes(BaseParallelWrapper):
     """Writes a film for each episode to a folder, when the episode ends: `twin-01-seed0.gif`, named by map and seed.
 
     Frames are 960 pixels wide and have a legend; their caption shows the time, how many robots share a map and the
-    share of the floor that is mapped correctly. Every
+    share of the floor that is mapped correctly. The view widens as soon as a map lies beside the building. Every
     `every`-th time step is recorded, also within long actions, and shown in real time. An episode abandoned before its
     first step leaves no film; one abandoned later leaves a shorter one, to its last step. After `close`, nothing is
     recorded until the next `reset`.

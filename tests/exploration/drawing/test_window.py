@@ -4,6 +4,7 @@ import copy
 import pickle
 import shutil
 import subprocess
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -13,6 +14,9 @@ from pettingzoo.test import render_test
 
 import twc_env
 from twc_env.errors import ConfigError
+from twc_env.exploration.drawing import palette
+from twc_env.exploration.drawing.extent import wall_points_m
+from twc_env.exploration.drawing.rendering import building_box_m
 
 SMALL = {"map": "twin-01", "robots": 2, "max_cycles": 6, "config": {"lidar.beam_count": 60}}
 AHEAD = np.array([0.8, 0.1], np.float32)
@@ -24,6 +28,11 @@ def team(**arguments):
 
 def step(env):
     return env.step({agent: AHEAD for agent in env.agents})
+
+
+def building_m(env):
+    cells = env.floorplan.cells()
+    return building_box_m(cells.origin_m, cells.wall, cells.resolution_m)
 
 
 @pytest.fixture
@@ -205,6 +214,33 @@ def test_pettingzoo_accepts_the_pictures_in_every_mode(pygame):
 
 def test_gymnasium_accepts_the_pictures_in_every_mode(pygame):
     check_env(gymnasium.make("twc/Explore-v0", max_cycles=5).unwrapped)
+
+
+def test_pictures_widen_to_a_map_that_lies_askew_keep_their_size_and_stay_wide_until_the_next_episode(monkeypatch):
+    env = team(render_mode="rgb_array")
+    env.reset(seed=0)
+    step(env)
+    before, scores = env.render(), env.episode.map_scores()
+
+    def moved(by_m):
+        poses = [score.pose_building_map + [by_m, 0.0, 0.0] for score in scores]
+        return [replace(score, pose_building_map=pose) for score, pose in zip(scores, poses, strict=True)]
+
+    def walls(picture):  # dark columns between caption and legend
+        return np.flatnonzero((picture[40:-60] == palette.rgb(palette.WALL)).all(axis=2).any(axis=0))
+
+    x_max = env.floorplan.bounds_m[2]
+    ends_m = [wall_points_m(score.grid, score.pose_building_map)[:, 0].max() for score in scores]
+    monkeypatch.setattr(env.episode, "map_scores", lambda: moved(x_max - max(ends_m) + 3.0))
+    beside = env.render()
+    assert beside.shape == before.shape and walls(beside).max() < 945 and np.ptp(walls(beside)) < np.ptp(walls(before))
+    monkeypatch.setattr(env.episode, "map_scores", lambda: moved(900.0))
+    assert not len(walls(env.render())) and np.ptp(env._viewer._shown_m[:, 0]) < 1.31 * np.ptp(building_m(env)[:, 0])
+    monkeypatch.undo()
+    assert np.ptp(walls(env.render())) < np.ptp(walls(before))
+    env.reset(seed=0)
+    step(env)
+    assert np.array_equal(env.render(), before)
 
 
 def test_closures_and_the_signal_layer_are_drawn():

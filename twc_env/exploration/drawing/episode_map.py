@@ -12,6 +12,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.errors import ConfigError
 from twc_env.exploration.drawing import palette
+from twc_env.exploration.drawing.extent import extent_m
 from twc_env.exploration.drawing.figures import fit_height, legend_below, new_figure, set_title, settle, style
 from twc_env.exploration.drawing.labels import place_names
 from twc_env.exploration.drawing.path_ends import end_entries, mark_ends
@@ -22,8 +23,6 @@ from twc_env.records.messages import GridMap
 
 MARGIN_M, GAP_M = 1.0, 0.2
 """Around the building, and around walls of a map that lie outside it."""
-BESIDE_MAX = 0.3
-"""Of the building's size is shown beside it at most, on each side, of a map that lies askew."""
 WIDE_IN, NARROW_IN, HEIGHT_MAX_IN = 11.0, 8.0, 12.0
 NAMES_MAX = 80
 """Signs beyond these get no name, as there is no room for more."""
@@ -67,16 +66,12 @@ def map_figure(result: Any, dpi: float | None = None) -> Any:
     return figure
 
 
-def _shown_m(result: Any) -> tuple[Array, Array]:
-    """Lower left and upper right corner [m] of what is shown: the building, and the walls of a map that lies askew."""
+def _shown_m(result: Any) -> Array:
+    """(2, 2) lower left and upper right corner [m] of the building and the walls of maps that lie askew."""
     corners = np.reshape(result.floorplan.bounds_m, (2, 2)) + [[-MARGIN_M], [MARGIN_M]]
-    beside_m = BESIDE_MAX * np.ptp(corners, axis=0)
-    low, high = corners
-    for grid, pose in zip(result.grids, result.pose_building_map, strict=True):
-        ends_m = _wall_ends_m(grid, wall_strokes(grid.log_odds), pose)
-        if len(ends_m):
-            low, high = np.minimum(low, ends_m.min(axis=0) - GAP_M), np.maximum(high, ends_m.max(axis=0) + GAP_M)
-    return np.maximum(low, corners[0] - beside_m), np.minimum(high, corners[1] + beside_m)
+    placed = zip(result.grids, result.pose_building_map, strict=True)
+    ends_m = [_wall_ends_m(grid, wall_strokes(grid.log_odds), pose) for grid, pose in placed]
+    return extent_m(corners, np.vstack([corners, *(own + gap_m for own in ends_m for gap_m in (-GAP_M, GAP_M))]))
 
 
 def _wall_ends_m(grid: GridMap, strokes: Array, pose_building_map: Array) -> Array:

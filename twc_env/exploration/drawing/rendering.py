@@ -98,6 +98,8 @@ class Scene:
     """(people, 2) true positions."""
     things_m: Array = field(default_factory=lambda: np.zeros((0, 4)))
     """(k, 4) true ends of door leaves and of the sides and legs of furniture."""
+    shown_m: Array | None = None
+    """(2, 2) lower left and upper right corner of what is shown at least; None: the building and a margin."""
 
 
 @kernel
@@ -159,14 +161,26 @@ def _paint_signal(image, left, top, metres, share, layer_x, layer_y, cell):
                 image[v, u, k] += SIGNAL_OPACITY * (colour - image[v, u, k])
 
 
+def building_box_m(origin_m: Array, walls: Array, resolution_m: float) -> Array:
+    """(2, 2) lower left and upper right corner of a building of these walls, and of a margin around it."""
+    size_m = np.array(walls.shape[::-1]) * resolution_m
+    return np.array([origin_m - MARGIN_M, origin_m + size_m + MARGIN_M])
+
+
 def view_of(scene: Scene) -> tuple[tuple[int, int], tuple[float, float, float]]:
-    """(height, width) of the picture in pixels; x and y [m] of its upper left corner, and the width of a pixel [m]."""
-    rows, columns = scene.walls.shape
-    size_m = np.array([columns, rows]) * scene.resolution_m + 2 * MARGIN_M
+    """(height, width) of the picture in pixels; x and y [m] of its upper left corner, and the width of a pixel [m].
+
+    What is shown besides the building changes the scale, but not the size of the picture.
+    """
+    box_m = building_box_m(scene.origin_m, scene.walls, scene.resolution_m)
+    size_m = np.ptp(box_m, axis=0)
     scale = float(min(WIDTH_MAX_PX / size_m[0], HEIGHT_MAX_PX / size_m[1], PIXELS_PER_METRE_MAX))
     width, height = (max(1, round(v * scale)) for v in size_m)
-    left, top = scene.origin_m[0] - MARGIN_M, scene.origin_m[1] + size_m[1] - MARGIN_M
-    return (height, width), (float(left), float(top), 1.0 / scale)
+    if scene.shown_m is None:
+        return (height, width), (float(box_m[0, 0]), float(box_m[1, 1]), 1.0 / scale)
+    metres = float(np.max(np.ptp(scene.shown_m, axis=0) / (width, height)))
+    left, top = scene.shown_m.mean(axis=0) + 0.5 * metres * np.array([-width, height])
+    return (height, width), (float(left), float(top), metres)
 
 
 def render(scene: Scene) -> Array:
