@@ -233,6 +233,27 @@ return [drawn(0, 0, LEFT_PX - 3, c.height), drawn(0, c.height - BOTTOM_PX + 1, c
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_odometry_alone_is_a_layer_that_is_off_at_first(run, tmp_path, browser):
+    page = write_page(run, run / "page.html")
+    odometry = play(watched=False)[0].result().odometry_poses
+    assert np.allclose(data_of(page)["odometry_m"], odometry[..., :2], atol=1e-3)
+
+    browser.get(page.as_uri())
+    box = browser.find_element("css selector", "[data-layer=odometry]")
+    picture = "return Array.from(stage.getContext('2d').getImageData(0, 0, stage.width, stage.height).data)"
+    without = browser.execute_script(picture)
+    assert not box.is_selected()
+    box.click()
+    assert browser.execute_script(picture) != without
+    shutil.copy(run / "report.json", tmp_path)
+    with np.load(run / "trace.npz") as trace:  # as written by versions before
+        np.savez(tmp_path / "trace.npz", **{key: trace[key] for key in trace.files if key != "odometry_poses"})
+    browser.get(write_page(tmp_path, tmp_path / "page.html").as_uri())
+    assert not browser.find_elements("css selector", "[data-layer=odometry]")
+    assert len(browser.find_elements("css selector", "[data-layer]")) == 9
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize(("width", "height"), [(1300, 900), (390, 800)], ids=["desktop", "phone"])
 def test_the_page_is_readable_light_and_dark_on_a_desktop_and_a_phone(run, browser, scheme, width, height):

@@ -86,6 +86,7 @@ class EpisodeTrace:
                 signal_place=np.array([*signal_origin_m, signal_cell_m]),
                 true_poses=env.episode.record.true_poses[: last + 1],
                 estimated_poses=np.array(self._estimated),
+                odometry_poses=env.episode.record.odometry_poses()[: last + 1],
                 maps=np.frombuffer(b"".join(packed), np.uint8),
                 map_ends=np.cumsum([len(p) for p in packed]),
                 moments=np.array(json.dumps([moment for moment, _ in self._moments])),

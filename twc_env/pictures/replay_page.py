@@ -112,6 +112,7 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
         "signal": _signal(trace),
         "true_poses": rounded(trace["true_poses"]),
         "estimated_poses": rounded(trace["estimated_poses"]),
+        "odometry_m": rounded(trace["odometry_poses"][..., :2]) if "odometry_poses" in trace else None,
         "moments": moments,
         "report": report,
     }
