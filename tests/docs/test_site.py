@@ -204,8 +204,9 @@ def test_every_page_of_docs_is_in_the_navigation(site):
     assert [page for page in missing if page != "index.md"] == []
 
 
-def test_the_film_of_the_first_page_is_small():
-    assert (ROOT / "docs/pictures/episode.gif").stat().st_size < FILM_MAX_BYTES
+@pytest.mark.parametrize("name", ["episode.gif", "learned.gif"])
+def test_films_are_small(name):
+    assert (ROOT / "docs/pictures" / name).stat().st_size < FILM_MAX_BYTES
 
 
 @pytest.fixture(scope="module")

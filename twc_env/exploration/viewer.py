@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -14,6 +13,7 @@ from twc_env.exploration.assessment.episode_record import EpisodeRecord
 from twc_env.exploration.assessment.map_scores import GroupScore
 from twc_env.exploration.drawing.extent import grown_extent_m, wall_points_m
 from twc_env.exploration.drawing.frame import framed, legend_of
+from twc_env.exploration.drawing.labels import building_name
 from twc_env.exploration.drawing.layers import Layers, layered
 from twc_env.exploration.drawing.rendering import ClosureLine, Scene, SignalLayer, building_box_m
 from twc_env.exploration.drawing.window import Window
@@ -84,7 +84,7 @@ class Viewer:
         radii_m = tuple(own.dynamics.robot_radius_m for own in robot_configs(episode.config))
         scene = scene_of(episode.floorplan, episode.engine, episode.record, scores, lines, signal, radii_m, **others)
         scene = replace(scene, shown_m=self._shown_m)
-        caption = f"{Path(episode.floorplan.name).name}, seed {episode.seed}: {episode.caption()}"
+        caption = f"{building_name(episode.floorplan.name)}, seed {episode.seed}: {episode.caption()}"
         help_text = "" if self.window is None else self.window.help_text
         return framed(layered(scene, layers), caption, help_text, legend_of(scene))
 

@@ -10,6 +10,7 @@ import pytest
 import twc_env
 from twc_env.bench.rates import wander
 from twc_env.exploration.drawing import frame, palette
+from twc_env.exploration.drawing.labels import building_name
 from twc_env.exploration.drawing.rendering import Scene
 from twc_env.records.messages import GridMap
 
@@ -96,6 +97,11 @@ def test_a_title_that_is_wider_than_the_picture_is_broken_not_cut_off(small):
     box = box_of(figure._suptitle)
     assert box.x0 >= 0 and box.x1 <= figure.bbox.width and figure._suptitle.get_text().count("\n") > 2
     assert not box.overlaps(figure.axes[0].get_tightbbox())
+
+
+def test_captions_name_a_held_out_building_whole_and_a_file_without_its_folder():
+    assert building_name("gen:office+ring:300:test/0001") == "gen:office+ring:300:test/0001"
+    assert building_name("/home/me/plans/floor 2.json") == "floor 2.json"
 
 
 def test_the_legend_explains_tinted_floor_where_there_are_several_maps_and_nowhere_else(unmerged):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from twc_env.errors import ConfigError
 from twc_env.exploration.drawing import palette
 from twc_env.exploration.drawing.extent import extent_m
 from twc_env.exploration.drawing.figures import fit_height, legend_below, new_figure, set_title, settle, style
-from twc_env.exploration.drawing.labels import place_names
+from twc_env.exploration.drawing.labels import building_name, place_names
 from twc_env.exploration.drawing.path_ends import end_entries, mark_ends
 from twc_env.exploration.drawing.primitives import OUTSIDE, raise_to_strokes
 from twc_env.exploration.drawing.smooth_map import BORDER, KNOWN_LEVEL, known_field, wall_strokes
@@ -83,7 +82,7 @@ def _wall_ends_m(grid: GridMap, strokes: Array, pose_building_map: Array) -> Arr
 def _title(result: Any) -> list[str]:
     f = result.figures
     return [
-        f"{Path(str(f['map'])).name}, seed {f['seed']}: {f['merged_robots']} of {f['robots']} robots in one map, "
+        f"{building_name(str(f['map']))}, seed {f['seed']}: {f['merged_robots']} of {f['robots']} robots in one map, "
         f"{f['wrong_merges']} wrong merges",
         f"team ATE {f['team_ate_m']:.3f} m (odometry {f['odometry_ate_m']:.3f} m"
         f"{', which knows the true starts' if f['merged_robots'] < f['robots'] else ''}), "

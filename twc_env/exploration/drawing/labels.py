@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,11 @@ GAP = 10.0
 """Pixels between a place and its name."""
 LEAD_POINTS = 9.0
 """A name farther away than this from its place gets a line to it."""
+
+
+def building_name(name: str) -> str:
+    """The name of a building in captions: of a file without its folder, of others whole (`gen:ring:300:test/0001`)."""
+    return Path(name).name if Path(name).suffix else name
 
 
 def place_names(
