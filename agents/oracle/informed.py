@@ -35,11 +35,6 @@ SPACING_M, SPACING_SHARE = 1.2, 0.17
 """Spacing of the places, at least, and as a share of the scanner's range."""
 THERE_M = 0.75
 """Within this distance of a stop, a robot goes on to the next."""
-COMMON_MIN = 3
-"""About so many common signs merge two maps; or, where there are none, so many common squares of floor."""
-SIGHTINGS_MIN = 4
-"""Where there are no signs, robots that share no map also have to see each other about so often: chosen, of 4 and 8, on
-validation buildings 0 to 9 of Bare."""
 PACE = 0.9
 """Mean speed where robots do not turn, as a share of the greatest."""
 DOORS_MAX = 0.5
@@ -72,9 +67,7 @@ class Informed(InformationGain):
         link, places_m = self.config.link, self._views.graph.places_m
         links = links_between(floor, places_m, link) if link.topology == "peer" else None
         speeds, rates = np.array([[each.speed_max_m_s, each.turn_rate_max_rad_s] for each in own]).T
-        self._route = LatencyTours(
-            self._views, PACE * speeds, rates, np.array(self.reverses), COMMON_MIN, SIGHTINGS_MIN, links
-        )
+        self._route = LatencyTours(self._views, PACE * speeds, rates, np.array(self.reverses), links=links)
         self._planned_step, self._merged = -1, self._state.is_merged
         self.explorer = replace(self.explorer, replan_s=PLAN_S)
 
