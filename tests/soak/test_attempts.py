@@ -25,7 +25,7 @@ COUNTS = {
     "settings": (240, 120, 5),
     "graphs": (40, 3, 10),
     "arrays": (90, 30, 5),
-    "calls": (400, 200, 20),
+    "calls": (800, 400, 20),
     "bombs": (5, 4, 0),
 }
 """Of each kind how many are tried, and how many must be refused and accepted at least."""

@@ -95,7 +95,7 @@ def test_another_task_or_algorithm_is_not_resumed(play, task, tiny, whole, run):
         DataError, match=r"was trained with --area 100\.0 instead of 300\.0, --set .*; use the same settings"
     ):
         play(replace(task, area_m2=300.0, overrides={"lidar.beam_count": 90}), tiny, whole, resume=True)
-    with pytest.raises(DataError, match=r"was trained with algorithm ppo instead of mappo"):
+    with pytest.raises(DataError, match=r"was trained with ppo instead of mappo; use the same"):
         play(task, tiny, run, resume=True)
 
 
