@@ -15,7 +15,7 @@ EPISODES = (
     ("random", {"slam.mode": "off"}),
     ("segments", {"slam.cues.text": False}),
     ("rrt", {"slam.prior": "earlier-session:300"}),
-    ("nearest-frontier", {"slam.cues.lidar": False, "failure.kidnap_step": 300}),
+    ("nearest-frontier", {"slam.cues.lidar": False}),
 )
 """Teams and settings that between them need what no other episode of `twc-env warm-up` does: planning by the map, the
 true plan, rooms and random trees, scan descriptors, people, doors, furniture, a scanner's errors, WiFi alone, dead
