@@ -189,8 +189,7 @@ NUMBERS = [
         "leads `information-gain` by {}.",
         lambda: f"{covered('informed') - covered('information-gain'):.3f}",
     ),
-    ("learning.md", "of it by {} to {} with two to five", lambda: f"{lead('2 robots')} {lead('3 robots')}"),
-    ("learning.md", "buildings here, it is {} behind", lambda: lead("floors").removeprefix("-")),
+    ("learning.md", "on real floors, and {} behind it with eight", lambda: lead("8 robots")),
     *(
         ("results.md", sentence, lambda figure=figure, noise=noise: listed(noisy(figure, noise)))
         for figure, noise, sentence in (
