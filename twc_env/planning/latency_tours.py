@@ -38,7 +38,7 @@ class TeamState:
     """Where a team is and what it has done."""
 
     places: Array
-    """(robots,) int64: the place of each robot."""
+    """(robots,) int64: the place of each robot; -1 before it first stands somewhere."""
     seen: Array
     """(robots, words) uint64: floor in the map of each robot; robots with a common map have the same."""
     is_merged: Array
@@ -54,8 +54,8 @@ class TeamState:
     def begin(cls, robots: int, views: FloorViews) -> TeamState:
         """Nobody has been anywhere."""
         seen, read = np.zeros((robots, views.words), np.uint64), np.zeros((robots, views.marks.shape[1]), np.uint64)
-        sightings = np.zeros((robots, robots), np.int64)
-        return cls(np.full(robots, -1), seen, np.eye(robots, dtype=bool), read, np.zeros((robots, 3)), sightings)
+        nowhere, sightings = np.full(robots, -1, np.int64), np.zeros((robots, robots), np.int64)
+        return cls(nowhere, seen, np.eye(robots, dtype=bool), read, np.zeros((robots, 3)), sightings)
 
     def arrays(self) -> tuple[Array, ...]:
         """For kernels."""
