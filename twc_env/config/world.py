@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from twc_env.config.checks import Checked, choice, later, number
+from twc_env.config.range_noise import RangeNoise
 from twc_env.errors import ConfigError
 from twc_env.records.scanner import DARK_REFLECTIVITY, WHITE_REFLECTIVITY, Scanner
 
@@ -163,10 +164,10 @@ class LidarConfig(Checked):
         )
 
     @property
-    def typical_noise_std_m(self) -> float:
-        """Standard deviation of range noise at the typical range of walls."""
-        range_m = min(TYPICAL_RANGE_M, 0.5 * self.range_max_m)
-        return math.hypot(self.range_noise_std_m, self.range_noise_per_m * range_m)
+    def range_noise(self) -> RangeNoise:
+        """Noise of its ranges."""
+        typical_range_m = min(TYPICAL_RANGE_M, 0.5 * self.range_max_m)
+        return RangeNoise(self.range_noise_std_m, self.range_noise_per_m, typical_range_m)
 
     @property
     def circle_beam_count(self) -> int:

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
+from twc_env.config.range_noise import RangeNoise
 from twc_env.slam.matching.scan_matching import LineField, scan_points
 
 RANGE_MAX_M = 10.0
 
 
 def drawn(ranges_m, noise_m=0.0):
-    field = LineField(24.0, 0.1, RANGE_MAX_M, noise_m)
+    field = LineField(24.0, 0.1, RANGE_MAX_M, RangeNoise(noise_m))
     field.add(np.zeros((1, 3)), ranges_m[None])
     return field
 
@@ -36,3 +37,20 @@ def test_walls_are_drawn_straight_despite_range_noise(scan, walls, noise_m, seed
     field = drawn(np.maximum(ranges_m + np.random.default_rng(seed).normal(0, noise_m, 180), 0.01), noise_m)
     askew = np.array([field.facing_at((x, 1.0), (x, 0.0)) for x in np.arange(-1.8, 1.9, 0.1)]) + 0.5 * np.pi
     assert np.rad2deg(np.sqrt(np.nanmean(askew**2))) < 10.0
+
+
+@pytest.mark.parametrize("per_m", [0.0175, 0.03])
+def test_no_wall_lies_across_a_corridor_where_noise_grows_with_range(scan, walls, per_m):
+    """Far walls of a scanner such as LDS-01 are twice as noisy as typical ones, whose limits would cut them into pieces
+    of any direction."""
+    corridor, noise = walls((-20, -1.2), (20, -1.2), (20, 1.2), (-20, 1.2)), RangeNoise(0.005, per_m, 1.75)
+    exact_m, askew_rad = scan(corridor, np.zeros(3), 360), []
+    for seed in range(20):
+        std_m = np.hypot(noise.std_m, noise.per_m * np.minimum(exact_m, 3.5))
+        ranges_m = np.maximum(exact_m + np.random.default_rng(seed).normal(0.0, std_m), 0.01)
+        field = LineField(24.0, 0.1, 3.5, noise)
+        field.add(np.zeros((1, 3)), np.where(ranges_m < 3.5, ranges_m, np.inf)[None])
+        askew_rad += [field.facing_at((x, 1.2), (x, 0.0)) + 0.5 * np.pi for x in np.arange(-3.2, 3.3, 0.1)]
+    askew = np.abs(askew_rad)
+    assert np.isfinite(askew).mean() > 0.8
+    assert np.nanmean(askew > 0.5) == 0.0 and np.sqrt(np.nanmean(askew**2)) < 0.04

@@ -129,6 +129,6 @@ class KeyframeTaker(BindsAnew):
             tracker.travels_m, tracker.steps, tracker.information, tracker.keyframe_poses, self._last_travels_m,
             self._variances, self._window, self._std_mode, fields.cells, fields.lines, fields.origins_m,
             fields.drawn, self.centres_m, self._reach_m, fields.inverse_m, fields.range_max_m,
-            beam_directions(beams), drawing_room(beams, fields.range_noise_std_m),
+            beam_directions(beams), drawing_room(beams, fields.range_noise),
         )  # fmt: skip
         return Lent(parts)

@@ -51,7 +51,7 @@ class ScanIntake(BindsAnew):
 
     def __init__(self, config: EnvConfig, robot_count: int):
         self._beam_count = config.lidar.circle_beam_count
-        self._limits = float(config.lidar.range_max_m), float(config.lidar.typical_noise_std_m)
+        self._limits = float(config.lidar.range_max_m), float(config.lidar.range_noise.typical_std_m)
         self._undoes_motion, self._rays = config.slam.undoes_rolling, beam_directions(self._beam_count)
         self.free_m = np.full(robot_count, np.inf)
         """(robots,) range up to which the floor is free in directions without return, as the latest scanner says."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import LidarConfig, LocalMapConfig
+from twc_env.config.range_noise import RangeNoise
 from twc_env.errors import ConfigError, DataError
 from twc_env.kernels.compiled import BindsAnew, Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.records.array_validation import validated_points, validated_pose, validated_rows
@@ -35,6 +36,7 @@ from twc_env.slam.scans.wall_drawing import BLOCK_CELLS, NOWHERE, draw_scans, dr
 
 FIELD_SIDE_MAX = 10_000
 """Cells along a side of the largest field: 400 MB."""
+NO_NOISE = RangeNoise()
 NOTHING_DRAWN = np.array([NOWHERE, NOWHERE, 0, 0, 0])
 SIGN_TO_WALL_M = 0.3
 """Maximum distance of a sign from the wall it is assigned to."""
@@ -202,7 +204,7 @@ class LineField(BindsAnew):
         size_m: float,
         resolution_m: float,
         range_max_m: float,
-        range_noise_std_m: float = 0.0,
+        range_noise: RangeNoise = NO_NOISE,
         storage: tuple[Array, Array, Array, Array] | None = None,
     ):
         """Empty and centred on 0, 0. storage: from `field_storage`, to use instead of new arrays.
@@ -214,7 +216,7 @@ class LineField(BindsAnew):
                 f"a field needs 0 < resolution_m <= size_m, at most {FIELD_SIDE_MAX} cells a side, and a range above "
                 f"0; got size {size_m!r}, resolution {resolution_m!r} and range {range_max_m!r}"
             )
-        self.range_max_m, self._noise_m = range_max_m, range_noise_std_m
+        self.range_max_m, self._noise = range_max_m, range_noise
         self._inverse_m = 1.0 / resolution_m
         self._cells, self._lines, self._origin_m, self._drawn = storage or field_storage(size_m, resolution_m)
         self._scratch = line_scratch()
@@ -243,7 +245,7 @@ class LineField(BindsAnew):
         directions = beam_directions(scans.shape[1])
         if not draw_scans(
             self._cells, self._lines, self._origin_m, self._inverse_m, poses, directions, scans, self.range_max_m,
-            drawing_room(scans.shape[1], self._noise_m), self._drawn,
+            drawing_room(scans.shape[1], self._noise), self._drawn,
         ):  # fmt: skip
             raise DataError("scans hold numbers alone (infinite: no return), poses finite ones")
 
@@ -308,13 +310,13 @@ class LineFields:
         storage = field_storage(rule.size_m, rule.resolution_m, count)
         self.cells, self.lines, self.origins_m, self.drawn = storage
         self.inverse_m, self.range_max_m = 1.0 / rule.resolution_m, lidar.range_max_m
-        self.range_noise_std_m = lidar.typical_noise_std_m
+        self.range_noise = lidar.range_noise
         searched = rule.match_distance_max_m, rule.degenerate_share, variance_m2, rule.match_iterations_max
         wall_min_m = 2 * robot_radius_m + WALL_MARGIN_M
         self.rule = np.array([lidar.range_max_m, self.inverse_m, *searched, wall_min_m])
         """What `match_scan` goes by."""
         self.each = [
-            LineField(rule.size_m, rule.resolution_m, lidar.range_max_m, lidar.typical_noise_std_m, part)
+            LineField(rule.size_m, rule.resolution_m, lidar.range_max_m, lidar.range_noise, part)
             for part in zip(*storage, strict=True)
         ]
 

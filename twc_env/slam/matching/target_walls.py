@@ -147,7 +147,7 @@ class TargetWalls:
         self._variance_m2 = variance_m2
         self.field = LineField(size_m, FIELD_CELL_M, lidar.range_max_m)
         """For correlative search far from a guess."""
-        self._noise_m = lidar.typical_noise_std_m
+        self._noise = lidar.range_noise
         self._bound: _Kernels | None = None
         self._beams = 0
         """Beam count for which the kernels are bound."""
@@ -158,7 +158,7 @@ class TargetWalls:
     def _kernels(self, beams: int) -> _Kernels:
         if self._bound is None or beams != self._beams:
             self._beams, pose, scan, points = beams, np.empty(3), np.empty(beams), np.empty((0, 2))
-            room = drawing_room(beams, self._noise_m), np.empty(3), np.zeros(3)
+            room = drawing_room(beams, self._noise), np.empty(3), np.zeros(3)
             scans = beam_directions(beams), self.field.range_max_m, *room
             fit = self._variance_m2, np.zeros(9), np.empty((3, 3)), np.empty((2, 3, 3))
             held = Lent((self.field.parts, scans, fit))

@@ -10,6 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.config.range_noise import RangeNoise
 from twc_env.kernels.compiled import borrowing_kernel
 from twc_env.slam.scans.wall_cells import LINES_MAX, NO_WALL, distance_in, line_in, wall_cell
 
@@ -28,7 +29,10 @@ STRAIGHT_M, STRAIGHT_NOISES = 0.02, 2.0
 """Maximum distance of a piece's points from its chord ..."""
 CUT_MIN_M, CUT_NOISES = 0.1, 10.0
 """... tested from this chord length on: points as close as their noise have an arbitrary direction, and wall pieces
-across a corridor would hold the robot back."""
+across a corridor would hold the robot back. Where noise grows with range, these three grow beyond the typical range."""
+NOISY_M, ASKEW_MAX_RAD = 0.03, 0.3
+"""Where ranges are noisier than this, no wall piece is drawn whose direction has a greater standard deviation: of the
+pieces that are left at the ends of walls, many lie across a corridor. At 3 cm that brought nothing."""
 LINES = 4
 """Index in `drawn` of the number of lines."""
 NOWHERE = 2**31
@@ -108,14 +112,20 @@ def _place_ends(x, y, c, s, directions, ranges, range_max, limits, ends, follows
 
 
 @borrowing_kernel
-def _is_straight(ends, first, last, limits):
+def _roughness(dx, dy, limits):
+    """Variance of the range of a point this far from the scanner, as a multiple of that at the typical range."""
+    return limits[5] + limits[6] * (dx * dx + dy * dy)
+
+
+@borrowing_kernel
+def _is_straight(ends, first, last, limits, rougher):
     """Whether the end points between first and last are near the chord."""
     ax, ay = ends[0, first], ends[1, first]
     ex, ey = ends[0, last] - ax, ends[1, last] - ay
     squared = ex * ex + ey * ey
-    if squared < limits[2]:
+    if squared < limits[2] * rougher:
         return True
-    limit = limits[3] * squared
+    limit = limits[3] * rougher * squared
     for i in range(first + 1, last):
         across = (ends[1, i] - ay) * ex - (ends[0, i] - ax) * ey
         if across * across > limit:
@@ -124,20 +134,21 @@ def _is_straight(ends, first, last, limits):
 
 
 @borrowing_kernel
-def _cut_run(ends, begin, end, limits, pieces, count):
+def _cut_run(ends, x, y, begin, end, limits, pieces, count):
     """Split one surface, consecutive end points without a jump, into straight pieces appended to the first `count`.
 
-    pieces (2, n): index of the first and last end point. Returns the new number of pieces.
+    x, y: of the scanner. pieces (2, n): index of the first and last end point. Returns the new number of pieces.
     """
     first = begin
     for i in range(begin + 1, end):
-        if not _is_straight(ends, first, i, limits):
+        rougher = max(1.0, _roughness(ends[0, i] - x, ends[1, i] - y, limits))
+        if not _is_straight(ends, first, i, limits, rougher):
             pieces[0, count], pieces[1, count] = first, i - 1
             count += 1
             first = i - 1
         dx, dy = ends[0, i] - ends[0, first], ends[1, i] - ends[1, first]
         squared = dx * dx + dy * dy
-        if i == end - 1 or (squared >= limits[4] and (i - first > 1 or squared <= limits[1])):
+        if i == end - 1 or (squared >= limits[4] * rougher and (i - first > 1 or squared <= limits[1])):
             pieces[0, count], pieces[1, count] = first, i
             count += 1
             first = i
@@ -190,7 +201,7 @@ def _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_m
     begin = count = 0 * ranges.shape[0]  # a literal 0 has another type, for which the callees would be compiled again
     for i in range(1, follows.shape[0] + 1):
         if i == follows.shape[0] or not follows[i]:
-            count = _cut_run(ends, begin, i, limits, pieces, count)
+            count = _cut_run(ends, x, y, begin, i, limits, pieces, count)
             begin = i
     for p in range(count):
         _sum_up(ends, pieces[0, p], pieces[1, p], p, sums)
@@ -199,6 +210,9 @@ def _add_scan(cells, lines, origin, inverse_m, pose, directions, ranges, range_m
         first, last, nx, ny = pieces[0, p], pieces[1, p], fits[0, p], fits[1, p]
         ax, ay, bx, by = ends[0, first], ends[1, first], ends[0, last], ends[1, last]
         if last - first == 1 and (bx - ax) ** 2 + (by - ay) ** 2 > limits[1]:
+            continue
+        roughness = _roughness(ax + fits[2, p] - x, ay + fits[3, p] - y, limits)
+        if roughness > limits[7] and limits[8] * roughness > ((bx - ax) ** 2 + (by - ay) ** 2) * (last - first + 1):
             continue
         offset = nx * (ax + fits[2, p]) + ny * (ay + fits[3, p])
         _stamp(cells, lines, inverse_m, ax, ay, bx, by, nx, ny, offset, drawn)
@@ -248,18 +262,25 @@ def clear_walls(cells, drawn):
     drawn[0], drawn[1], drawn[2], drawn[3], drawn[LINES] = NOWHERE, NOWHERE, 0, 0, 0
 
 
-def drawing_limits(beams: int, range_noise_std_m: float) -> Array:
-    """(5,) squares [m2]: maximum distance of consecutive end points, and of two without a third; shortest chord tested,
-    maximum distance of points from it, and length of a piece."""
-    noise_m = range_noise_std_m
-    return np.square([
-        JUMP_MAX_M * max(1.0, JUMP_BEAMS / beams), JUMP_MAX_M, max(CUT_MIN_M, CUT_NOISES * noise_m),
-        max(STRAIGHT_M, STRAIGHT_NOISES * noise_m), max(PIECE_M, PIECE_NOISES * noise_m),
+def drawing_limits(beams: int, noise: RangeNoise) -> Array:
+    """(9,) limits: squares [m2] of the maximum distance of consecutive end points, and of two without a third; of the
+    shortest chord tested, the maximum distance of points from it, and the length of a piece at the typical range; and
+    multiples of the variance of noise there: the constant part, what a squared metre of range adds, and `NOISY_M`; and
+    the least squared length [m2] of a piece of one point whose direction is sure enough."""
+    typical_m = noise.typical_std_m
+    squares = np.square([
+        JUMP_MAX_M * max(1.0, JUMP_BEAMS / beams), JUMP_MAX_M, max(CUT_MIN_M, CUT_NOISES * typical_m),
+        max(STRAIGHT_M, STRAIGHT_NOISES * typical_m), max(PIECE_M, PIECE_NOISES * typical_m),
     ])  # fmt: skip
+    shares = [1.0, 0.0, (NOISY_M / typical_m) ** 2 if typical_m else math.inf]
+    if noise.per_m:
+        shares[:2] = (noise.std_m / typical_m) ** 2, (noise.per_m / typical_m) ** 2
+    # A line through n points evenly along a length has a direction of variance 12 variance / (n length^2).
+    return np.array([*squares, *shares, 12.0 * (typical_m / ASKEW_MAX_RAD) ** 2])
 
 
-def drawing_room(beams: int, range_noise_std_m: float) -> tuple[Array, ...]:
+def drawing_room(beams: int, noise: RangeNoise) -> tuple[Array, ...]:
     """Work arrays of `draw_scans` for scans with this many beams and this noise: end points, same-surface flags, wall
     pieces, their moments and lines; and `drawing_limits`."""
     ends, pieces = (np.empty((2, beams + 1)), np.empty(beams + 1, bool)), np.empty((2, beams), np.int64)
-    return *ends, pieces, np.empty((6, beams)), np.empty((4, beams)), drawing_limits(beams, range_noise_std_m)
+    return *ends, pieces, np.empty((6, beams)), np.empty((4, beams)), drawing_limits(beams, noise)
