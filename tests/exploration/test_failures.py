@@ -16,10 +16,10 @@ from twc_env.world.motion.failures import Failures, FrameLoss
 STOP = 30
 
 
-def play(steps, **failure):
+def play(steps, robot=(), **failure):
     """Run an episode in which robots drive ahead and turn slowly; returns true poses (steps + 1, 2, 3) and the env."""
-    config = {f"failure.{key}": value for key, value in failure.items()}
-    env = twc_env.parallel_env(robots=2, max_cycles=200, config=config)
+    config = {"robots": 2, "robot": robot, **{f"failure.{key}": value for key, value in failure.items()}}
+    env = twc_env.parallel_env(max_cycles=200, config=config)
     env.reset(seed=3)
     poses = [env.state().reshape(2, 6)[:, :3]]
     for _ in range(steps):
@@ -51,7 +51,7 @@ def test_keyframes_taken_in_a_link_outage_arrive_after_it():
 
 @pytest.mark.parametrize("listeners", [1, 3])
 def test_failed_robots_neither_send_nor_receive(listeners):
-    failures = Failures(FailureConfig(robots=1, robots_step=4), 3)
+    failures = Failures(FailureConfig(robots=1, robots_step=4), (0.0, 0.0, 0.0))
     everyone = np.ones((listeners, 3), bool)
     assert failures.contacts(3, Contacts(everyone, everyone)).heard.all()
     left = failures.contacts(4, Contacts(everyone, everyone)).heard
@@ -166,6 +166,20 @@ def test_robots_that_start_later_neither_move_nor_send_before_and_have_correct_h
     moved = between(poses[STOP, 1], poses[-1, 1])
     believed = between(env.episode.record.odom_poses[STOP, 1], env.episode.record.odom_poses[-1, 1])
     assert believed == pytest.approx(moved, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("starts_s", "spread_s", "team_s"), [((3.0, 0.0), 0.0, 0.0), ((2.0, 1.0), 2.0, 0.0), ((0.0, 2.0), 0.0, 1.0)]
+)
+def test_each_robot_may_have_a_start_time_of_its_own(starts_s, spread_s, team_s):
+    """Also the first one, and all: nobody moves before its time, and all do after it."""
+    robots = [{"failure.start_s": start_s} if start_s else {} for start_s in starts_s]
+    poses, env = play(60, robots, start_spread_s=spread_s, start_s=team_s)
+    for robot, own_s in enumerate(starts_s):
+        begun = round(10 * ((own_s or team_s) + robot * spread_s))
+        assert np.ptp(poses[: begun + 1, robot], axis=0).max() < 1e-9
+        assert np.hypot(*(poses[-1, robot, :2] - poses[begun, robot, :2])) > 0.3
+        assert env.engine.team.keyframes[robot][0].step == begun
 
 
 def test_the_frame_after_lost_ones_has_the_odometry_since_the_last_that_arrived():

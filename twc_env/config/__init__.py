@@ -7,7 +7,7 @@ identifies a config in logs and tables.
 from twc_env.config.clutter import ClutterConfig
 from twc_env.config.environment import ActionConfig, EnvConfig, EpisodeConfig, ObservationConfig, RewardConfig
 from twc_env.config.lidar_presets import LIDAR_PRESETS
-from twc_env.config.mixed_teams import has_one_scanner, robot_configs, shared_config
+from twc_env.config.mixed_teams import has_one_scanner, robot_configs, shared_config, start_times_s
 from twc_env.config.people import PEOPLE_MAX, PeopleConfig
 from twc_env.config.radio_presets import RADIO_PRESETS
 from twc_env.config.robot_presets import ROBOT_PRESETS, TEAM_PRESETS
@@ -98,6 +98,7 @@ __all__ = [
     "override",
     "radio_preset",
     "robot_configs",
+    "start_times_s",
     "shared_config",
     "to_dict",
     "world_of",

@@ -32,6 +32,12 @@ def _of_robot(config: EnvConfig, number: int, overrides: Overrides) -> EnvConfig
     return dataclasses.replace(config, robot=(), **sections_with(config, number, overrides))
 
 
+def start_times_s(config: EnvConfig) -> tuple[float, ...]:
+    """When each robot is switched on [s]."""
+    gap_s = config.failure.start_spread_s / max(config.robots - 1, 1)
+    return tuple(number * gap_s + own.failure.start_s for number, own in enumerate(robot_configs(config)))
+
+
 def has_one_scanner(config: EnvConfig) -> bool:
     """Whether the scanners of all robots are alike."""
     return len({own.lidar for own in robot_configs(config)}) == 1

@@ -14,6 +14,7 @@ from twc_env.config.robot_presets import ROBOT_PRESETS, TEAM_PRESETS
 from twc_env.config.slam import OdometryFilterConfig
 from twc_env.config.world import (
     DynamicsConfig,
+    FailureConfig,
     LidarConfig,
     OdometryConfig,
     RadioConfig,
@@ -48,6 +49,7 @@ _NAMES: dict[str, tuple[type, tuple[str, ...]]] = {
             "character_error_probability",
         ),
     ),
+    "failure": (FailureConfig, ("start_s",)),
     "slam.odometry_filter": (
         OdometryFilterConfig,
         (

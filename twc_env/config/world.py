@@ -367,6 +367,8 @@ class FailureConfig(Checked):
     start_spread_s: float = number(0.0, 0.0, 3600.0, is_later=True)
     """Robots are switched on one after the other, at equal intervals, the last one this long after the first; before,
     they neither move, sense nor communicate."""
+    start_s: float = number(0.0, 0.0, 3600.0, is_later=True)
+    """A robot is switched on so long after that; each robot may have its own (docs/world.md, Mixed teams)."""
     frame_loss_probability: float = number(0.0, 0.0, 0.99, is_later=True)
     """Probability that a robot's frame never reaches its engine; the next one has the odometry since the last that
     did."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig, robot_configs
+from twc_env.config import EnvConfig, robot_configs, start_times_s
 from twc_env.exploration import actions as action_blocks
 from twc_env.exploration.assessment import evaluation, map_scores, rewards
 from twc_env.exploration.assessment.episode_record import EpisodeRecord
@@ -56,7 +56,7 @@ class Episode:
             self.engine.give_starts(world.poses_home.copy())
         if config.slam.k_visibility.are_transmitters_known:
             self.engine.give_transmitters(*world.transmitters_home, world.poses_home.copy())
-        self._failures = Failures(config.failure, count, config.dynamics.time_step_s)
+        self._failures = Failures(config.failure, start_times_s(config), config.dynamics.time_step_s)
         self._loss = FrameLoss(config.failure.frame_loss_probability, count, seed)
         self._clocks = OwnClocks(config.failure, count, seed)
         self._link = Link(config.link, count, world.plan.home.wall_index, random_stream(seed, "link"))

@@ -11,7 +11,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.config import EnvConfig, has_one_scanner, robot_configs
+from twc_env.config import EnvConfig, has_one_scanner, robot_configs, start_times_s
 from twc_env.config.checks import whole_number
 from twc_env.errors import UNFIT, ActionError, TwcError
 from twc_env.kernels.compiled import Lent, borrowing_kernel, bound, parts_of, rebound
@@ -144,7 +144,9 @@ class World:
         self._shapes = [_step_shapes(robots, laser, len(turn), len(self._radio.macs)) for turn in self._listeners]
         self._cameras = SignCameras(config, self._home, seed)
         self._bound_crossings = None
-        self._kidnapping = Kidnapping(config.failure, self._home, robots, config.dynamics.time_step_s, seed)
+        self._kidnapping = Kidnapping(
+            config.failure, self._home, start_times_s(config), config.dynamics.time_step_s, seed
+        )
         if self.clutter is not None:
             self._kidnapping.avoid(self.clutter.is_clear)
         self._sensed_poses = dynamics.poses.copy()

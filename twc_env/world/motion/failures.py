@@ -21,11 +21,11 @@ _DEAF = WifiScan(np.zeros(0, np.int64), np.zeros(0))
 class Failures:
     """Which robots work and which can communicate, per step."""
 
-    def __init__(self, config: FailureConfig, robots: int, time_step_s: float = 0.1):
-        self._config = config
-        starts_s = config.start_spread_s * np.arange(robots) / max(robots - 1, 1)
-        self._start_steps = np.round(starts_s / time_step_s).astype(int)
-        self._last_start = int(self._start_steps[-1])
+    def __init__(self, config: FailureConfig, starts_s: Sequence[float], time_step_s: float = 0.1):
+        """starts_s: when each robot is switched on."""
+        self._config, robots = config, len(starts_s)
+        self._start_steps = np.round(np.array(starts_s) / time_step_s).astype(int)
+        self._last_start = int(self._start_steps.max())
         has_outage = config.link_begin_step < config.link_end_step
         self.is_nothing = not (config.robots or has_outage or self._last_start or config.frame_loss_probability)
         """Whether there are no failures at all."""

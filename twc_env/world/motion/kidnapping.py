@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -23,10 +23,13 @@ _APART_M = 1.0
 class Kidnapping:
     """The kidnappings of one episode, at most one of each robot per step; nobody lifts a robot that is off."""
 
-    def __init__(self, config: FailureConfig, home: Floorplan, robots: int, time_step_s: float, seed: int):
-        self._step, self._last_robot = config.kidnap_step, robots - 1
+    def __init__(
+        self, config: FailureConfig, home: Floorplan, starts_s: Sequence[float], time_step_s: float, seed: int
+    ):
+        """starts_s: when each robot is switched on."""
+        self._step, self._last_robot = config.kidnap_step, len(starts_s) - 1
         self._chance = config.kidnaps_per_min * time_step_s / 60.0
-        self._failures = Failures(config, robots, time_step_s)
+        self._failures = Failures(config, starts_s, time_step_s)
         self.is_nothing = not self._step and not self._chance
         """Whether no robot is ever carried."""
         self._random = random_stream(seed, "kidnap")
