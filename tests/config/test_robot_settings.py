@@ -85,6 +85,9 @@ def test_an_invalid_robot_is_refused_in_one_line_that_names_it(robot, message):
     assert "\n" not in str(told.value)
 
 
+SCANNERS = ("lds-01", "mid-360", "utm-30lx")
+
+
 def test_every_setting_of_a_robot_is_a_setting_of_the_team():
     missing = []
     for key in ROBOT_SETTINGS:
@@ -104,6 +107,12 @@ def test_a_team_shares_circles_of_the_best_scanner_and_keeps_sizes_and_assumptio
     assert [own.slam.odometry_filter for own in told] == [own.slam.odometry_filter for own in assumed]
     assert shared_config(shared) == shared
     assert shared_config(EnvConfig()) is EnvConfig() or shared_config(EnvConfig()) == EnvConfig()
+
+
+def test_the_shared_scanner_of_a_team_is_as_noisy_as_the_noisiest_at_any_range():
+    config = override(EnvConfig(), {"robots": 3, "robot": [{"lidar.preset": name} for name in SCANNERS]})
+    shared = shared_config(config).lidar
+    assert (shared.range_noise_std_m, shared.range_noise_per_m) == (0.02, 0.0175)
 
 
 def test_nothing_of_the_true_errors_reaches_the_shared_settings():

@@ -58,7 +58,8 @@ def shared_config(config: EnvConfig) -> EnvConfig:
         lidar = LidarConfig(
             beam_count=min(max(each.circle_beam_count for each in scanners), CIRCLE_BEAMS_MAX),
             range_max_m=max(each.range_max_m for each in scanners),
-            range_noise_std_m=max(each.range_noise.typical_std_m for each in scanners),
+            range_noise_std_m=max(each.range_noise_std_m for each in scanners),
+            range_noise_per_m=max(each.range_noise_per_m for each in scanners),
             dropout_probability=max(each.dropout_probability for each in scanners),
         )
     radii_m = [own.dynamics.robot_radius_m for own in robots]
