@@ -68,6 +68,8 @@ class Explorer(ABC):
         for agent in self._in_planning_order(beliefs):
             self._plan(agent, beliefs)
         actions = {agent: self._command(self.robots[agent], belief) for agent, belief in beliefs.items()}
+        for agent, belief in beliefs.items():
+            self.robots[agent].step_before = belief.step
         self._note_idle(beliefs)
         return actions
 
@@ -167,13 +169,13 @@ class Explorer(ABC):
         step, explorer, tick = belief.step, self.explorer, self.dynamics.time_step_s
         if step <= robot.escape_until:
             return False
-        if step % max(1, round(explorer.replan_s / tick)) == 0:
+        if robot.comes_to_multiple(step, explorer.replan_s / tick):
             return True
-        if step % max(1, round(explorer.check_s / tick)) != 0:
-            return robot.replan and step % 2 == 0
+        if not robot.comes_to_multiple(step, explorer.check_s / tick):
+            return robot.replan and robot.comes_to_multiple(step, 2)
         if robot.goal_kind == "wait":
             return True
-        if self._has_doors and robot.goal_kind in ("", "tour") and step % max(1, round(explorer.door_s / tick)) == 0:
+        if self._has_doors and robot.goal_kind in ("", "tour") and robot.comes_to_multiple(step, explorer.door_s / tick):
             return True  # a door may have opened
         if not robot.goal_kind or not robot.follower.has_path:
             return robot.replan

@@ -85,6 +85,8 @@ class ExplorerRobot:
     "elsewhere" (another place of a closed room); "" when there is no goal."""
     goal_step: int = 0
     """Last step at which it had one."""
+    step_before: int = -1
+    """Step of the belief before."""
     arrived_step: int = -1
     stuck_count: int = 0
     track_m: list[Array] = field(default_factory=list)
@@ -108,6 +110,12 @@ class ExplorerRobot:
     def radius_m(self) -> float:
         """Of the robot itself."""
         return self.follower.dynamics.robot_radius_m
+
+    def comes_to_multiple(self, step: int, period: float) -> bool:
+        """Whether this step is the first that it knows of at or after a multiple of a period [steps]: where frames are
+        lost, beliefs skip steps."""
+        whole = max(1, round(period))
+        return step // whole > self.step_before // whole
 
     def move_frame(self, pose_new_old: Array) -> None:
         """After a jump of the map: transform all positions to the new frame, and replan."""

@@ -182,6 +182,19 @@ def test_goals_follow_a_jump_of_the_map_frame():
     assert robot.replan
 
 
+def test_a_robot_plans_where_the_frames_of_all_steps_are_lost_in_which_it_usually_does():
+    """The first map is empty, so there is no goal; the next ones are looked at although each step that is a multiple of
+    five is never known."""
+    maze, empty = Maze(TWO_ROOMS, [(1.5, 1.5, 0.0)]), np.zeros((20, 20), np.int16)
+    belief = Belief(0, 0, maze.poses[0], GridMap(empty, np.zeros(2), CELL_M), {}, (), None, 1)
+    for step in range(60):
+        if step % 5:
+            known = maze.beliefs()["robot_0"]
+            belief = Belief(0, step, known.pose_map_robot, known.grid, {}, (), known.ranges_m, 1)
+        maze.policy.act({"robot_0": belief})
+    assert maze.policy.robots["robot_0"].goal_kind == "frontier"
+
+
 def test_a_robot_that_cannot_move_excludes_its_goal():
     maze = Maze(TWO_ROOMS, [(1.5, 1.5, 0.0)])
     maze.is_free = lambda robot, x, y: False
