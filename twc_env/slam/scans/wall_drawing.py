@@ -31,8 +31,9 @@ CUT_MIN_M, CUT_NOISES = 0.1, 10.0
 """... tested from this chord length on: points as close as their noise have an arbitrary direction, and wall pieces
 across a corridor would hold the robot back. Where noise grows with range, these three grow beyond the typical range."""
 NOISY_M, ASKEW_MAX_RAD = 0.03, 0.3
-"""Where ranges are noisier than this, no wall piece is drawn whose direction has a greater standard deviation: of the
-pieces that are left at the ends of walls, many lie across a corridor. At 3 cm that brought nothing."""
+"""Where noise grows with range and is greater than this, no wall piece is drawn whose direction has a greater standard
+deviation: of the pieces that are left at the ends of walls, many lie across a corridor. With constant noise of 3 and
+5 cm that brought nothing."""
 LINES = 4
 """Index in `drawn` of the number of lines."""
 NOWHERE = 2**31
@@ -272,9 +273,9 @@ def drawing_limits(beams: int, noise: RangeNoise) -> Array:
         JUMP_MAX_M * max(1.0, JUMP_BEAMS / beams), JUMP_MAX_M, max(CUT_MIN_M, CUT_NOISES * typical_m),
         max(STRAIGHT_M, STRAIGHT_NOISES * typical_m), max(PIECE_M, PIECE_NOISES * typical_m),
     ])  # fmt: skip
-    shares = [1.0, 0.0, (NOISY_M / typical_m) ** 2 if typical_m else math.inf]
+    shares = [1.0, 0.0, math.inf]
     if noise.per_m:
-        shares[:2] = (noise.std_m / typical_m) ** 2, (noise.per_m / typical_m) ** 2
+        shares = [(part / typical_m) ** 2 for part in (noise.std_m, noise.per_m, NOISY_M)]
     # A line through n points evenly along a length has a direction of variance 12 variance / (n length^2).
     return np.array([*squares, *shares, 12.0 * (typical_m / ASKEW_MAX_RAD) ** 2])
 
