@@ -175,7 +175,11 @@ class Explorer(ABC):
             return robot.replan and robot.comes_to_multiple(step, 2)
         if robot.goal_kind == "wait":
             return True
-        if self._has_doors and robot.goal_kind in ("", "tour") and robot.comes_to_multiple(step, explorer.door_s / tick):
+        if (
+            self._has_doors
+            and robot.goal_kind in ("", "tour")
+            and robot.comes_to_multiple(step, explorer.door_s / tick)
+        ):
             return True  # a door may have opened
         if not robot.goal_kind or not robot.follower.has_path:
             return robot.replan
