@@ -80,6 +80,34 @@ def test_policy_files_of_equal_name_are_separate_and_import_from_their_folders(m
     assert pickle.dumps(make_policy(mine))
 
 
+@pytest.mark.parametrize("is_regular", [False, True])
+def test_policy_files_in_two_folders_each_import_the_package_of_their_folder(tmp_path, is_regular):
+    names = []
+    for folder, speed in (("first", 0.25), ("second", 0.75)):
+        package = tmp_path / folder / "parts"
+        package.mkdir(parents=True)
+        (package / "pace.py").write_text(f"SPEED = {speed}\n")
+        if is_regular:
+            (package / "__init__.py").touch()
+        (tmp_path / folder / "mine.py").write_text(MINE.replace("from beside", "from parts.pace"))
+        names.append(f"{tmp_path / folder / 'mine.py'}:Mine")
+    assert [make_policy(name).act({"robot_0": None})["robot_0"][0] for name in names] == [0.25, 0.75]
+
+
+def test_the_digest_of_a_policy_file_tells_its_packages_and_nothing_that_it_cannot_import(mine, tmp_path):
+    before = digest_of(mine)
+    (tmp_path / "no-package").mkdir()
+    (tmp_path / "no-package" / "pace.py").write_text("SPEED = 0.5\n")
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "pace.txt").write_text("0.5\n")
+    assert digest_of(mine) == before
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "pace.py").write_text("SPEED = 0.5\n")
+    first = digest_of(mine)
+    (tmp_path / "parts" / "pace.py").write_text("SPEED = 0.75\n")
+    assert before != first != digest_of(mine)
+
+
 def test_a_report_names_its_policy_file_and_a_changed_file_is_run_again(mine, tmp_path, capsys):
     explore = ["--agent", mine, "--robots", "1", "--steps", "3", "--no-pictures"]
     assert main(["explore", "--map", "sfw-e1", *explore]) == 0

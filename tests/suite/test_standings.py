@@ -12,11 +12,13 @@ import pytest
 
 from tests.chromium import CONTRASTS, screen
 from twc_env.config import EnvConfig
+from twc_env.records.class_file import digest_of
 from twc_env.suite import leaderboard, tables
 from twc_env.suite.entries import Entry
 from twc_env.suite.leaderboard import Origin, rows_as_json
-from twc_env.suite.page import page_of
+from twc_env.suite.page import DEFINITIONS, page_of
 from twc_env.suite.standings import ALL, THRESHOLDS, standings_of
+from twc_env.suite.tables import COLUMNS
 
 TASKS = ("twc/ExploreQuick-v1", "twc/ExploreOffice-v1")
 LEVELS = {"random": 0.1, "mine": 0.4, "other": 0.3, "informed": 0.6}
@@ -178,6 +180,23 @@ def test_every_file_shows_the_same_rows_and_the_page_needs_no_other_file(tmp_pat
     assert (page.counts["table"], page.counts["tr"], page.counts["img"]) == (3, 3 * 5, 2)
     assert all(address.startswith(("data:image/png;base64,", "#")) for address in page.addresses)
     assert not re.search(r"https?://(?!www\.w3\.org)", (tmp_path / "leaderboard.html").read_text())
+
+
+def test_a_leaderboard_tells_which_version_of_a_file_played(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    entries, values, standings = played()
+    (tmp_path / "mine.py").write_text("class Mine: pass\n")
+    own = [replace(entry, team="mine.py:Mine") if entry.team == "mine" else entry for entry in entries]
+    origin, digests = Origin("v1", "test", 3), {"mine.py:Mine": digest_of("mine.py:Mine")}
+    assert origin.as_json(own)["agent_digests"] == digests and "agent_digests" not in origin.as_json(entries)
+    lead = origin.lead(standings_of(own, values))
+    assert lead == f"{origin.lead(standings)} Files of teams: mine.py:Mine {digests['mine.py:Mine']}."
+
+
+def test_the_page_explains_every_column():
+    shown = [long.partition(" [")[0] for long, _, _ in COLUMNS[3:]]  # after the team, its score and the interval
+    own = [name for name in shown if not name.startswith(("one map after", "to "))]  # these are the times
+    assert [name for name in own if not any(name in explained for explained in DEFINITIONS)] == []
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -52,10 +53,12 @@ def check_call(told: str, how: str, function: Any, *arguments: Any) -> None:
 
 
 def digest_of(name: str) -> str:
-    """Digest (eight hex digits) of the file and of all Python files in its folder, which it may import."""
+    """Digest (eight hex digits) of the file and of all Python files that it may import: those in its folder, and in the
+    packages of that folder."""
+    folder = _file_of(name)[0].parent
     content = hashlib.sha256()
-    for path in sorted(_file_of(name)[0].parent.glob("*.py")):
-        content.update(f"{path.name}\n".encode() + path.read_bytes())
+    for path in sorted(_python_files(folder)):
+        content.update(f"{path.relative_to(folder).as_posix()}\n".encode() + path.read_bytes())
     return content.hexdigest()[:8]
 
 
@@ -75,10 +78,7 @@ def _file_of(name: str) -> tuple[Path, str]:
 @cache
 def _module(path: Path) -> Any:
     """The file as a module, loaded once; it can import the modules of its folder, as a script can."""
-    for beside in path.parent.glob("*.py"):  # another folder may hold a module of the same name
-        known = getattr(sys.modules.get(beside.stem), "__file__", None)
-        if known is not None and Path(known).parent in _FOLDERS - {path.parent}:
-            del sys.modules[beside.stem]
+    _unload_namesakes(path.parent)
     _FOLDERS.add(path.parent)
     sys.path.insert(0, str(path.parent))
     place = hashlib.sha256(str(path).encode()).hexdigest()[:8]
@@ -94,6 +94,28 @@ def _module(path: Path) -> Any:
     module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def _python_files(folder: Path) -> Iterator[Path]:
+    """The Python files of a folder and of its packages: folders that hold Python files and have a module's name."""
+    for here, below, _ in os.walk(folder):
+        yield from Path(here).glob("*.py")
+        below[:] = [name for name in below if name.isidentifier() and any(Path(here, name).glob("*.py"))]
+
+
+def _unload_namesakes(folder: Path) -> None:
+    """Let files of this folder import its own modules and packages where another folder's of that name are loaded."""
+    own = {entry.stem for entry in folder.iterdir() if entry.suffix == ".py" or entry.is_dir()}
+    taken = {name for name in own - {__name__.partition(".")[0]} if _origin(name) in _FOLDERS - {folder}}
+    for name in [name for name in sys.modules if name.partition(".")[0] in taken]:
+        del sys.modules[name]
+
+
+def _origin(name: str) -> Path | None:
+    """The folder from which a module or package was imported; None if it is not loaded or built in."""
+    module = sys.modules.get(name)
+    places = list(getattr(module, "__path__", [])) or [getattr(module, "__file__", None)]
+    return None if places[0] is None else Path(places[0]).parent
 
 
 def _missing(value: type, needed: Sequence[str]) -> list[str]:

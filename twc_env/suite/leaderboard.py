@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 from twc_env._version import __version__
 from twc_env.config import digest
 from twc_env.errors import DataError
+from twc_env.records.class_file import digest_of, is_in_file
 from twc_env.records.json_values import write_json
 from twc_env.records.text_tables import csv_text
 from twc_env.running.finished_parts import code_digest
@@ -45,11 +46,14 @@ class Origin:
             f"{len(standings.teams) * len(standings.tasks) * self.buildings} episodes, twc_env {__version__}, "
             f"code {code_digest('twc_env.agents')}."
         )
+        if own := file_digests(standings.teams):
+            text += f" Files of teams: {', '.join(f'{team} {digits}' for team, digits in own.items())}."
         return text if standings.is_normalised else f"{text} {raw_remark(standings)}"
 
     def as_json(self, entries: Sequence[Entry]) -> dict[str, Any]:
         """Plain values."""
         configs = {entry.task: entry.config for entry in entries}
+        own = file_digests(dict.fromkeys(entry.team for entry in entries))
         return {
             "suite": self.suite,
             "split": self.split,
@@ -57,6 +61,7 @@ class Origin:
             "seeds": list(range(self.buildings)),
             "version": __version__,
             "code_digest": code_digest("twc_env.agents"),
+            **({"agent_digests": own} if own else {}),
             "tasks": {
                 task: {
                     "config_digest": digest(task_config(task)),
@@ -67,6 +72,11 @@ class Origin:
                 for task, config in configs.items()
             },
         }
+
+
+def file_digests(teams: Iterable[str]) -> dict[str, str]:
+    """Team -> digest of its files, of the teams that a file holds."""
+    return {team: digest_of(team) for team in teams if is_in_file(team)}
 
 
 def raw_remark(standings: Standings) -> str:

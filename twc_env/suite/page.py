@@ -38,6 +38,7 @@ DEFINITIONS = {
     "count as others",
     "mean coverage": "area under the curve of the floor in a correctly merged map, the best one, divided by the budget "
     "of time",
+    "coverage at the end": "the last value of that curve, mean over buildings",
     "wrong merges": "pairs of robots whose maps were merged wrongly at some time, over all episodes",
     "times [s]": "medians of simulated time: until all robots share one correct map, and until 50, 90 and 99 % of the "
     "floor are in such a map; - if half of the teams never get there",
