@@ -9,6 +9,7 @@ from twc_env.world.building.floorplan import AccessPoint, Floorplan
 from twc_env.world.sensors.mean_rssi import lose_in_bodies
 from twc_env.world.sensors.radio import HIGH_BAND, LOW_BAND, RadioModel
 from twc_env.world.sensors.reception import WifiReceiver
+from twc_env.world.sensors.signal_map import strongest_signal_dbm
 
 QUIET = {"shadowing_std_db": 0.0, "fading_std_db": 0.0, "device_offset_std_db": 0.0, "noise_std_db": 0.0}
 SURE = {**QUIET, "detection_floor_dbm": -119.0, "detection_slope_db": 0.05}
@@ -42,6 +43,18 @@ def test_each_wall_attenuates_by_its_loss(scale):
     open_hall = RadioModel(config, hall()).mean_rssi_dbm(position)
     blocked = RadioModel(dataclasses.replace(config, wall_loss_scale=scale), hall(walls)).mean_rssi_dbm(position)
     assert open_hall - blocked == pytest.approx([11.0 * scale, 11.0 * scale])
+
+
+@pytest.mark.parametrize("storey", [0, 1, -3])
+@pytest.mark.parametrize("walls", [{}, {"wall_loss_scale": 2.0, "wall_loss_limit_db": 14.0}])
+def test_the_map_of_signal_strengths_has_what_robots_hear_on_the_mean(storey, walls):
+    plan = hall([(2, -3, 2, 3, 4.0), (8, -3, 8, 3, 7.0)])
+    above = [dataclasses.replace(point, floor=storey) for point in plan.access_points]
+    plan = dataclasses.replace(plan, access_points=above)
+    config = RadioConfig(**QUIET, power_spread_db=0.0, floor_loss_grazing_db=5.0, **walls)
+    places = np.array([[0.0, 0.01], [1.0, 1.0], [5.0, 0.5], [30.0, -2.0]])
+    heard = [RadioModel(config, plan).mean_rssi_dbm(place).max() for place in places]
+    assert strongest_signal_dbm(plan, places, config) == pytest.approx(heard)
 
 
 def shadowing(config, plan):

@@ -136,7 +136,7 @@ class RadioModel:
         self.signal = (
             self._pose_home_building, boxes, sources.waves, np.stack([self._levels_dbm, self._exponent, grazing_db]),
             np.stack([self.access_point_of, self.band_of]),
-            np.array([config.distance_min_m, _bypass_share(config.wall_loss_limit_db)]),
+            np.array([config.distance_min_m, bypass_share(config.wall_loss_limit_db)]),
             np.empty((3 + used, len(sources.position_m))),
         )  # fmt: skip
         """Arguments of `mean_rssi` after the position and the wall losses."""
@@ -206,7 +206,7 @@ def _building_stream(digest: str, what: str, mac: int) -> np.random.Generator:
     return np.random.default_rng([int(digest, 16), zlib.crc32(what.encode()), mac])
 
 
-def _bypass_share(wall_loss_limit_db: float) -> float:
+def bypass_share(wall_loss_limit_db: float) -> float:
     """Share of the free-space power that bypasses walls."""
     return 10.0 ** (-wall_loss_limit_db / 10.0) if wall_loss_limit_db else 0.0
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import RadioConfig
 from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.sensors.radio import bypass_share
 
 SIGNAL_SPAN_DBM = (-90.0, -30.0)
 """Range of the colour scale."""
@@ -17,12 +18,23 @@ _POINTS = 6000
 
 
 def strongest_signal_dbm(plan: Floorplan, points_m: Array, config: RadioConfig | None = None) -> Array:
-    """(k, 2) points -> (k,) mean RSSI of the strongest access point: path loss and walls, without shadowing."""
+    """(k, 2) points -> (k,) mean RSSI of the strongest access point: path loss, walls and ceilings, without shadowing.
+
+    At 2.4 GHz, as `RadioModel.mean_rssi_dbm` has it.
+    """
     config = config or RadioConfig()
     best = np.full(len(points_m), -np.inf)
     for access_point in plan.access_points:
-        losses_db = plan.wall_index.crossing(access_point.position_m, points_m)[1]
-        distance_m = np.linalg.norm(points_m - access_point.position_m, axis=1)
+        losses_db = config.wall_loss_scale * plan.wall_index.crossing(access_point.position_m, points_m)[1]
+        if config.wall_loss_limit_db:
+            bypass = bypass_share(config.wall_loss_limit_db)
+            losses_db = -10 * np.log10((1 - bypass) * 10 ** (-0.1 * losses_db) + bypass)
+        ceilings = abs(access_point.floor)
+        height_m = ceilings * config.floor_height_m
+        distance_m = np.hypot(np.linalg.norm(points_m - access_point.position_m, axis=1), height_m)
+        if ceilings:
+            losses_db += config.floor_loss_db + config.floor_loss_further_db * (ceilings - 1)
+            losses_db += config.floor_loss_grazing_db * (1 - height_m / distance_m)
         path_loss_db = 10 * config.path_loss_exponent * np.log10(np.maximum(distance_m, config.distance_min_m))
         best = np.maximum(best, config.power_at_1m_dbm - path_loss_db - losses_db)
     return best
