@@ -9,6 +9,7 @@ from twc_env.__main__ import main
 from twc_env.__main__ import main as explore
 from twc_env.maps import load_map, map_names
 from twc_env.pictures.map_picture import draw_plan, plan_figure
+from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.floorplan_file import write_floorplan
 
 
@@ -192,6 +193,23 @@ def test_starts_of_an_own_plan_that_are_not_used_are_remarked_upon(tmp_path, cap
         assert explore([*episode, "--map", str(tmp_path / "mine.json"), *more]) == 0
         assert (told in capsys.readouterr().err) == is_told
     assert explore(episode) == 0 and "at its starts" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("gap_m", "is_told"), [(0.4, True), (1.0, False)])
+def test_floor_behind_gaps_too_narrow_for_the_robots_is_remarked_upon(tmp_path, capsys, gap_m, is_told):
+    sides = [(0, 0, 8, 0), (8, 0, 8, 4), (8, 4, 0, 4), (0, 4, 0, 0), (5, 0, 5, 2), (5, 2 + gap_m, 5, 4)]
+    walls = np.array(sides, float).reshape(-1, 2, 2)
+    plan = Floorplan("two", walls, np.full(len(walls), 5.0), interior_m=np.array([[1.0, 1.0]]))
+    mine = tmp_path / "mine.json"
+    write_floorplan(plan, mine)
+    assert run("check", mine) == 0
+    told = f"{mine}: 9 m2 of the floor or more are cut off for robots of 0.2 m radius"
+    assert (told in capsys.readouterr().err) == is_told
+    episode = ["explore", "--map", str(mine), "--robots", "1", "--steps", "1", "--no-pictures", "--out", str(tmp_path)]
+    assert explore(episode) == 0
+    assert (told in capsys.readouterr().err) == is_told
+    assert explore([*episode, "--set", "dynamics.robot_radius_m=0.55"]) == 0
+    assert "m2 of the floor or more are cut off for robots of 0.55 m radius" in capsys.readouterr().err
 
 
 def test_schema_prints_the_schema(capsys):

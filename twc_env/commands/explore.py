@@ -11,9 +11,10 @@ from twc_env.commands.team_options import (
     folder_name,
     paragraphs,
     team_config,
+    tell_cut_off,
     tell_unused_starts,
 )
-from twc_env.config import EnvConfig, digest, override
+from twc_env.config import EnvConfig, digest, override, robot_configs
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
 from twc_env.running.command_line import INTERRUPTED
 from twc_env.running.options import add_lasting, add_pictures, natural, picture_options, prior_setting
@@ -78,8 +79,11 @@ def _explore(options: argparse.Namespace) -> int:
         picture.require_libraries(has_film)
     folder = options.out or _run_folder(config, options.agent, options.seed)
     check_folder(folder)
-    if config.episode.starts == "random" and not is_set(config.map):
-        tell_unused_starts(config.map, load_map(config.map))
+    if not is_set(config.map):
+        plan = load_map(config.map)
+        if config.episode.starts == "random":
+            tell_unused_starts(config.map, plan)
+        tell_cut_off(config.map, plan, max(own.dynamics.robot_radius_m for own in robot_configs(config)))
     film = picture.Film() if has_film else None
     bar = Bar(config.max_cycles, "steps", f"on {folder_name(config.map)}, seed {options.seed}", every=20)
 

@@ -267,9 +267,9 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _check_maps(names: Sequence[str], seed: int, findings: dict[str, object]) -> list[str]:
-    from twc_env.commands.team_options import tell_unused_starts
+    from twc_env.commands.team_options import tell_cut_off, tell_unused_starts
     from twc_env.maps import load_map
-    from twc_env.world.building.generate import check_reachable
+    from twc_env.world.building.generate import ROBOT_RADIUS_M, check_reachable
 
     faults: list[str] = []
     sound: dict[str, Floorplan] = {}
@@ -283,6 +283,7 @@ def _check_maps(names: Sequence[str], seed: int, findings: dict[str, object]) ->
         print(_table(list(sound.values()), "sound  "))
     for name, plan in sound.items():
         tell_unused_starts(name, plan)
+        tell_cut_off(name, plan, ROBOT_RADIUS_M)
     _tell(faults)
     findings["floor_m2"] = {name: round(plan.floor_area_m2, 2) for name, plan in sound.items()}
     return faults

@@ -33,6 +33,8 @@ SETTINGS_OF_OPTIONS = {
     "--beams": ("lidar.beam_count",),
 }
 """Option -> the settings that say the same."""
+CUT_OFF_MIN_M2 = 1.0
+"""Less floor that robots cannot reach is not worth a remark."""
 TEAMS = ("nearest-frontier", "cost-utility", "assignment", "voronoi", "random")
 
 
@@ -82,6 +84,17 @@ def tell_unused_starts(map_name: str, plan: Floorplan) -> None:
 
     if len(plan.starts) and map_name not in map_names():
         tell(f"{map_name}: robots start at random, not at its starts, unless --set episode.starts=map says so")
+
+
+def tell_cut_off(map_name: str, plan: Floorplan, radius_m: float) -> None:
+    """A remark on floor that is scored although robots of this radius cannot drive there from the rest."""
+    from twc_env.world.building.generate import cut_off_m2
+
+    if (area_m2 := cut_off_m2(plan, radius_m)) >= CUT_OFF_MIN_M2:
+        tell(
+            f"{map_name}: {area_m2:.0f} m2 of the floor or more are cut off for robots of {radius_m:g} m radius, by "
+            "gaps hardly wider than they are; they are scored all the same"
+        )
 
 
 def folder_name(map_name: str) -> str:

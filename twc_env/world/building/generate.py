@@ -7,10 +7,12 @@ in them. The same arguments give the same building on every machine.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError
 from twc_env.records.random_streams import random_stream
 from twc_env.world.building.fittings import finish
+from twc_env.world.building.floor_cells import Cells
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.floorplan_check import validate
 from twc_env.world.building.layouts import KINDS, LAYOUTS
@@ -42,12 +44,8 @@ def generate(kind: str, area_m2: float, seed: int, check: bool = True) -> Floorp
 
 def check_reachable(plan: Floorplan, radius_m: float = ROBOT_RADIUS_M) -> Floorplan:
     """Return the plan if a disc of this radius can move between all rooms; otherwise raise MapError."""
-    from scipy import ndimage  # slow to import
-
     cells = plan.cells()
-    gap_m = ndimage.distance_transform_edt(~cells.wall) * cells.resolution_m
-    labels, _ = ndimage.label(cells.free & (gap_m > radius_m + cells.resolution_m / 2))
-    sizes = np.bincount(labels.ravel())
+    labels, sizes = _parts(cells, radius_m)
     if len(sizes) < 2:
         raise MapError(f"map {plan.name!r} has no room for a robot of radius {radius_m:g} m; widen the floor")
     largest = 1 + int(np.argmax(sizes[1:]))
@@ -64,3 +62,20 @@ def check_reachable(plan: Floorplan, radius_m: float = ROBOT_RADIUS_M) -> Floorp
             f"{', ...' if len(out_of_reach) > _NAMED_MAX else ''}); widen their doors or clear the way"
         )
     return plan
+
+
+def cut_off_m2(plan: Floorplan, radius_m: float) -> float:
+    """Area of the floor where a disc of this radius fits, and from where it cannot move to the largest such part."""
+    cells = plan.cells()
+    _, sizes = _parts(cells, radius_m)
+    return float(sizes[1:].sum() - sizes[1:].max(initial=0)) * cells.resolution_m**2
+
+
+def _parts(cells: Cells, radius_m: float) -> tuple[Array, Array]:
+    """Where the centre of a disc can be: (rows, columns) numbers of connected parts, 0 for nowhere, and the count of
+    cells of each."""
+    from scipy import ndimage  # slow to import
+
+    gap_m = ndimage.distance_transform_edt(~cells.wall) * cells.resolution_m
+    labels, _ = ndimage.label(cells.free & (gap_m > radius_m + cells.resolution_m / 2))
+    return labels, np.bincount(labels.ravel())
