@@ -9,6 +9,7 @@ from twc_env.errors import MapError
 from twc_env.maps import load_map, map_names, schema
 from twc_env.world.building.floorplan_check import validate
 from twc_env.world.building.floorplan_file import floorplan_from_values, write_floorplan
+from twc_env.world.building.materials import MATERIALS
 
 ROOT = Path(__file__).parents[3]
 VALIDATOR = jsonschema.Draft202012Validator(schema())
@@ -61,3 +62,18 @@ def test_schema_and_reader_reject_the_same_mistakes(path, value):
     assert not VALIDATOR.is_valid(values)
     with pytest.raises(MapError):
         validate(floorplan_from_values(values, "a.json"))
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+def test_schema_and_reader_know_every_material(material):
+    values = with_value("materials", {material: [0]})
+    assert VALIDATOR.is_valid(values)
+    assert floorplan_from_values(values, "a.json").wall_materials[0] == material
+
+
+def test_a_wall_of_two_materials_is_refused():
+    values = with_value("materials", {"glass": [0, 1], "brick": [2, 1]})
+    with pytest.raises(MapError, match=r"a\.json: materials names wall 1 as glass and as brick; keep one"):
+        floorplan_from_values(values, "a.json")
+    values["materials"] = {"glass": [1, 1]}
+    assert floorplan_from_values(values, "a.json").wall_materials[1] == "glass"

@@ -194,6 +194,8 @@ def _materials(values: object, wall_count: int, where: str) -> tuple[str, ...]:
         for wall in walls:
             if type(wall) is not int or not 0 <= wall < wall_count:
                 raise MapError(f"{where}.{material} names wall {_short(wall)}; walls are 0 to {wall_count - 1}")
+            if names[wall] not in ("", material):
+                raise MapError(f"{where} names wall {wall} as {names[wall]} and as {material}; keep one")
             names[wall] = material
     return tuple(names)
 
