@@ -129,11 +129,14 @@ def _has_figures(report: Any) -> bool:
 
 
 def summary_of(reports: list[dict[str, Any]]) -> dict[str, Any]:
-    """Mean, standard deviation, minimum and maximum of each column, and the number of passing seeds."""
+    """Mean, standard deviation, minimum and maximum of each column, and the number of passing seeds.
+
+    What does not exist is NaN, such as the standard deviation of one seed.
+    """
     columns = {}
     for key, _, _ in COLUMNS:
         values = [float(r[key]) for r in reports if r.get(key) is not None]
-        spread = statistics.stdev(values) if len(values) > 1 else 0.0
+        spread = statistics.stdev(values) if len(values) > 1 else math.nan
         columns[key] = {
             "mean": statistics.fmean(values) if values else math.nan,
             "sd": spread,
@@ -152,9 +155,13 @@ def rows_of(reports: Sequence[dict[str, Any]]) -> list[list[str]]:
         rows.append([str(report["seed"]), *cells, "yes" if passes(report) else "no"])
     summary = summary_of(list(reports))
     for name in ("mean", "sd", "min", "max"):
-        cells = [f"{summary['figures'][key][name]:{form.replace('d', '.2f')}}" for key, _, form in COLUMNS]
+        cells = [_number(summary["figures"][key][name], form) for key, _, form in COLUMNS]
         rows.append([name, *cells, ""])
     return rows
+
+
+def _number(value: float, form: str) -> str:
+    return "-" if math.isnan(value) else f"{value:{form.replace('d', '.2f')}}"
 
 
 def table_of(reports: list[dict[str, Any]], width: int | None = None) -> str:
@@ -187,8 +194,9 @@ def write_tables(
     for name, summary in summaries.items():
         cells = []
         for key, _, form in COLUMNS:
-            of, digits = summary["figures"][key], form.replace("d", ".2f")
-            cells.append(f"{of['mean']:{digits}} ({of['sd']:{digits}})")
+            of = summary["figures"][key]
+            spread = "" if math.isnan(of["sd"]) else f" ({_number(of['sd'], form)})"
+            cells.append(f"{_number(of['mean'], form)}{spread}")
         lines.append([name, str(summary["seeds"]), str(summary["passed"]), *cells])
     paths.append(write_text(folder / "summary.tex", latex_table(lines)))
     curves = {name: _curves_of(rows, folders[name]) for name, rows in reports.items() if rows} if pictures else {}

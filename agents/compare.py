@@ -84,7 +84,8 @@ def compare(
     tell: Callable[[str], None] = lambda text: None,
     seeds: Sequence[int] | None = None,
 ) -> list[Standing]:
-    """Run every agent in all `places`; finished episodes are read from the folder."""
+    """Run every agent, once if it is named twice, in all `places`; finished episodes are read from the folder."""
+    agents = tuple(dict.fromkeys(agents))
     for agent in agents:
         make_policy(agent, config)  # an unknown name fails before the first episode
     parts = [(name, agent, seed) for name, seed in places(maps, seeds) for agent in agents]

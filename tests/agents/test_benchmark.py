@@ -82,6 +82,16 @@ def test_the_table_has_a_row_per_seed_and_counts_the_passes():
     assert len({line.index("0.950") for line in lines[2:5]}) == 1
 
 
+def test_one_seed_has_no_standard_deviation(tmp_path):
+    reports = [some_report(0)]
+    assert np.isnan(benchmark.summary_of(reports)["figures"]["team_ate_m"]["sd"])
+    (spread,) = [line.split() for line in benchmark.table_of(reports).splitlines() if line.split()[:1] == ["sd"]]
+    assert set(spread[1:]) == {"-"}
+    *_, table = benchmark.write_tables({"a": reports}, {"a": tmp_path}, "random", tmp_path, None)
+    assert "(" not in table.read_text() and "nan" not in table.read_text()
+    assert json.loads((tmp_path / "summary.json").read_text())["a"]["figures"]["team_ate_m"]["sd"] is None
+
+
 def test_only_a_finished_run_with_equal_settings_is_reused(tmp_path, capsys):
     arguments = ["benchmark", "--maps", "twin-01", "--seeds", "0-1", "--robots", "2", "--no-pictures"]
     arguments += ["--out", str(tmp_path), "--json", str(tmp_path / "all.json"), "--steps"]

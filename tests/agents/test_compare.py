@@ -54,6 +54,13 @@ def test_every_building_is_played_with_every_seed_that_is_asked_for(tmp_path, mo
     assert "--maps names twin-01 twice" in capsys.readouterr().err
 
 
+def test_an_agent_that_is_named_twice_is_played_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(compare, "explore", lambda config, agent, seed: outcome(50.0))
+    told = []
+    found = compare.compare(EnvConfig(), ["twin-01"], ["random", "minpos", "random"], tmp_path, tell=told.append)
+    assert [standing.agent for standing in found] == ["random", "minpos"] and len(told) == 2
+
+
 def test_one_building_has_no_interval_and_a_goal_that_nobody_reached_no_time():
     def of(coverage_mean):
         return (Outcome(10.0, False, 0.6, 0.6, coverage_mean, 18.0, 0.005, 2, 0),)

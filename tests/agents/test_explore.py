@@ -266,6 +266,7 @@ def test_the_table_is_aligned_and_shows_a_dash_for_missing_values():
     report |= {"map": "twin-01", "seed": 1, "robots": 2, "merged_robots": 2, "sim_time_s": 0.3}
     heading, _, *lines = text_of(report).splitlines()
     assert heading == "twin-01, seed 1, 2 robots, 3 steps"
+    assert text_of({**report, "robots": 1, "steps": 1}).startswith("twin-01, seed 1, 1 robot, 1 step\n")
     values = [line.index(value) for line, value in ((lines[0], "0.3 s"), (lines[-1], "-"))]
     assert lines[0].startswith("simulated time ") and values[0] == values[1]
     assert any(line.startswith("loop closures") and line.endswith("precision -") for line in lines)

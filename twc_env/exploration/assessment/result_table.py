@@ -86,7 +86,8 @@ def heading_of(figures: Mapping[str, Any]) -> str:
     """Map, seed, robots and steps."""
     who = f"{figures['agent']} on " if "agent" in figures else ""
     team = "1 robot" if figures["robots"] == 1 else f"{figures['robots']} robots"
-    return f"{who}{figures['map']}, seed {figures['seed']}, {team}, {figures['steps']} steps"
+    steps = "1 step" if figures["steps"] == 1 else f"{figures['steps']} steps"
+    return f"{who}{figures['map']}, seed {figures['seed']}, {team}, {steps}"
 
 
 def text_of(figures: Mapping[str, Any]) -> str:
