@@ -14,7 +14,7 @@ import twc_env
 from twc_env import DataError, EnvConfig, EpisodeResult, EpisodeTrace, load_map
 from twc_env.config import to_dict
 from twc_env.datasets.buildings.ros_map import write_ros_maps
-from twc_env.datasets.lasting_maps import save_map
+from twc_env.datasets.lasting_maps import prior_digest, save_map
 from twc_env.datasets.logs.frame_log import write_frame_log
 from twc_env.datasets.logs.g2o import write_g2o, write_vertices
 from twc_env.datasets.logs.tum import write_tum
@@ -77,6 +77,7 @@ def explore(
     rewards were last evaluated; `save` is the file for the map. Raises TwcError for an unknown agent or map.
     """
     policy = make_policy(agent, config)
+    own = file_digests(config, agent)  # before the episode: files may change, and `save` may be `slam.prior`
     env = twc_env.parallel_env(config=config, render_mode="rgb_array" if film else None)
     env.reset(seed=seed)
     begin(policy, agent, env, seed)
@@ -113,7 +114,7 @@ def explore(
     env.close()
     speeds = {"env_steps_per_s": counted / env_s if env_s else None, "agent_s": thought_s}
     stuck = {"commanded_stuck_share": commanded_stuck_share(result, commands)}
-    report = plain({**result.figures, **stuck, "agent": agent, **origin_of(result.config, agent), **speeds})
+    report = plain({**result.figures, **stuck, "agent": agent, **origin_of(result.config, agent), **own, **speeds})
     return Run(result, report, film, interruption.came, frames, contacts, trace, saved)
 
 
@@ -134,7 +135,17 @@ def commanded_stuck_share(result: EpisodeResult, commands: Sequence[Sequence[boo
 
 def origin_of(config: EnvConfig, agent: str) -> dict[str, str]:
     """Digests of what determines a run besides its settings: the code of twc_env and agents, the floor plan, and
-    user-defined agents, recognisers and back ends."""
+    `file_digests`."""
+    packages = ("twc_env.agents", "twc_env.training") if is_model(agent) else ("twc_env.agents",)
+    return {
+        "code_digest": code_digest(*packages),
+        "map_digest": load_map(config.map).digest,
+        **file_digests(config, agent),
+    }
+
+
+def file_digests(config: EnvConfig, agent: str) -> dict[str, str]:
+    """Digests of the user's own files: agents, recognisers, back ends and the map of an earlier session."""
     slam = config.slam
     named = {
         "agent_digest": agent,
@@ -142,15 +153,12 @@ def origin_of(config: EnvConfig, agent: str) -> dict[str, str]:
         "back_end_digest": slam.pose_graph.robust,
     }
     own = {key: digest_of(name) for key, name in named.items() if is_in_file(name)}
+    if digits := prior_digest(config):
+        own["prior_digest"] = digits
     if is_model(agent) and agent != LEARNED:
         model = Path(agent, "model.safetensors") if Path(agent).is_dir() else Path(agent)
         own["agent_digest"] = hashlib.sha256(model.read_bytes()).hexdigest()[:8]
-    packages = ("twc_env.agents", "twc_env.training") if is_model(agent) else ("twc_env.agents",)
-    return {
-        "code_digest": code_digest(*packages),
-        "map_digest": load_map(config.map).digest,
-        **own,
-    }
+    return own
 
 
 def _film(film: picture.Film, step: int, env: twc_env.ExplorationEnv) -> None:

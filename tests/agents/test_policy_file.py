@@ -6,6 +6,7 @@ import pickle
 import numpy as np
 import pytest
 from twc_env.agents import compare
+from twc_env.agents.explore import explore
 from twc_env.agents.policy import is_finished, make_policy
 
 from twc_env import ConfigError, EnvConfig
@@ -120,6 +121,13 @@ def test_a_report_names_its_policy_file_and_a_changed_file_is_run_again(mine, tm
     (tmp_path / "beside.py").write_text("SPEED = 0.5\n")
     assert main(benchmark) == 0
     assert "(reused)" not in capsys.readouterr().err
+
+
+def test_a_report_names_the_policy_file_as_it_was_when_the_episode_began(mine, tmp_path):
+    changing = "    def act(self, beliefs):\n        open('later.py', 'w').close()\n"
+    (tmp_path / "mine.py").write_text(MINE.replace("    def act(self, beliefs):\n", changing, 1))
+    told, run = digest_of(mine), explore(EnvConfig(map="sfw-e1", robots=1, max_cycles=2), mine, 0)
+    assert run.report["agent_digest"] == told != digest_of(mine)
 
 
 @pytest.mark.parametrize(

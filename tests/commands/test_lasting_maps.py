@@ -1,10 +1,16 @@
 import json
 import re
+from hashlib import sha256
 
+import numpy as np
 import pytest
 
 from twc_env.__main__ import main
+from twc_env.config import EnvConfig, override
+from twc_env.datasets.buildings.ros_map import write_ros_map
+from twc_env.datasets.lasting_maps import prior_digest
 from twc_env.datasets.logs.tum import read_tum
+from twc_env.records.messages import GridMap
 from twc_env.replaying import odometry_errors
 
 
@@ -21,6 +27,33 @@ def test_a_saved_map_is_the_prior_of_a_later_session_and_of_a_replay(tmp_path, c
     first.write_bytes(first.read_bytes()[:-9])
     message = refusal(main, [*common, *later, "--out", str(tmp_path / "c")])
     assert "first.npz" in message and "save the map again" in message
+
+
+def test_a_run_tells_which_saved_map_it_began_with_and_another_one_is_another_run(tmp_path, capsys):
+    prior, log = tmp_path / "map.npz", tmp_path / "run" / "report.json"
+    common = ["--map", "sfw-e1", "--robots", "1", "--no-pictures", "--out"]
+    explore = ["explore", *common, str(tmp_path / "run"), "--save", str(prior), "--steps"]
+    assert main([*explore, "3"]) == 0
+    assert "prior_digest" not in json.loads(log.read_text())
+    again = ["benchmark", "--maps", "sfw-e1", "--seeds", "0", "--steps", "3", "--set", f"slam.prior={prior}"]
+    again += [*common[2:], str(tmp_path / "all")]
+    assert main(again) == 0 and main(again) == 0
+    assert capsys.readouterr().err.count("(reused)") == 1
+    (report,) = (tmp_path / "all").glob("*/*/report.json")
+    assert json.loads(report.read_text())["prior_digest"] == sha256(prior.read_bytes()).hexdigest()[:8]
+    assert main([*explore, "40"]) == 0
+    assert main(again) == 0
+    assert "(reused)" not in capsys.readouterr().err
+
+
+def test_a_ros_map_that_a_run_begins_with_is_told_by_its_picture(tmp_path):
+    grid = GridMap(np.full((9, 9), -100, np.int16), np.zeros(2), 0.1)
+    config = override(EnvConfig(), {"slam.prior": str(write_ros_map(grid, tmp_path, "map"))})
+    first = prior_digest(config)
+    grid.log_odds[4, 4] = 100
+    write_ros_map(grid, tmp_path, "map")
+    assert len(first) == 8 and prior_digest(config) != first
+    assert prior_digest(EnvConfig()) == prior_digest(override(config, {"slam.prior": "earlier-session:9"})) == ""
 
 
 def test_a_saved_map_names_the_robots_that_are_not_in_it(tmp_path, capsys):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import lru_cache
+from hashlib import sha256
 from pathlib import Path
 from typing import Protocol
 
@@ -196,12 +197,36 @@ def prior_of(config: EnvConfig) -> LastingMap | None:
         state = input_path(config.slam.prior).stat()
     except OSError as error:
         raise DataError(f"cannot read the saved map {config.slam.prior}: {error.strerror}; {REMEDY}") from error
-    if Path(config.slam.prior).suffix.lower() in (".yaml", ".yml"):
-        from twc_env.datasets.buildings.ros_map import read_ros_grid  # slow to import: scipy
-
-        grid = read_ros_grid(config.slam.prior)
+    if _is_ros_map(config.slam.prior):
+        grid = _ros_grid(config.slam.prior)
         return LastingMap.of_grid(grid, config.lidar.circle_beam_count, float(config.lidar.range_max_m))
     return _read_once(config.slam.prior, state.st_mtime_ns, state.st_size)
+
+
+def prior_digest(config: EnvConfig) -> str:
+    """Digest (eight hex digits) of the content of the file that `slam.prior` names; empty if it names none. Raises the
+    errors of `prior_of`."""
+    name = config.slam.prior
+    if not name or name.startswith(EARLIER_SESSION + ":"):
+        return ""
+    if _is_ros_map(name):
+        grid = _ros_grid(name)
+        place = np.append(np.asarray(grid.origin_m, float), [grid.resolution_m, *grid.log_odds.shape])
+        return sha256(place.tobytes() + np.ascontiguousarray(grid.log_odds).tobytes()).hexdigest()[:8]
+    try:
+        return sha256(input_path(name).read_bytes()).hexdigest()[:8]
+    except OSError as error:
+        raise DataError(f"cannot read the saved map {name}: {error.strerror}; {REMEDY}") from error
+
+
+def _is_ros_map(name: str) -> bool:
+    return Path(name).suffix.lower() in (".yaml", ".yml")
+
+
+def _ros_grid(name: str) -> GridMap:
+    from twc_env.datasets.buildings.ros_map import read_ros_grid  # slow to import: scipy
+
+    return read_ros_grid(name)
 
 
 @lru_cache(maxsize=4)
