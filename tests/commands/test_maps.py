@@ -212,6 +212,23 @@ def test_floor_behind_gaps_too_narrow_for_the_robots_is_remarked_upon(tmp_path, 
     assert "m2 of the floor or more are cut off for robots of 0.55 m radius" in capsys.readouterr().err
 
 
+def test_a_plan_tells_glass_from_other_walls():
+    plan = load_map("sfw-e1")
+    made_of = ["glass", *[""] * (len(plan.walls_m) - 2), "brick"]
+    for materials, legend in ((made_of, ["glass (1)"]), ([], [])):
+        figure = plan_figure(dataclasses.replace(plan, wall_materials=tuple(materials)), with_signal=False)
+        names = [text.get_text() for text in figure.legends[0].get_texts()]
+        assert [name for name in names if name.startswith("glass")] == legend
+        assert len({tuple(colour) for colour in figure.axes[0].collections[0].get_colors()}) == 1 + len(legend)
+
+
+def test_signs_of_letters_that_our_fonts_lack_are_drawn_without_a_warning(tmp_path, recwarn):
+    plan = load_map("sfw-e1")
+    sign = dataclasses.replace(plan.signs[0], text="\u51fa\u53e3")
+    draw_plan(dataclasses.replace(plan, signs=(sign,)), tmp_path / "a.png")
+    assert not [w for w in recwarn if "missing from font" in str(w.message)]
+
+
 def test_schema_prints_the_schema(capsys):
     assert run("schema") == 0
     assert json.loads(capsys.readouterr().out)["title"] == "twc_env/floorplan-1"

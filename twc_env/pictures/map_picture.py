@@ -26,11 +26,14 @@ from twc_env.pictures.style import (
     style,
 )
 from twc_env.world.building.floorplan import Floorplan, Room
+from twc_env.world.building.materials import MATERIALS
 from twc_env.world.sensors.signal_map import SIGNAL_SPAN_DBM, signal_map_dbm
 
 LABELS_MAX = 90
 """With more rooms or signs than this, names are left out, because there is no room for them."""
 WIDTH_INCHES, HEIGHT_MAX_INCHES = 11.0, 16.0
+GLASS = "#3b8fc4"
+"""Colour of walls that scanners may see through."""
 ROOMS_COVER = 0.99
 """With a smaller area than this share of the floor, rooms are not all of it."""
 MARKER_PX = 5.0
@@ -67,9 +70,12 @@ def plan_figure(plan: Floorplan, with_signal: bool = True) -> Any:
         has_signal = with_signal and bool(plan.access_points)
         if has_signal:
             _draw_signal(axes, figure, plan)
-        losses = np.asarray(plan.wall_loss_db)
-        walls = LineCollection(list(plan.walls_m), colors=TRUE_WALL, linewidths=0.9 + 0.14 * losses.clip(0, 12))
-        axes.add_collection(walls)
+        widths = 0.9 + 0.14 * np.asarray(plan.wall_loss_db).clip(0, 12)
+        is_glass = np.array([name in MATERIALS and MATERIALS[name].is_glass for name in plan.wall_materials], bool)
+        if is_glass.any():
+            entries.append((Line2D([], [], color=GLASS, lw=2.0), f"glass ({is_glass.sum()})"))
+        colours = np.where(is_glass, GLASS, TRUE_WALL) if is_glass.any() else TRUE_WALL
+        axes.add_collection(LineCollection(list(plan.walls_m), colors=colours, linewidths=widths))
         axes.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin))
         entries += _draw_signs(axes, plan)
         if plan.access_points:

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -35,13 +37,16 @@ def require_matplotlib() -> None:
         raise ConfigError("pictures need matplotlib: run `pip install 'twc_env[viz]'`")
 
 
-def style() -> Any:
-    """A context in which figures are made and saved, with our fonts and colours of axes. Raises ConfigError without
-    matplotlib."""
+@contextmanager
+def style() -> Iterator[None]:
+    """A context in which figures are made and saved, with our fonts and colours of axes. Letters that the fonts lack,
+    as in the signs of a user's plan, are boxes without a warning. Raises ConfigError without matplotlib."""
     require_matplotlib()
     import matplotlib
 
-    return matplotlib.rc_context(_STYLE)
+    with matplotlib.rc_context(_STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from")
+        yield
 
 
 def new_figure(size_in: tuple[float, float], dpi: float = DPI) -> Any:
