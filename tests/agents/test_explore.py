@@ -273,6 +273,13 @@ def test_the_table_is_aligned_and_shows_a_dash_for_missing_values():
     assert any(line.startswith("environment speed") and line.endswith(" -") for line in lines)
 
 
+def test_what_several_robots_lacked_alike_is_one_line():
+    lacked = ["no signs from robot 0", "no signs from robot 7", "no WiFi from robot 7", "robot 3 not heard since 2.0 s"]
+    report = {"map": "twin-01", "seed": 1, "robots": 8, "steps": 3, "merged_robots": 2, "lacked": lacked}
+    shown = text_of(report)
+    assert "\n  no signs from robots 0, 7\n  no WiFi from robot 7\n  robot 3 not heard since 2.0 s\n" in shown
+
+
 def test_a_film_of_any_length_has_a_bounded_number_of_evenly_spaced_frames():
     pytest.importorskip("PIL", reason="films need the viz extra")
     film = Film(every=1)

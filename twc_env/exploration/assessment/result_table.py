@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -77,9 +78,18 @@ def remarks_of(figures: Mapping[str, Any]) -> list[str]:
     """What a reader must know: why robots share no map, and what odometry knows then."""
     if figures["merged_robots"] >= figures["robots"]:
         return []
-    lacked = figures.get("lacked") or []
-    why = ["why the robots do not all share one map:\n  " + "\n  ".join(map(str, lacked))] if lacked else []
+    lacked = _folded(map(str, figures.get("lacked") or []))
+    why = ["why the robots do not all share one map:\n  " + "\n  ".join(lacked)] if lacked else []
     return [*why, f"The robots do not share one map: {ODOMETRY_REMARK}"]
+
+
+def _folded(lines: Iterable[str]) -> list[str]:
+    """One line instead of those that say the same of several robots."""
+    robots: dict[str, list[str]] = {}
+    for line in lines:
+        said = re.fullmatch(r"(.+ from) robot (\d+)", line)
+        robots.setdefault(said[1] if said else line, []).extend([said[2]] if said else [])
+    return [f"{line} robot{'s' * (len(own) > 1)} {', '.join(own)}" if own else line for line, own in robots.items()]
 
 
 def heading_of(figures: Mapping[str, Any]) -> str:
