@@ -95,6 +95,20 @@ def test_policy_files_in_two_folders_each_import_the_package_of_their_folder(tmp
     assert [make_policy(name).act({"robot_0": None})["robot_0"][0] for name in names] == [0.25, 0.75]
 
 
+def test_what_a_policy_file_imports_late_is_of_its_folder_too(tmp_path):
+    names, speeds = [], (0.25, 0.75)
+    for speed in speeds:
+        folder = tmp_path / str(speed)
+        folder.mkdir()
+        (folder / "late.py").write_text(f"SPEED = {speed}\n")
+        late = "        from late import SPEED\n        return {agent"
+        text = MINE.replace("from beside import SPEED\n", "").replace("        return {agent", late)
+        (folder / "mine.py").write_text(text)
+        names.append(f"{folder / 'mine.py'}:Mine")
+    for name, speed in zip(names * 2, speeds * 2, strict=True):
+        assert make_policy(name).act({"robot_0": None})["robot_0"][0] == speed
+
+
 def test_the_digest_of_a_policy_file_tells_its_packages_and_nothing_that_it_cannot_import(mine, tmp_path):
     before = digest_of(mine)
     (tmp_path / "no-package").mkdir()

@@ -10,12 +10,15 @@ import sys
 from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from twc_env.errors import ConfigError
 
 _FOLDERS: set[Path] = set()
 """Folders of the files read so far."""
+_ASIDE: dict[Path, dict[str, ModuleType]] = {}
+"""Folder -> its modules by their names, while those of another folder have these names."""
 
 
 def is_in_file(name: str) -> bool:
@@ -30,6 +33,7 @@ def class_in(name: str, needed: Sequence[str], remedy: str) -> Any:
     a missing file, class, method or attribute.
     """
     path, own = _file_of(name)
+    _enter(path.parent)
     found = getattr(_module(path), own, None)
     if not isinstance(found, type):
         values = [value for value in vars(_module(path)).values() if isinstance(value, type)]
@@ -78,9 +82,6 @@ def _file_of(name: str) -> tuple[Path, str]:
 @cache
 def _module(path: Path) -> Any:
     """The file as a module, loaded once; it can import the modules of its folder, as a script can."""
-    _unload_namesakes(path.parent)
-    _FOLDERS.add(path.parent)
-    sys.path.insert(0, str(path.parent))
     place = hashlib.sha256(str(path).encode()).hexdigest()[:8]
     raw = path.read_bytes()
     if b"\0" in raw:
@@ -103,12 +104,17 @@ def _python_files(folder: Path) -> Iterator[Path]:
         below[:] = [name for name in below if name.isidentifier() and any(Path(here, name).glob("*.py"))]
 
 
-def _unload_namesakes(folder: Path) -> None:
-    """Let files of this folder import its own modules and packages where another folder's of that name are loaded."""
+def _enter(folder: Path) -> None:
+    """Let imports from now on find the modules and packages of this folder; another folder's of the same names are set
+    aside until its files are used again."""
     own = {entry.stem for entry in folder.iterdir() if entry.suffix == ".py" or entry.is_dir()}
-    taken = {name for name in own - {__name__.partition(".")[0]} if _origin(name) in _FOLDERS - {folder}}
-    for name in [name for name in sys.modules if name.partition(".")[0] in taken]:
-        del sys.modules[name]
+    origins = {name: _origin(name) for name in own - {__name__.partition(".")[0], "__main__"}}
+    others = {name: origin for name, origin in origins.items() if origin in _FOLDERS - {folder}}
+    for name in [name for name in sys.modules if name.partition(".")[0] in others]:
+        _ASIDE.setdefault(others[name.partition(".")[0]], {})[name] = sys.modules.pop(name)
+    sys.modules.update(_ASIDE.pop(folder, {}))
+    _FOLDERS.add(folder)
+    sys.path[:] = [str(folder), *(place for place in sys.path if place != str(folder))]
 
 
 def _origin(name: str) -> Path | None:
