@@ -23,6 +23,7 @@ from twc_env.records.json_values import write_json
 from twc_env.records.seal import is_unbroken
 from twc_env.records.text_tables import aligned_text, csv_text, flat, latex_table
 from twc_env.records.whole_file import write_text
+from twc_env.running.output_folder import remove_stale
 
 from .explore import explore, origin_of, write_run
 
@@ -206,6 +207,7 @@ def write_tables(
         drawn = {name: values for name, (values, _) in curves.items()}
         path = folder / f"coverage.{pictures[0]}"
         paths.append(draw_coverage(drawn, max(times), path, title, pictures[1], MAPPED))
+    remove_stale(folder, ("coverage",), paths)
     return paths
 
 

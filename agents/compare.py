@@ -20,6 +20,7 @@ from twc_env.records.json_values import write_json
 from twc_env.records.text_tables import aligned_text, csv_text, latex_table
 from twc_env.records.whole_file import write_text
 from twc_env.running.finished_parts import FinishedParts
+from twc_env.running.output_folder import remove_stale
 
 from .explore import commanded, commanded_stuck_share, origin_of
 from .policy import begin, is_finished, is_model, make_policy
@@ -214,6 +215,7 @@ def write_tables(
         each = "" if seeds is None else f", {len(seeds)} seed{'s' * (len(seeds) > 1)}"
         title = f"{len(maps)} building{'s' * (len(maps) > 1)}{each}, {config.robots} robots"
         paths.append(draw_coverage(curves, time_max_s, folder / f"coverage.{pictures[0]}", title, pictures[1]))
+    remove_stale(folder, ("coverage",), paths)
     return paths
 
 

@@ -61,6 +61,14 @@ def test_an_agent_that_is_named_twice_is_played_once(tmp_path, monkeypatch):
     assert [standing.agent for standing in found] == ["random", "minpos"] and len(told) == 2
 
 
+def test_a_picture_of_an_earlier_comparison_is_not_left_beside_other_tables(tmp_path):
+    standing = compare._standing("random", [outcome(50.0)], [outcome(50.0)])
+    for name in ("coverage.png", "coverage.pdf", "coverage.txt"):
+        (tmp_path / name).touch()
+    compare.write_tables([standing], ["twin-01"], EnvConfig(), tmp_path, None)
+    assert [path.name for path in tmp_path.glob("coverage.*")] == ["coverage.txt"]
+
+
 def test_one_building_has_no_interval_and_a_goal_that_nobody_reached_no_time():
     def of(coverage_mean):
         return (Outcome(10.0, False, 0.6, 0.6, coverage_mean, 18.0, 0.005, 2, 0),)

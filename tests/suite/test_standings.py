@@ -25,6 +25,9 @@ LEVELS = {"random": 0.1, "mine": 0.4, "other": 0.3, "informed": 0.6}
 """Coverage of each team, constant over an episode of 100 s; in the second task half of it."""
 
 
+TEXTS = {f"leaderboard.{ending}" for ending in ("json", "csv", "md", "tex", "html")}
+
+
 def values_of(level: float, number: int, **changes) -> dict:
     return {
         "period_s": 1.0, "coverage": [level + 0.01 * number] * 50, "merged_s": 10.0 + number, "is_covered": False,
@@ -164,7 +167,7 @@ class Cells(HTMLParser):
 def test_every_file_shows_the_same_rows_and_the_page_needs_no_other_file(tmp_path):
     pytest.importorskip("matplotlib", reason="pictures need the extra 'viz'")
     entries, _, standings = played()
-    written = leaderboard.write_leaderboard(standings, Origin("v1", "test", 3), entries, tmp_path, True)
+    written = leaderboard.write_leaderboard(standings, Origin("v1", "test", 3), entries, tmp_path, ("png", None))
     assert {path.name for path in written} == {path.name for path in tmp_path.iterdir()}
     board = json.loads((tmp_path / "leaderboard.json").read_text())
     table = list(csv.DictReader(io.StringIO((tmp_path / "leaderboard.csv").read_text())))
@@ -197,6 +200,19 @@ def test_the_page_explains_every_column():
     shown = [long.partition(" [")[0] for long, _, _ in COLUMNS[3:]]  # after the team, its score and the interval
     own = [name for name in shown if not name.startswith(("one map after", "to "))]  # these are the times
     assert [name for name in own if not any(name in explained for explained in DEFINITIONS)] == []
+
+
+def test_pictures_have_the_format_that_is_asked_for_and_none_of_an_earlier_run_is_left(tmp_path):
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'viz'")
+    entries, _, standings = played()
+    sizes = []
+    for pictures, kinds in ((("pdf", None), ("png", "pdf")), (("png", 40), ("png",)), (None, ())):
+        written = leaderboard.write_leaderboard(standings, Origin("v1", "test", 3), entries, tmp_path, pictures)
+        drawn = {f"{name}.{kind}" for name in ("curves", "profiles") for kind in kinds}
+        assert {path.name for path in tmp_path.iterdir()} == {path.name for path in written} == TEXTS | drawn
+        assert (tmp_path / "leaderboard.html").read_text().count("<img") == len(drawn) // max(len(kinds), 1)
+        sizes += [(tmp_path / "curves.png").stat().st_size] if drawn else []
+    assert sizes[1] < sizes[0], "fewer dots per inch"
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from twc_env.errors import DataError
 from twc_env.processes.file_lock import FileLock
+from twc_env.running.options import PICTURE_FORMATS
 
 
 def make_folder(folder: Path) -> None:
@@ -16,6 +17,14 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"cannot make the folder {folder}: {error.strerror}; choose another with --out") from error
+
+
+def remove_stale(folder: Path, stems: Iterable[str], written: Collection[Path]) -> None:
+    """Remove the pictures of these names that an earlier command has left, but this one has not written."""
+    for stem in stems:
+        for kind in PICTURE_FORMATS:
+            if (path := folder / f"{stem}.{kind}") not in written:
+                path.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from twc_env.records.json_values import write_json
 from twc_env.records.text_tables import aligned_text, csv_text, latex_table
 from twc_env.records.whole_file import write_text
 from twc_env.running.options import refuse_code
+from twc_env.running.output_folder import remove_stale
 from twc_env.running.ray_cluster import spread_out
 from twc_env.training.progress import progress_bar
 from twc_env.training.run_folder import Task, model_in, read_settings, task_of
@@ -92,6 +93,7 @@ class Evaluation:
             curves = {name: [e.curve for e in episodes] for name, episodes in self.episodes.items()}
             path, title = folder / f"coverage.{pictures[0]}", "held-out buildings"
             paths.append(draw_coverage(curves, self.time_max_s, path, title, pictures[1]))
+        remove_stale(folder, ("coverage",), paths)
         return paths
 
     def as_json(self) -> dict:

@@ -14,7 +14,9 @@ from twc_env.records.class_file import digest_of, is_in_file
 from twc_env.records.json_values import write_json
 from twc_env.records.text_tables import csv_text
 from twc_env.running.finished_parts import code_digest
+from twc_env.running.output_folder import remove_stale
 from twc_env.suite.entries import INFORMED, Entry
+from twc_env.suite.page import page_of
 from twc_env.suite.standings import Standings
 from twc_env.suite.tables import latex_of, markdown_of
 from twc_env.tasks import task_config
@@ -95,9 +97,17 @@ def rows_as_json(standings: Standings) -> list[dict[str, Any]]:
 
 
 def write_leaderboard(
-    standings: Standings, origin: Origin, entries: Sequence[Entry], folder: Path, pictures: bool
+    standings: Standings,
+    origin: Origin,
+    entries: Sequence[Entry],
+    folder: Path,
+    pictures: tuple[str, float | None] | None,
 ) -> list[Path]:
-    """Write all files; returns their paths. Raises DataError if one cannot be written."""
+    """Write all files; returns their paths. Pictures that an earlier run drew, and this one does not, are removed.
+
+    pictures: format, besides PNG, which the page holds, and dpi; None for no pictures. Raises DataError if a file
+    cannot be written.
+    """
     lead = origin.lead(standings)
     written = [folder / "leaderboard.json"]
     write_json(written[0], {**origin.as_json(entries), **standings.as_json()})
@@ -111,20 +121,23 @@ def write_leaderboard(
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="utf-8")
             written.append(folder / name)
-        if pictures:
+        if pictures is not None:
             from twc_env.pictures.style import style
-            from twc_env.suite.page import page_of
             from twc_env.suite.pictures import draw_curves, draw_profiles
 
             with style():
-                draw_profiles(standings, folder / "profiles.png")
-                draw_curves(standings, folder / "curves.png")
-            drawn = [
-                ("Performance profiles", folder / "profiles.png"),
-                ("Floor in a correctly merged map over time", folder / "curves.png"),
-            ]
-            (folder / "leaderboard.html").write_text(page_of(standings, origin.title, lead, drawn), encoding="utf-8")
-            written += [path for _, path in drawn] + [folder / "leaderboard.html"]
+                for title, stem, draw in (
+                    ("Performance profiles", "profiles", draw_profiles),
+                    ("Floor in a correctly merged map over time", "curves", draw_curves),
+                ):
+                    paths = [folder / f"{stem}.{kind}" for kind in dict.fromkeys(("png", pictures[0]))]
+                    for path in paths:
+                        draw(standings, path, pictures[1])
+                    drawn.append((title, paths[0]))
+                    written += paths
+        (folder / "leaderboard.html").write_text(page_of(standings, origin.title, lead, drawn), encoding="utf-8")
+        written.append(folder / "leaderboard.html")
+        remove_stale(folder, ("profiles", "curves"), written)
     except OSError as error:
         raise DataError(f"cannot write to {folder}: {error.strerror}; choose another with --out") from error
     return written

@@ -6,7 +6,7 @@ import argparse
 
 from twc_env.errors import ConfigError
 from twc_env.records.json_values import TERMINAL, check_folder, write_json
-from twc_env.running.options import add_ray, count, refuse_jobs_with_ray
+from twc_env.running.options import add_ray, count, picture_options, refuse_jobs_with_ray
 from twc_env.running.terminal import tell, terminal_width
 from twc_env.tasks import SUITES
 
@@ -79,7 +79,7 @@ def run_suite(options: argparse.Namespace) -> int:
     values = play_all(planned, options.out / "episodes", options.jobs, options.ray, tell)
     standings = standings_of(planned, values)
     origin = Origin(options.suite, options.split, options.buildings)
-    for path in write_leaderboard(standings, origin, planned, options.out, not options.no_pictures):
+    for path in write_leaderboard(standings, origin, planned, options.out, picture_options(options)):
         tell(f"written: {path}")
     write_json(options.json, rows_as_json(standings))
     if options.json != TERMINAL:

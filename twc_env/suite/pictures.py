@@ -23,7 +23,7 @@ PANEL_IN = (3.4, 2.4)
 DPI = 200
 
 
-def draw_curves(standings: Standings, path: Path) -> None:
+def draw_curves(standings: Standings, path: Path, dpi: float | None = None) -> None:
     """Floor in a correctly merged map over time, one panel per task: mean over buildings with its 95 % interval."""
     figure, panels = _panels(len(standings.tasks))
     for panel, task in zip(panels, standings.tasks, strict=True):
@@ -39,10 +39,10 @@ def draw_curves(standings: Standings, path: Path) -> None:
             panel.set_ylabel(MERGED)
         if k + COLUMNS >= len(panels):
             panel.set_xlabel("simulated time [s]")
-    _finish(figure, panels, path)
+    _finish(figure, panels, path, dpi)
 
 
-def draw_profiles(standings: Standings, path: Path) -> None:
+def draw_profiles(standings: Standings, path: Path, dpi: float | None = None) -> None:
     """Performance profiles: the share of episodes that score above a threshold, averaged over tasks, with its 95 %
     interval."""
     figure, panels = _panels(1, (6.8, 4.2))
@@ -57,7 +57,7 @@ def draw_profiles(standings: Standings, path: Path) -> None:
     what = "normalised score" if standings.is_normalised else "area under the coverage curve (not normalised)"
     panel.set(xlabel=f"threshold of the {what}", ylabel="share of the episodes above it", ylim=(0, 1.02))
     panel.set_xlim(0, THRESHOLDS[-1] if standings.is_normalised else 1.0)
-    _finish(figure, panels, path)
+    _finish(figure, panels, path, dpi)
 
 
 def _style(team: str, teams: Sequence[str]) -> tuple[str, Any]:
@@ -82,10 +82,10 @@ def _panels(count: int, size_in: tuple[float, float] = PANEL_IN) -> tuple[Any, l
     return figure, panels[:count]
 
 
-def _finish(figure: Any, panels: list[Any], path: Path) -> None:
+def _finish(figure: Any, panels: list[Any], path: Path, dpi: float | None) -> None:
     handles, labels = panels[0].get_legend_handles_labels()
     legend = legend_below(figure, handles, labels)
     width_in, height_in = figure.get_size_inches()
     legend_in = legend.get_window_extent(figure.canvas.get_renderer()).height / figure.dpi
     figure.set_size_inches(width_in, height_in + legend_in)
-    save_figure(figure, path, DPI)
+    save_figure(figure, path, dpi or DPI)
