@@ -1,6 +1,7 @@
 import dataclasses
 import itertools
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from twc_env.maps import load_map, map_names
 from twc_env.pictures.map_picture import draw_plan, plan_figure
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.floorplan_file import write_floorplan
+from twc_env.world.building.splits import SPLITS
 
 
 def run(*arguments) -> int:
@@ -227,6 +229,14 @@ def test_signs_of_letters_that_our_fonts_lack_are_drawn_without_a_warning(tmp_pa
     sign = dataclasses.replace(plan.signs[0], text="\u51fa\u53e3")
     draw_plan(dataclasses.replace(plan, signs=(sign,)), tmp_path / "a.png")
     assert not [w for w in recwarn if "missing from font" in str(w.message)]
+
+
+def test_help_and_readme_tell_how_many_buildings_the_splits_have(capsys):
+    with pytest.raises(SystemExit):
+        run("check", "--help")
+    readme = (Path(__file__).parents[2] / "maps" / "README.md").read_text()
+    for text in (capsys.readouterr().out, readme):
+        assert f"generates all {sum(SPLITS.values()):,} " in " ".join(text.split())
 
 
 def test_schema_prints_the_schema(capsys):

@@ -87,7 +87,7 @@ def add_arguments(maps: argparse.ArgumentParser) -> None:
     text = "check that maps are valid and every room is reachable; exit status 2 if one is not"
     more = """
 
---splits generates all 1,200 buildings of the splits and compares their layouts, including rotated and mirrored
+--splits generates all 1,300 buildings of the splits and compares their layouts, including rotated and mirrored
 copies."""
     check = _part(parts, "check", _check, text, ["check mine.json", "check --splits"], more)
     check.add_argument("maps", nargs="*", metavar="MAP", help="default: all bundled maps, or none with --splits")

@@ -40,7 +40,12 @@ def add_suite_options(parser: argparse.ArgumentParser) -> None:
         metavar="AGENT",
         help="teams: names, FILE.py:CLASS, run folders or files of trained models, learned (default: all scripted)",
     )
-    group.add_argument("--split", choices=_SPLITS, default="test", help="buildings; use validation for tuning")
+    group.add_argument(
+        "--split",
+        choices=_SPLITS,
+        default="test",
+        help="buildings; use validation for tuning, fresh for claims about what nobody has looked at",
+    )
     group.add_argument("--buildings", type=count, default=10, help="buildings per task, from the start of the split")
     add_ray(group)
 
