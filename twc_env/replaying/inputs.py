@@ -17,6 +17,7 @@ from twc_env.datasets.logs import frame_log, scan_log
 from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.logs.column_units import Span
 from twc_env.datasets.logs.file_kind import refuse_other_kinds
+from twc_env.datasets.logs.odometry_restarts import rejoined, restarts_of
 from twc_env.datasets.logs.readings_table import Readings, read_signs, read_wifi, wifi_scan
 from twc_env.datasets.logs.scan_log import ScanLog
 from twc_env.datasets.ros.bag_file import is_bag
@@ -133,6 +134,7 @@ def input_of(
     """Logs of one robot each as frames; told: name, notes and whether its clock is that of the others, of each."""
     told = told or [("", [], False)] * len(logs)
     names, notes = [name for name, _, _ in told], [note for _, own, _ in told for note in own]
+    logs = [_in_one_piece(log, name, notes) for log, name in zip(logs, names, strict=True)]
     beams, range_max_m = asked.beam_count or scan_log.beam_count_of(logs), asked.range_max_m or scan_log.RANGE_MAX_M
     if range_max_m > scan_log.NO_RETURN_M:
         raise ConfigError(
@@ -171,6 +173,21 @@ def input_of(
         config = override(config, {"slam.merging.mutual_observations_check": False})
         notes.append("the robots were recorded at different times: they are not looked for in each other's scans")
     return ReplayInput(config, steps, [], begun_s, names, np.array(mounts), notes, odometry)
+
+
+def _in_one_piece(log: ScanLog, name: str, notes: list[str]) -> ScanLog:
+    """The log, without the jumps of its odometry."""
+    restarts = restarts_of(log)
+    if not len(restarts):
+        return log
+    first, jump_m = restarts[0], np.hypot(*(log.poses[restarts[0]] - log.poses[restarts[0] - 1])[:2])
+    times = f"{len(restarts)} times, first " if len(restarts) > 1 else ""
+    notes.append(
+        f"the odometry{f' of {name}' if name else ''} jumps {times}by {jump_m:.3g} m within "
+        f"{log.times_s[first] - log.times_s[first - 1]:.3g} s, {log.times_s[first] - log.times_s[0]:.1f} s after the "
+        "log begins: it is taken to begin anew there, and the robot to move as before"
+    )
+    return rejoined(log, restarts)
 
 
 def _odd_gyro(log: ScanLog, name: str) -> str:
