@@ -8,7 +8,9 @@ import pytest
 
 from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.logs.scan_log import ScanLog
+from twc_env.datasets.logs.tum import read_tum
 from twc_env.datasets.sample import sample_files
+from twc_env.metrics.trajectory import absolute_trajectory_error_m
 from twc_env.replaying.inputs import Asked, input_of
 from twc_env.replaying.run import run
 
@@ -39,3 +41,13 @@ def test_scanners_of_unlike_fields_and_rates_share_a_map_or_it_is_said_why(chang
     assert together or lacked
     if change is rare or asked.wifi:
         assert together, lacked
+
+
+def test_walls_go_on_between_the_beams_of_a_scanner_of_fewer_directions():
+    """Every second direction of the engine had no wall, so that no scan matched, as in the map of a finer scanner."""
+    log = read_any_log(FILES.logs[0]).at(slice(0, 60))
+    source = input_of([log], [np.zeros(3)], Asked(beam_count=360))
+    (path,) = run(source, source.config).paths()
+    times_s, true = read_tum(FILES.logs[0].with_name("truth_0.tum"))
+    at = np.searchsorted(times_s, path.times_s - 0.05)
+    assert absolute_trajectory_error_m(path.estimated, true[at]) < 0.01

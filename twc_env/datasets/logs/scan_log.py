@@ -224,12 +224,15 @@ def onto_circle(ranges_m: Array, beam_angles_rad: Array, beam_count: int, range_
 
 def beam_count_of(logs: Sequence[ScanLog]) -> int:
     """Beams of a full circle in which no direction of the coarsest scanner is left out, at most BEAMS."""
-    steps_rad = [float(np.median(np.abs(np.diff(np.atleast_2d(log.beam_angles_rad)[0])))) for log in logs
-                 if log.ranges_m.shape[1] > 1]  # fmt: skip
-    coarsest_rad = max(steps_rad, default=0.0)
+    coarsest_rad = max(_step_rad_of(log) for log in logs)
     if coarsest_rad * BEAMS <= _COARSE * 2 * math.pi:
         return BEAMS
     return max(int(round(2 * math.pi / coarsest_rad)), _BEAMS_MIN)
+
+
+def _step_rad_of(log: ScanLog) -> float:
+    """Angle between neighbouring beams; 0 if there is one beam."""
+    return float(np.median(np.abs(np.diff(log.beams_of(0))))) if log.ranges_m.shape[1] > 1 else 0.0
 
 
 def sensor_frames(
@@ -238,8 +241,10 @@ def sensor_frames(
     """Sensor frames of a robot on the path of the log, one per scan of `scans` (default: all).
 
     Odometry is the motion between the poses of the log; its turn replaces the gyro where the log has none. Scans that
-    take time are left as the scanner gives them, with its geometry, so that the engine can undo the motion.
+    take time are left as the scanner gives them, with its geometry, so that the engine can undo the motion; those of
+    fewer directions than beam_count, too, so that it can draw walls between their beams.
     """
+    is_raw = log.sweep_s > 0.0 or _step_rad_of(log) * beam_count > _COARSE * 2 * math.pi
     frames: list[SensorFrame] = []
     chosen = np.arange(len(log.times_s)) if scans is None else np.asarray(scans)
     time_s = 0.0
@@ -251,7 +256,7 @@ def sensor_frames(
         turn_rate_rad_s = float(odometry[2] / elapsed_s)
         if log.turned_rad is not None:
             turn_rate_rad_s = float((log.turned_rad[k] - log.turned_rad[last]) / elapsed_s)
-        if log.sweep_s > 0.0:
+        if is_raw:
             scan, scanner = log.ranges_of(k), _scanner_of(log, k, range_max_m)
         else:
             scan, scanner = onto_circle(log.ranges_of(k), log.beams_of(k), beam_count, range_max_m), None
@@ -260,7 +265,7 @@ def sensor_frames(
 
 
 def _scanner_of(log: ScanLog, scan: int, range_max_m: float) -> Scanner:
-    """Geometry of a scan that takes time, in the frame of the log's poses. No return tells nothing, as above."""
+    """Geometry of a scan in the frame of the log's poses. No return tells nothing, as above."""
     first, *others = log.beams_of(scan)[:2].tolist()
     step_rad = others[0] - first if others else math.radians(1.0)
     return Scanner(first, step_rad, range_max_m=NO_RETURN_M, free_m=0.0, sweep_s=log.sweep_s)
