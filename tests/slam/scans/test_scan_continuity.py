@@ -88,3 +88,26 @@ def test_odometry_that_may_err_by_it_explains_a_turn_that_it_misread():
 def test_no_error_of_odometry_explains_another_room():
     before, now = scan_of(ROOM, (2.0, 1.5, 0.4)), scan_of(OTHER_ROOM, (7.0, 0.5, 2.0))
     assert not explained(before, now, (0.05, 0.0, 0.0), 0.1, 0.1)[0]
+
+
+def test_a_scan_in_a_doorway_continues_the_one_before_it_and_one_of_another_room_does_not():
+    """Half of what a scanner that looks ahead sees there was hidden behind the door's walls half a metre before."""
+    half = np.arange(360) * math.pi / 180 % (2 * math.pi)
+    is_behind = (half > math.pi / 2) & (half < 3 * math.pi / 2)
+    before, now = (np.where(is_behind, UNSEEN_M, two_rooms(x, half)) for x in (1.4, 1.9))
+    motion = (0.5, 0.0, 0.0)
+    is_one, share = compared(before, now, motion)
+    assert is_one and share < AGREEMENT_MIN
+    other = np.where(is_behind, UNSEEN_M, scan_of((7.0, 1.2), (1.0, 0.6, 0.0), 360))
+    assert not compared(before, other, motion)[0]
+    assert not compared(before, now, (0.1, 0.0, 0.0))[0]  # so little is new after a tenth of a second
+
+
+def two_rooms(x, angles):
+    """(beams,) ranges from the middle between the walls, 2 m ahead a wall of no thickness with a door of 0.9 m."""
+    c, s = np.cos(angles), np.sin(angles)
+    with np.errstate(divide="ignore"):
+        at_wall = np.where(c > 1e-9, (2.0 - x) / c, np.inf)
+        passes = np.abs(at_wall * s) < 0.45
+        ends = np.minimum(np.where(c > 0, (6.0 - x) / c, -x / c), 4.0 / np.abs(s))
+    return np.minimum(np.where((c > 1e-9) & ~passes, np.minimum(at_wall, ends), ends), RANGE_MAX_M)

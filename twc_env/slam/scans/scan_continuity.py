@@ -31,6 +31,11 @@ MOTION_MAX_M, TURN_MAX_RAD = 0.6, 0.6
 """Nor after greater motions: too much of what is seen is new. Five public logs have 56 pairs of scans 0.6 to 0.8 m
 apart, and the least share there is .53, of a robot that nobody carried; nearer ones have .65 or more, but for two where
 odometry misread a turn."""
+REVEALED_MIN_M, IN_FREE_FLOOR_MIN = 0.3, 0.05
+"""After motions longer than this, of a scan that the one before predicts too little of, a smaller share must stand in
+floor that the one before saw free: in a doorway, half of a scan was hidden behind its walls. From half a metre before
+one to its middle, half a circle had .58 predicted, and nothing in free floor. Of 7,100 pairs of scans of different
+places of five public logs, 5 % have less there: robots that are carried so go unnoticed."""
 ODOMETRY_STDS = 4.0
 """Odometry may err by so many standard deviations: a robot is carried only if no motion within explains its scan."""
 ODOMETRY_STEP_M, ODOMETRY_STEP_RAD = 0.15, 0.04
@@ -47,7 +52,10 @@ def continues(before, scan, motion, range_max, directions):
     shift = (int(math.floor(motion[2] * beams / (2.0 * math.pi) + 0.5)) + beams) % beams
     rest = beams - shift
     changed = _changed(scan[:rest], before[shift:]) + _changed(scan[rest:], before[:shift])
-    return changed < CHANGED_SHARE * beams or agreement(before, scan, motion, range_max, directions) >= AGREEMENT_MIN
+    if changed < CHANGED_SHARE * beams or agreement(before, scan, motion, range_max, directions) >= AGREEMENT_MIN:
+        return True
+    is_far = motion[0] * motion[0] + motion[1] * motion[1] > REVEALED_MIN_M * REVEALED_MIN_M
+    return is_far and _in_free_floor(before, scan, motion, range_max, directions) < IN_FREE_FLOOR_MIN
 
 
 @borrowing_kernel
@@ -87,7 +95,21 @@ def _changed(scan, before):
 
 @borrowing_kernel
 def agreement(before, scan, motion, range_max, directions):
-    """Share of the returns of a scan (beams,) that the scan before predicts, after a motion (3,); 1 if there are few.
+    """Share of the returns of a scan (beams,) that the scan before predicts, after a motion (3,); 1 if there are few."""
+    returned, agreed, _ = _compared(before, scan, motion, range_max, directions)
+    return agreed / returned if returned >= BEAMS_MIN else 1.0
+
+
+@borrowing_kernel
+def _in_free_floor(before, scan, motion, range_max, directions):
+    """Share of the returns of a scan (beams,) that are nearer than the scan before predicts."""
+    returned, _, nearer = _compared(before, scan, motion, range_max, directions)
+    return nearer / returned
+
+
+@borrowing_kernel
+def _compared(before, scan, motion, range_max, directions):
+    """Number of returns of a scan (beams,), of those that the scan before predicts, and of nearer ones.
 
     Negative ranges (teammates, lost beams) are skipped. The prediction of a beam lies between the least and the
     greatest of three neighbouring ranges of the scan before.
@@ -95,7 +117,7 @@ def agreement(before, scan, motion, range_max, directions):
     beams = scan.shape[0]
     per_beam = beams / (2.0 * math.pi)
     c, s = math.cos(motion[2]), math.sin(motion[2])
-    returned = agreed = 0
+    returned = agreed = nearer = 0
     for i in range(beams):
         if not 0.0 < scan[i] < range_max:
             continue
@@ -108,4 +130,5 @@ def agreement(before, scan, motion, range_max, directions):
             continue
         returned += 1
         agreed += least - AGREEMENT_M <= away <= max(max(a, b), d) + AGREEMENT_M
-    return agreed / returned if returned >= BEAMS_MIN else 1.0
+        nearer += away < least - AGREEMENT_M
+    return returned, agreed, nearer
