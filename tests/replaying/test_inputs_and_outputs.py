@@ -7,6 +7,7 @@ import pytest
 
 from twc_env import parallel_env
 from twc_env.__main__ import main
+from twc_env.commands.replay import _maps_told
 from twc_env.config import EnvConfig, override
 from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.logs.frame_log import read_truth_log, write_frame_log
@@ -139,3 +140,10 @@ def test_a_gyro_of_another_unit_or_sign_is_told(times, is_odd):
     notes = input_of([gyro], [np.zeros(3)], Asked(), [("scout", [], True)]).notes
     told = [note for note in notes if "gyro of scout" in note]
     assert len(told) == is_odd and all("--imu-topic none" in note for note in told)
+
+
+def test_maps_of_the_same_robot_are_told_together():
+    before = "robot 0 before being carried"
+    assert _maps_told(["robot 0"]) == ["map 1: robot 0"]
+    assert _maps_told(["robot 0", "robot 1", before]) == ["map 1: robot 0", "map 2: robot 1", f"map 3: {before}"]
+    assert _maps_told(["robot 0", *[before] * 50]) == ["map 1: robot 0", f"maps 2 to 51: {before}"]

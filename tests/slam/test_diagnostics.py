@@ -5,7 +5,7 @@ import pytest
 
 from twc_env.config import EnvConfig
 from twc_env.records.messages import LoopCandidate, LoopClosure, SignObservation
-from twc_env.slam.diagnostics import Listening, diagnostics_of
+from twc_env.slam.diagnostics import SHOWN_MAX, Listening, diagnostics_of
 from twc_env.slam.team import TeamMapper
 
 MACS = (1, 2, 3, 4)
@@ -42,6 +42,22 @@ def test_missing_cues_are_reported_for_all_or_for_one_robot(mapper_of):
 def test_robots_without_a_common_map_are_reported(mapper_of):
     lines = diagnostics_of(mapper_of((0, "A301", -50.0), (1, "B101", -60.0)))
     assert lines == ["no common map of robot 0 and robot 1: neither recognised the other's"]
+
+
+@pytest.mark.parametrize(("times", "lines"), [(3, 3), (SHOWN_MAX + 5, 1)])
+def test_a_robot_that_is_carried_too_often_is_told_in_one_line(keyframe, times, lines):
+    """A log with beams in the wrong direction had 30 kB of them."""
+    mapper = TeamMapper(EnvConfig(), 1)
+    for index in range(times + 1):
+        made = keyframe(0, index, np.zeros(3), float(index), np.full(180, 3.0))
+        mapper.update(index, [replace(made, motion=np.zeros(3), begins_segment=index > 0)])
+    told = diagnostics_of(mapper)
+    carried = [line for line in told if "put down elsewhere" in line]
+    assert len(carried) == lines
+    if lines == 1:
+        assert f"elsewhere {times} times, first at" in carried[0] and "direction of its beams" in carried[0]
+        assert f"no common map of robot 0 and {times} others: neither recognised the other's" in told
+    assert max(map(len, told)) < 300
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -331,7 +332,7 @@ def _told(figures: dict[str, Any]) -> list[tuple[str, str]]:
     rows = [
         ("log", figures["log"]),
         ("time steps", f"{figures['steps']:,}"),
-        ("maps", "; ".join(f"map {number}: {robots}" for number, robots in enumerate(figures["maps"], 1))),
+        ("maps", "; ".join(_maps_told(figures["maps"]))),
         ("loop closures", f"{figures['closures_accepted']} accepted of {figures['closures_proposed']} proposed"),
     ]
     if "team_ate_m" in figures:
@@ -345,6 +346,16 @@ def _told(figures: dict[str, Any]) -> list[tuple[str, str]]:
     if "saved" in figures:
         rows.append(("map saved", str(figures["saved"])))
     return [*rows, ("settings digest", figures["config_digest"])]
+
+
+def _maps_told(maps: Sequence[str]) -> list[str]:
+    """Who is in each map; one entry for neighbours of the same."""
+    told, number = [], 1
+    for robots, same in itertools.groupby(maps):
+        last = number + len(list(same)) - 1
+        told.append(f"map {number}: {robots}" if last == number else f"maps {number} to {last}: {robots}")
+        number = last + 1
+    return told
 
 
 def _pace(done: Replay, read_s: float, cpu_s: float) -> str:

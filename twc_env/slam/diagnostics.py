@@ -25,6 +25,8 @@ CONTRADICTING_MIN = 5
 """Fewer closures that contradict a map, or agree on another one, are no reason to doubt it."""
 RIVAL_SHARE = 0.5
 """Closures between two robots that agree on another map are a reason from this share of those in use on."""
+SHOWN_MAX = 20
+"""Segments of a robot's path, and maps, that are told one by one."""
 NEVER = -1
 """In place of a step: not heard yet."""
 
@@ -93,15 +95,25 @@ def diagnostics_of(mapper: TeamMapper) -> list[str]:
 
 
 def _carried(mapper: TeamMapper) -> list[str]:
-    """When robots were put down elsewhere, and which of the segments of their paths are in no common map."""
+    """When robots were put down elsewhere, and which of the segments of their paths are in no common map; one line of a
+    robot for which it is said too often to be true."""
     found, segments = [], mapper.segments
+    counts = Counter(segments.owners)
     for segment, robot in enumerate(segments.owners):
         if robot in (segment, NO_ROBOT):
             continue
         before = segments.of(robot)[segments.of(robot).index(segment) - 1]
+        time_s = mapper.keyframes[segment][0].time_s
+        if counts[robot] > SHOWN_MAX:
+            if before == robot:
+                found.append(
+                    f"robot {robot} was put down elsewhere {counts[robot] - 1} times, first at {time_s:.1f} s: nobody "
+                    "carries a robot so often, so its scans and its odometry do not go together; look at the direction "
+                    "of its beams, where its scanner is mounted, and at units and times"
+                )
+            continue
         is_joined = mapper.group_of_segment(segment) == mapper.group_of_segment(before)
         where = "in the same map as its path before" if is_joined else "in another map than its path before"
-        time_s = mapper.keyframes[segment][0].time_s
         found.append(f"robot {robot} was put down elsewhere at {time_s:.1f} s: its path since is {where}")
     return found
 
@@ -164,7 +176,9 @@ def _apart(mapper: TeamMapper) -> list[str]:
         return lines
     pending = sum(closure.status == "pending" for closure in mapper.closures)
     why = f"{pending} closures between them wait for others that agree" if pending else "neither recognised the other's"
-    return [*lines, f"no common map of {' and '.join(_names(mapper, g) for g in groups)}: {why}"]
+    shown = [_names(mapper, g) for g in groups[: None if len(groups) <= SHOWN_MAX else 1]]
+    others = [f"{len(groups) - len(shown)} others"] if len(shown) < len(groups) else []
+    return [*lines, f"no common map of {' and '.join([*shown, *others])}: {why}"]
 
 
 def _names(mapper: TeamMapper, segments: tuple[int, ...]) -> str:

@@ -95,7 +95,7 @@ def _changed(scan, before):
 
 @borrowing_kernel
 def agreement(before, scan, motion, range_max, directions):
-    """Share of the returns of a scan (beams,) that the scan before predicts, after a motion (3,); 1 if there are few."""
+    """Share of the returns of a scan (beams,) that the scan before predicts, after a motion (3,); 1 of few returns."""
     returned, agreed, _ = _compared(before, scan, motion, range_max, directions)
     return agreed / returned if returned >= BEAMS_MIN else 1.0
 
