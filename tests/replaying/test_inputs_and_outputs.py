@@ -42,6 +42,19 @@ def test_a_range_that_logs_have_no_returns_of_is_refused(refusal):
         input_of([read_any_log(logs[0])], [np.zeros(3)], Asked(range_max_m=80.0))
 
 
+def test_odometry_that_never_moves_is_named_where_the_scans_change():
+    """A map of two scans came out, and all others were said to be hardly apart from these."""
+    log = read_any_log(sample_files().logs[0])
+    dead = dataclasses.replace(log, poses=np.zeros_like(log.poses))
+    standing = dataclasses.replace(dead, ranges_m=np.repeat(log.ranges_m[:1], len(log.times_s), axis=0))
+    standing.ranges_m[::2, 40:100] = 1.0  # somebody walks by
+    is_named = [
+        any("the odometry of a never moves, but the scans show other places" in note for note in source.notes)
+        for source in (input_of([each], [np.zeros(3)], Asked(), [("a", [], True)]) for each in (dead, standing, log))
+    ]
+    assert is_named == [True, False, False]
+
+
 def test_trajectories_bear_the_names_of_the_robots(tmp_path):
     """A bag with /robot_1 and /robot_2 had the path of the second in robot_1_estimated.tum."""
     logs = [read_any_log(log) for log in sample_files().logs]

@@ -48,6 +48,11 @@ STANDING_S = 1.0
 TURNED_MIN_RAD, GYRO_TIMES = 3.0, (0.5, 2.0)
 """A gyro must turn between so many times as far as an odometry that turned so far in all."""
 
+STILL, LATER_SCANS = 0.05, 12
+"""Odometry that stays within so many metres and radians stands still; so many scans are compared with the first."""
+CHANGED_M, CHANGED_MIN = 0.5, 0.5
+"""Half of a scan does not change by as much before a robot that stands, whoever walks by."""
+
 
 @dataclass(slots=True)
 class ReplayInput:
@@ -164,7 +169,8 @@ def input_of(
         config = override(config, WIFI_SETTINGS)
     if any(signs):
         config = override(config, SIGNS_SETTINGS)
-    notes += [note for log, name in zip(logs, names, strict=True) if (note := _odd_gyro(log, name))]
+    for log, name in zip(logs, names, strict=True):
+        notes += filter(None, (_odd_odometry(log, name), _odd_gyro(log, name)))
     if all(log.turned_rad is not None for log in logs):
         config = override(config, GYRO_SETTINGS)
     if is_together and share_clock and len(logs) > 1:
@@ -188,6 +194,26 @@ def _in_one_piece(log: ScanLog, name: str, notes: list[str]) -> ScanLog:
         "log begins: it is taken to begin anew there, and the robot to move as before"
     )
     return rejoined(log, restarts)
+
+
+def _odd_odometry(log: ScanLog, name: str) -> str:
+    """What is odd about odometry that stands still while the scans show other places; "" if nothing is."""
+    moved = np.abs(between(log.poses[0], log.poses)).max(axis=0)
+    if moved.max() > STILL:
+        return ""
+    later = np.linspace(0, len(log.times_s) - 1, LATER_SCANS).astype(int)[1:]
+    if np.median([_changed_share(log.ranges_m[0], log.ranges_m[k]) for k in later]) < CHANGED_MIN:
+        return ""
+    return (
+        f"the odometry{f' of {name}' if name else ''} never moves, but the scans show other places: the map is that of "
+        "a robot that stands still; look whether its poses were recorded"
+    )
+
+
+def _changed_share(first: Array, second: Array) -> float:
+    """Share of the beams with a return in both scans (beams,) whose ranges differ by more than `CHANGED_M`."""
+    told = (first > 0.0) & (first < scan_log.NO_RETURN_M) & (second > 0.0) & (second < scan_log.NO_RETURN_M)
+    return float((np.abs(first - second)[told] > CHANGED_M).mean()) if told.any() else 0.0
 
 
 def _odd_gyro(log: ScanLog, name: str) -> str:
