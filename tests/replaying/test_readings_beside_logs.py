@@ -3,9 +3,10 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from twc_env.__main__ import main
-from twc_env.commands.replay import SCANS_ALONE
+from twc_env.commands.replay import SCANS_ALONE, _rests_on_readings
 from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.sample import sample_files
 from twc_env.replaying.inputs import Asked, input_of, read_input
@@ -42,3 +43,25 @@ def test_a_map_of_several_robots_by_scans_alone_is_told(capsys):
     assert SCANS_ALONE not in capsys.readouterr().out
     assert main(["replay", logs[0]]) == 0
     assert SCANS_ALONE not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("figures", "is_told"),
+    [
+        ({"groups": [[0], [1]]}, True),
+        ({"groups": [[0, 1]]}, False),
+        ({"groups": [[0, 1], []], "found_prior": []}, True),
+        ({"groups": [[0, 1]], "found_prior": [0, 1]}, False),
+        ({"groups": [[0], [1]], "found_prior": [0, 1], "lost_share": [0.1, 0.2]}, False),
+        ({"groups": [[0], [1]], "found_prior": [], "lost_share": [0.1, 1.0]}, True),
+    ],
+)
+def test_robots_that_readings_alone_left_apart_may_be_sought_by_scans(figures, is_told):
+    """A log found the map of Monday to 2 cm, and not at all with the table of its signs."""
+    sample = sample_files()
+    logs = [read_any_log(log).at(slice(0, 5)) for log in sample.logs]
+    for asked in (Asked(signs=sample.signs), Asked(wifi=sample.wifi)):
+        source = input_of(logs, [np.zeros(3)] * 2, asked)
+        assert _rests_on_readings(source, source.config, figures) is is_told
+    bare = input_of(logs, [np.zeros(3)] * 2, Asked())
+    assert not _rests_on_readings(bare, bare.config, figures)

@@ -37,6 +37,12 @@ SCANS_ALONE = (
     "maps fit each other by their scans alone, and rooms that look alike fit, too: look at the picture, or give WiFi "
     "or signs (--wifi, --signs)"
 )
+LOST_MIN = 0.5
+"""A robot that is lost longer than this share of its scans may be sought in another way."""
+READINGS_ALONE = (
+    "places were sought by the readings of --wifi and --signs: few signs, or access points and signs that were moved "
+    "since, find none; leave a table out, or both, to seek them by scans"
+)
 
 
 def add_arguments(replay: argparse.ArgumentParser) -> None:
@@ -301,6 +307,8 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
             print("\nnoticed, as scans do not go on from those before:", *carried, sep="\n  ")
         if _rests_on_scans(source, groups, bool(figures.get("found_prior"))):
             print(f"\n{SCANS_ALONE}")
+        elif _rests_on_readings(source, config, figures):
+            print(f"\n{READINGS_ALONE}")
     write_json(options.json, figures | {"robots": done.table()})
     if options.out:
         _write_folder(options.out, done, options)
@@ -316,8 +324,22 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
 
 def _rests_on_scans(source: ReplayInput, groups: Sequence[Sequence[int]], is_in_prior: bool) -> bool:
     """Whether robots share a map, groups (maps, robots of each), or one with a prior map, by nothing but scans."""
-    has_readings = any(frame.wifi is not None or frame.signs for frames in source.steps for frame in frames)
-    return not has_readings and (is_in_prior or any(len(robots) > 1 for robots in groups))
+    return not _has_readings(source) and (is_in_prior or any(len(robots) > 1 for robots in groups))
+
+
+def _rests_on_readings(source: ReplayInput, config: EnvConfig, figures: dict[str, Any]) -> bool:
+    """Whether robots of laser logs found neither each other nor a prior map by readings, which scans may do."""
+    if source.is_episode or not _has_readings(source):
+        return False
+    if "lost_share" in figures:
+        return max(figures["lost_share"]) > LOST_MIN
+    is_apart = len([robots for robots in figures["groups"] if robots]) > 1
+    is_new = "found_prior" in figures and len(figures["found_prior"]) < len(source.names)
+    return config.slam.place_recognition.recogniser in ("fused", "wifi", "text", "twc") and (is_apart or is_new)
+
+
+def _has_readings(source: ReplayInput) -> bool:
+    return any(frame.wifi is not None or frame.signs for frames in source.steps for frame in frames)
 
 
 def _named(folder: Path) -> str:
