@@ -64,6 +64,18 @@ def test_trajectories_bear_the_names_of_the_robots(tmp_path):
     assert names == {f"{name}_{kind}.tum" for name in ("robot_1", "site_robot_2") for kind in ("estimated", "odometry")}
 
 
+def test_lines_of_the_engine_have_the_names_of_the_robots():
+    logs = [read_any_log(log).at(slice(0, 3)) for log in sample_files().logs]
+    bare, named = (input_of(logs, [np.zeros(3)] * 2, Asked(), [(name, [], True) for name in names])
+                   for names in (("", ""), ("b", "1")))  # fmt: skip
+    lines = ("no common map of robots 0, 1 and robot 1 after being carried (segment 2)", "lost robot 0 11%, robot 1 0%")
+    assert [run(bare, bare.config).by_name(line) for line in lines] == list(lines)
+    assert [run(named, named.config).by_name(line) for line in lines] == [
+        "no common map of robots b, 1 and robot 1 after being carried (segment 2)", "lost robot b 11%, robot 1 0%",
+    ]  # fmt: skip
+    assert run(bare, bare.config).by_name("robots 0") == "robot 0"
+
+
 @pytest.fixture(scope="module")
 def carried(tmp_path_factory):
     """A replay of a robot that is carried off after 30 s, and its true poses (frames, 3)."""
@@ -136,7 +148,7 @@ def test_a_place_in_an_old_map_found_by_scans_alone_is_told_as_such(tmp_path, ca
     assert "by their scans alone" not in capsys.readouterr().out
     assert main(["replay", second, "--prior", str(tmp_path / "old.npz")]) == 0
     said = capsys.readouterr().out
-    assert "in the old map   robots 0" in said and "by their scans alone" in said
+    assert "in the old map   robot 0" in said and "by their scans alone" in said
 
 
 def test_a_sample_by_a_preset_scanner_has_the_beams_of_the_preset(tmp_path):

@@ -296,11 +296,11 @@ def _replay_frames(options: argparse.Namespace, logs: Sequence[Path]) -> None:
     if options.save:
         figures["saved"] = save_map(options.save, done.engine)
     if is_told:
-        for name, value in _told(figures):
+        for name, value in _told(done, figures):
             print(f"{name:<16} {value}")
         print(f"{'duration':<16} {_pace(done, read_s, cpu_s)}")
         print("\n" + aligned(done.table(), terminal_width()))
-        lacked = done.engine.lacked()
+        lacked = [done.by_name(line) for line in done.engine.lacked()]
         if len(team.groups) > 1 and lacked:
             print("\nwhy there is more than one map:", *lacked, sep="\n  ")
         elif carried := [line for line in lacked if "put down elsewhere" in line]:
@@ -349,7 +349,7 @@ def _named(folder: Path) -> str:
     return f"{folder}: {', '.join([*shown, 'table.csv'])} and more"
 
 
-def _told(figures: dict[str, Any]) -> list[tuple[str, str]]:
+def _told(done: Replay, figures: dict[str, Any]) -> list[tuple[str, str]]:
     """The summary for the terminal: names and values with units; a table of the robots follows."""
     rows = [
         ("log", figures["log"]),
@@ -361,10 +361,10 @@ def _told(figures: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(("team ATE", f"{figures['team_ate_m']:.3f} m"))
     if "found_prior" in figures:
         found = ", ".join(map(str, figures["found_prior"]))
-        rows.append(("in the old map", f"robots {found}" if figures["found_prior"] else "no robot"))
+        rows.append(("in the old map", done.by_name(f"robots {found}") if found else "no robot"))
     if "lost_share" in figures:
         shares = ", ".join(f"robot {robot} {share:.0%}" for robot, share in enumerate(figures["lost_share"]))
-        rows.append(("lost", f"{shares} of the scans"))
+        rows.append(("lost", done.by_name(f"{shares} of the scans")))
     if "saved" in figures:
         rows.append(("map saved", str(figures["saved"])))
     return [*rows, ("settings digest", figures["config_digest"])]
@@ -432,7 +432,7 @@ def _write_page(page, path: Path, done: Replay, figures: dict) -> None:
         "Ring: estimated pose. A log holds no true poses."
     )
     title, report = f"replay of {figures['log']}", {**figures, "table": _keyed(done)}
-    page.write(path, done.engine, title, subtitle, report, times_s, _told(figures))
+    page.write(path, done.engine, title, subtitle, report, times_s, _told(done, figures))
 
 
 def _keyed(done: Replay) -> dict:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -157,6 +158,11 @@ class Replay:
             told = self._named("robot", robots) if robots else "the prior map" if NO_ROBOT in owners else ""
             found.append(told or f"{self._named('robot', sorted(owners))} before being carried")
         return found
+
+    def by_name(self, line: str) -> str:
+        """A line of the engine, which numbers robots, with their names."""
+        told = re.compile(r"\brobots? (\d+(?:, \d+)*)")
+        return told.sub(lambda found: self._named("robot", [int(each) for each in found[1].split(", ")]), line)
 
     def _named(self, what: str, robots: list[int]) -> str:
         names = [self.source.names[robot] or str(robot) for robot in robots]
