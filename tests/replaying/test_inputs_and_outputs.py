@@ -55,6 +55,18 @@ def test_odometry_that_never_moves_is_named_where_the_scans_change():
     assert is_named == [True, False, False]
 
 
+def test_a_way_without_scans_is_named():
+    """A log without the scans of 80 s had a map bent by 3.6 m, in silence."""
+    log = read_any_log(sample_files().logs[0])
+    far = int(np.argmax(np.hypot(*(log.poses[20:, :2] - log.poses[20, :2]).T) > 5.5)) + 20
+    gap = log.at(np.r_[0:21, far : len(log.times_s)])
+    notes = ["".join(input_of([each], [np.zeros(3)], Asked()).notes) for each in (gap, log)]
+    assert (
+        f"by odometry without a scan, for {far - 20} s from 20.0 s after the log begins: the map may bend" in notes[0]
+    )
+    assert "without a scan" not in notes[1]
+
+
 def test_trajectories_bear_the_names_of_the_robots(tmp_path):
     """A bag with /robot_1 and /robot_2 had the path of the second in robot_1_estimated.tum."""
     logs = [read_any_log(log) for log in sample_files().logs]

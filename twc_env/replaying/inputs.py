@@ -48,6 +48,8 @@ STANDING_S = 1.0
 TURNED_MIN_RAD, GYRO_TIMES = 3.0, (0.5, 2.0)
 """A gyro must turn between so many times as far as an odometry that turned so far in all."""
 
+GAP_M = 5.0
+"""Scans this far apart show hardly the same walls."""
 STILL, LATER_SCANS = 0.05, 12
 """Odometry that stays within so many metres and radians stands still; so many scans are compared with the first."""
 CHANGED_M, CHANGED_MIN = 0.5, 0.5
@@ -170,7 +172,7 @@ def input_of(
     if any(signs):
         config = override(config, SIGNS_SETTINGS)
     for log, name in zip(logs, names, strict=True):
-        notes += filter(None, (_odd_odometry(log, name), _odd_gyro(log, name)))
+        notes += filter(None, (_gap(log, name), _odd_odometry(log, name), _odd_gyro(log, name)))
     if all(log.turned_rad is not None for log in logs):
         config = override(config, GYRO_SETTINGS)
     if is_together and share_clock and len(logs) > 1:
@@ -194,6 +196,21 @@ def _in_one_piece(log: ScanLog, name: str, notes: list[str]) -> ScanLog:
         "log begins: it is taken to begin anew there, and the robot to move as before"
     )
     return rejoined(log, restarts)
+
+
+def _gap(log: ScanLog, name: str) -> str:
+    """Where the robot moved furthest without a scan; "" if it always saw where it went."""
+    moved_m = np.hypot(*np.diff(log.poses[:, :2], axis=0).T)
+    count = int((moved_m > GAP_M).sum())
+    if not count:
+        return ""
+    before = int(np.argmax(moved_m))
+    begin_s, end_s = (float(time_s) for time_s in log.times_s[before : before + 2] - log.times_s[0])
+    more = f", and more than {GAP_M:g} m {count - 1} more times" if count > 1 else ""
+    return (
+        f"{name or 'the robot'} moves {moved_m[before]:.1f} m by odometry without a scan, for {end_s - begin_s:.3g} s "
+        f"from {begin_s:.1f} s after the log begins{more}: the map may bend there"
+    )
 
 
 def _odd_odometry(log: ScanLog, name: str) -> str:
