@@ -13,9 +13,11 @@ from twc_env.datasets.logs.scan_log import ScanLog
 from twc_env.datasets.logs.tum import read_tum
 from twc_env.datasets.ros.bag_file import ODOMETRY, opened
 from twc_env.datasets.ros.bag_writer import RobotRecording, write_recording
+from twc_env.datasets.sample import sample_files
 from twc_env.records.geometry import compose
 from twc_env.records.scanner import Scanner
 from twc_env.replaying.inputs import Asked, input_of, read_input
+from twc_env.replaying.outputs import write_paths
 from twc_env.replaying.run import run
 from twc_env.replaying.simulated_log import simulate
 
@@ -41,6 +43,22 @@ def test_a_carmen_log_as_a_bag_has_the_same_trajectory(tmp_path, name, beams, su
     write_recording(bag, [RobotRecording("", log.times_s, log.poses, list(log.ranges_m), scanner)])
     direct, ours = paths_of(input_of([log], [np.zeros(3)], Asked())), paths_of(read_input([bag], Asked()))
     assert ours[0] == pytest.approx(direct[0], abs=1e-6)
+
+
+def test_logs_of_one_robot_on_two_days_are_two_robots(tmp_path):
+    """The trajectory of the second stood in the place of the first, in a file named after both."""
+    log, bags = read_any_log(sample_files().logs[0]).at(slice(0, 5)), []
+    for day, name in enumerate(("husky", "husky", "jackal")):
+        bags.append(tmp_path / f"{day}.bag")
+        times_s, scanner = log.times_s + 86400.0 * day, Scanner(0.0, np.radians(2.0))
+        write_recording(bags[-1], [RobotRecording(name, times_s, log.poses, list(log.ranges_m), scanner)])
+    source = read_input(bags, Asked())
+    assert source.names == ["husky_1", "husky_2", "jackal"]
+    assert "several robots are called husky: this one is husky_2 from here on" in source.notes
+    replay = run(source, source.config)
+    write_paths(tmp_path, replay)
+    assert len(list((tmp_path / "trajectories").iterdir())) == 6
+    assert read_input(bags[1:], Asked()).names == ["husky", "jackal"]
 
 
 @pytest.fixture(scope="module")

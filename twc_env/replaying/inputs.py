@@ -6,7 +6,7 @@ import dataclasses
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import zip_longest
+from itertools import count, zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +120,20 @@ def read_input(logs: Sequence[Path], asked: Asked) -> ReplayInput:
         logs = files.logs
         asked = dataclasses.replace(asked, wifi=asked.wifi or files.wifi, signs=asked.signs or files.signs)
     found = [robot for log in logs for robot in _read_log(log, asked.wishes)]
-    return input_of([f[0] for f in found], [f[1] for f in found], asked, [f[2] for f in found])
+    return input_of([f[0] for f in found], [f[1] for f in found], asked, _told_apart([f[2] for f in found]))
+
+
+def _told_apart(told: Sequence[tuple[str, list[str], bool]]) -> list[tuple[str, list[str], bool]]:
+    """Name, notes and clock of each robot, with numbers behind names that several have, as the logs of two days do."""
+    plain = [name.strip("/").replace("/", "_") or f"robot_{robot}" for robot, (name, _, _) in enumerate(told)]
+    taken, apart = set(plain), []
+    for own, (name, notes, is_shared) in zip(plain, told, strict=True):
+        if plain.count(own) > 1:
+            name = next(each for number in count(1) if (each := f"{own}_{number}") not in taken)
+            taken.add(name)
+            notes = [*notes, f"several robots are called {own}: this one is {name} from here on"]
+        apart.append((name, notes, is_shared))
+    return apart
 
 
 def _read_log(path: Path, wishes: Wishes) -> list[tuple[ScanLog, Array, tuple[str, list[str], bool]]]:
@@ -201,12 +214,12 @@ def _in_one_piece(log: ScanLog, name: str, notes: list[str]) -> ScanLog:
 def _gap(log: ScanLog, name: str) -> str:
     """Where the robot moved furthest without a scan; "" if it always saw where it went."""
     moved_m = np.hypot(*np.diff(log.poses[:, :2], axis=0).T)
-    count = int((moved_m > GAP_M).sum())
-    if not count:
+    gaps = int((moved_m > GAP_M).sum())
+    if not gaps:
         return ""
     before = int(np.argmax(moved_m))
     begin_s, end_s = (float(time_s) for time_s in log.times_s[before : before + 2] - log.times_s[0])
-    more = f", and more than {GAP_M:g} m {count - 1} more times" if count > 1 else ""
+    more = f", and more than {GAP_M:g} m {gaps - 1} more times" if gaps > 1 else ""
     return (
         f"{name or 'the robot'} moves {moved_m[before]:.1f} m by odometry without a scan, for {end_s - begin_s:.3g} s "
         f"from {begin_s:.1f} s after the log begins{more}: the map may bend there"
