@@ -9,6 +9,7 @@ import pytest
 
 from twc_env.datasets.logs.scan_log import ScanLog
 from twc_env.errors import DataError
+from twc_env.pictures import log_picture
 from twc_env.pictures.log_page import GAP_M, LogPage
 from twc_env.pictures.log_picture import _figure, draw_log, one_name_per_sign
 from twc_env.pictures.style import style
@@ -52,6 +53,15 @@ def test_a_map_is_drawn_in_all_formats_and_equal_logs_give_equal_files(replayed,
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="cannot write the picture"):
         draw_log(done, tmp_path / "file" / "map.png")
+
+
+@pytest.mark.parametrize(("panels", "told"), [(6, "2 robots in 2 maps, 0 loop"), (1, "2 robots in 2 maps, 1 shown, 0")])
+def test_a_picture_says_how_many_maps_it_leaves_out(replayed, monkeypatch, panels, told):
+    """The log of a robot that seemed to be carried had 53 maps, of which 6 were drawn."""
+    monkeypatch.setattr(log_picture, "PANELS_MAX", panels)
+    with style():
+        texts = [text.get_text() for text in _figure(replayed[0]).texts]
+    assert any(text.startswith(told) for text in texts)
 
 
 def test_the_legend_names_what_there_is(replayed):

@@ -83,7 +83,8 @@ def _figure(replay: Replay) -> Any:
     if any(team.signs_of(group) for group in drawn):
         handles["signs, as read"] = Line2D([], [], ls="", marker="s", color=TRUE_TEXT, ms=3.5)
     robots, maps = _counted(len(replay.paths()), "robot"), _counted(len(groups), "map")
-    counts = f"{robots} in {maps}, {_counted(accepted, 'loop closure')} accepted"
+    shown = f", {len(drawn)} shown" if len(drawn) < sum(team.grid_of(g).log_odds.size > 0 for g in groups) else ""
+    counts = f"{robots} in {maps}{shown}, {_counted(accepted, 'loop closure')} accepted"
     set_title(figure, [counts])
     legend_below(figure, list(handles.values()), list(handles))
     settle(figure)
