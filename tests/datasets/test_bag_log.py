@@ -9,7 +9,7 @@ from twc_env.__main__ import main
 from twc_env.datasets.logs.carmen_log import read_any_log
 from twc_env.datasets.logs.scan_log import ScanLog, sensor_frames, spaced
 from twc_env.datasets.ros.bag_file import is_bag, opened
-from twc_env.datasets.ros.bag_log import list_topics, read_bag
+from twc_env.datasets.ros.bag_log import _Track, list_topics, read_bag
 from twc_env.datasets.ros.bag_writer import RobotRecording, _recorder, write_recording
 from twc_env.datasets.ros.robot_topics import Wishes
 from twc_env.errors import DataError
@@ -78,6 +78,18 @@ def test_robots_are_told_apart_by_namespace_and_each_has_its_own_scanner(tmp_pat
     for robot, scanner in zip(found, scanners, strict=True):
         expected = scanner.first_rad + scanner.step_rad * np.arange(181)
         assert robot.log.beam_angles_rad == pytest.approx(expected, abs=2e-6)
+
+
+def test_odometry_that_is_silent_while_the_robot_drives_is_said():
+    """A driver that was down for 5 s and began anew bent a map by 25 m, in silence."""
+    times_s, poses = 1000.0 + 0.2 * np.arange(60), path_of(60)
+    for kept, said in ((np.r_[0:20, 45:60], "no odometry for 5.2 s, 3.8 s after the first scan: 26 scans"), (..., "")):
+        track = _Track(times_s[kept], times_s[kept], poses[kept], 0)
+        found = track.silence(times_s, times_s[kept])
+        assert found.startswith(said) and bool(found) == bool(said)
+    standing = _Track(times_s[::20], times_s[::20], np.zeros((3, 3)), 0)
+    assert not standing.silence(times_s, times_s[::20])
+    assert not track.silence(times_s[:1], times_s)
 
 
 def test_a_gyro_gives_the_turn_rates_of_frames(tmp_path):

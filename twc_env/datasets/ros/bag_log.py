@@ -32,6 +32,8 @@ TF_READ_MAX = 3000
 """Messages of /tf, at the start of a bag, in which fixed transforms and the names of frames are looked for."""
 APART_MAX_S = 0.5
 """A scan further than this before the first or after the last odometry is left out."""
+SILENT_S, SILENT_SCANS, SILENT_M = 1.0, 3, 0.5
+"""Odometry that is silent for longer, while there are so many scans and the robot moves as far, is reported."""
 TILT_MAX_RAD = math.radians(5.0)
 """A scanner tilted by more than this is reported."""
 SINGLE = 1e-7
@@ -163,6 +165,8 @@ def _read_robot(bag: Bag, robot: RobotTopics, wishes: Wishes, path: str | Path) 
         )
     if track.dropped:
         notes.append(f"{track.dropped} poses of odometry are not finite, or have the time of another: left out")
+    if silence := track.silence(times_s, moving_s):
+        notes.append(silence)
     gyro = _read_gyro(bag, robot, tf, base, times_s, notes)
     order = np.argsort(times_s, kind="stable")
     if not np.array_equal(order, np.arange(len(order))):
@@ -276,6 +280,20 @@ class _Track:
     def at(self, times_s: Array, own_s: Array) -> Array:
         """(scans, 3) interpolated poses; own_s: the times of this track on the clock of the others."""
         return np.stack([np.interp(times_s, own_s, column) for column in self.poses.T], axis=1)
+
+    def silence(self, times_s: Array, own_s: Array) -> str:
+        """The longest time without odometry in which the robot moves and there are scans, at times_s; "" if none."""
+        passed_s, moved_m = np.diff(own_s), np.hypot(*np.diff(self.poses[:, :2], axis=0).T)
+        scans = np.diff(np.searchsorted(np.sort(times_s), own_s))
+        is_silent = (passed_s > SILENT_S) & (moved_m > SILENT_M) & (scans >= SILENT_SCANS)
+        if not is_silent.any():
+            return ""
+        longest = int(np.argmax(np.where(is_silent, passed_s, 0.0)))
+        return (
+            f"no odometry for {passed_s[longest]:.3g} s, {own_s[longest] - times_s.min():.1f} s after the first scan: "
+            f"{scans[longest]} scans are laid on a straight way of {moved_m[longest]:.3g} m, and if odometry began "
+            "anew there, the map is wrong from there on"
+        )
 
 
 def _read_odometry(bag: Bag, robot: RobotTopics, tf: _Transforms, label: str, wishes: Wishes) -> tuple[_Track, str]:
