@@ -13,8 +13,9 @@ import numpy as np
 
 from twc_env.kernels.compiled import borrowing_kernel, kernel
 
-STEP_MAX_M = 0.15
-"""Maximum range difference of neighbouring beams on one disc [m]."""
+STEP_MAX_M, STEP_MAX_RADII = 0.15, 0.4
+"""Maximum range difference of neighbouring beams on one disc [m], or as a multiple of its radius: at the edge of a large
+disc it is greater."""
 BACKGROUND_MIN_M = 0.25
 """Minimum range jump to the background on both sides [m]."""
 SHAPE_TOLERANCE_M = 0.035
@@ -51,12 +52,14 @@ def mark_teammates(ranges, range_max, radii, directions, is_jump, jumps, out, di
     (beams + 1,) int64 are work arrays.
     """
     beams = ranges.shape[0]
-    step = 2 * math.pi / beams
+    step, step_max_m = 2 * math.pi / beams, STEP_MAX_M
+    if radii.shape[0]:
+        step_max_m = max(STEP_MAX_M, STEP_MAX_RADII * radii[-1])
     for i in range(beams):
         out[i] = ranges[i]
-    is_jump[0] = abs(ranges[0] - ranges[beams - 1]) > STEP_MAX_M
+    is_jump[0] = abs(ranges[0] - ranges[beams - 1]) > step_max_m
     for i in range(1, beams):  # many beams at once
-        is_jump[i] = abs(ranges[i] - ranges[i - 1]) > STEP_MAX_M
+        is_jump[i] = abs(ranges[i] - ranges[i - 1]) > step_max_m
     count = 0
     for i in range(beams):
         jumps[count] = i
