@@ -44,7 +44,7 @@ def test_only_the_beams_on_a_teammate_are_marked(room, centre):
 
 
 def test_large_teammates_are_recognised_although_their_edges_are_steep(walls, scan):
-    """Neighbouring beams near the edge of a disc of 0.6 m differ by a quarter of a metre: most of its scans fell apart."""
+    """Two beams near the edge of a disc of 0.6 m differ by a quarter of a metre: most of its scans fell apart."""
     hall = scan(walls((-9, -9), (9, -9), (9, 9), (-9, 9)), (0.0, 0.0, 0.0))
     random, recognised = np.random.default_rng(0), []
     for _ in range(300):

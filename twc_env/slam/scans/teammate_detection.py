@@ -14,8 +14,8 @@ import numpy as np
 from twc_env.kernels.compiled import borrowing_kernel, kernel
 
 STEP_MAX_M, STEP_MAX_RADII = 0.15, 0.4
-"""Maximum range difference of neighbouring beams on one disc [m], or as a multiple of its radius: at the edge of a large
-disc it is greater."""
+"""Maximum range difference of neighbouring beams on one disc [m], or as a multiple of its radius: at the edge of a
+large disc it is greater."""
 BACKGROUND_MIN_M = 0.25
 """Minimum range jump to the background on both sides [m]."""
 SHAPE_TOLERANCE_M = 0.035
