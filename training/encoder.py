@@ -12,6 +12,7 @@ import torch
 from gymnasium import spaces
 from torch import Tensor, nn
 from torch.nn import functional
+from twc_env.training.blindness import hidden
 
 HEADS = 4
 EXTRA_CHOICES = 3
@@ -67,10 +68,29 @@ class Attention(nn.Module):
         return tokens + self.thinks(self.after(tokens))
 
 
+class FeedForward(nn.Module):
+    """In the place of `Attention`: each token by itself, and the first one with the mean of all that are present, as in
+    Deep Sets (Zaheer et al. 2017)."""
+
+    def __init__(self, width: int):
+        super().__init__()
+        self.before = nn.LayerNorm(width)
+        self.takes = nn.Linear(width, width)
+        self.thinks = nn.Sequential(nn.Linear(width, 2 * width), nn.ReLU(), nn.Linear(2 * width, width))
+
+    def forward(self, tokens: Tensor, is_present: Tensor) -> Tensor:
+        """tokens (batch, n, width), is_present (batch, n) bool -> tokens (batch, n, width)."""
+        tokens = tokens + self.thinks(self.before(tokens))
+        share = is_present / is_present.sum(1, keepdim=True)
+        pooled = (tokens * share[..., None]).sum(1, keepdim=True)
+        return torch.cat([tokens[:, :1] + self.takes(pooled), tokens[:, 1:]], 1)
+
+
 class Encoder(nn.Module):
     """One token per choice, teammate and sign, and one for the robot itself."""
 
-    def __init__(self, space: spaces.Dict, width: int):
+    def __init__(self, space: spaces.Dict, width: int, attention: bool = True):
+        """attention: whether tokens attend to each other; else each is encoded by itself."""
         super().__init__()
         shapes = {name: tuple(block.shape or ()) for name, block in space.spaces.items()}
         self.width = width
@@ -80,7 +100,7 @@ class Encoder(nn.Module):
         self.teammate = nn.Linear(shapes["team"][1], width)
         self.sign = nn.Linear(shapes["signs"][1], width) if self.has_signs else None
         self.own = nn.Linear(POSE_COLUMNS.stop - POSE_COLUMNS.start + 1, width)
-        self.attention = Attention(width)
+        self.attention = Attention(width) if attention else FeedForward(width)
         self.norm = nn.LayerNorm(width)
 
     def forward(self, seen: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
@@ -111,9 +131,11 @@ class Actor(nn.Module):
     Johannink et al. 2019).
     """
 
-    def __init__(self, space: spaces.Dict, width: int = 64):
+    def __init__(self, space: spaces.Dict, width: int = 64, blind: tuple[str, ...] = (), attention: bool = True):
+        """blind: what it does not know of (`blindness.HIDES`); attention: of its encoder."""
         super().__init__()
-        self.encoder = Encoder(space, width)
+        self._blind = blind
+        self.encoder = Encoder(space, width, attention)
         self.score = nn.Sequential(nn.Linear(2 * width, width), nn.Tanh(), nn.Linear(width, 1))
         for parameter in self.score[2].parameters():
             nn.init.zeros_(parameter)
@@ -121,6 +143,7 @@ class Actor(nn.Module):
 
     def forward(self, seen: dict[str, Tensor]) -> Tensor:
         """(batch, choices) logits; masked choices have probability 0."""
+        seen = hidden(seen, self._blind)
         choices, situation = self.encoder(seen)
         around = situation[:, None].expand(-1, choices.shape[1], -1)
         added = self.score(torch.cat([choices, around], 2))[..., 0]

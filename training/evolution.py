@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray as Array
+from twc_env.training.blindness import hidden
 from twc_env.training.checkpoint import below, load, save
 from twc_env.training.encoder import RULE, USED, Actor, logits_of_rule
 from twc_env.training.episode_totals import EpisodeTotals
@@ -55,6 +56,8 @@ class Settings:
     """Step, in `RULE`'s spreads, where all differences in score are explained by one weight; annealed linearly to 0."""
     hidden_size: int = 64
     """Width of the networks, which add nothing to the rule here."""
+    blind: tuple[str, ...] = ()
+    """What the policy does not know of: some of teammates, signs and map (`blindness`)."""
 
 
 class Episodes:
@@ -66,6 +69,7 @@ class Episodes:
         self.space = TeamNotes.space(self._teams.observation_space)
         self._used = [name for name in USED if name in self.space.spaces]
         self._count, self._robots, self._max_cycles = settings.environments, self._teams.robots, task.config.max_cycles
+        self._blind = settings.blind
 
     def play(self, weights: Array, seeds: list[int]) -> tuple[list[dict], int]:
         """What the episodes were like (`EpisodeTotals`), in the order of weights (environments, len(RULE)) and seeds;
@@ -80,7 +84,7 @@ class Episodes:
                 noted = notes.beside(rows, ids)
                 tensors = {name: torch.from_numpy(np.asarray(noted[name], np.float32)) for name in self._used}
                 own = torch.from_numpy(np.repeat(weights[ids], self._robots, 0).astype(np.float32))
-                actions = logits_of_rule(tensors, own).argmax(1).numpy()
+                actions = logits_of_rule(hidden(tensors, self._blind), own).argmax(1).numpy()
                 decisions += int((rows["action_mask"].sum(1) > 1).sum())
                 notes.note_choices(rows, actions, ids)
                 self._teams.send(actions.reshape(len(ids), -1), ids)
@@ -135,7 +139,7 @@ def train(
     ):
         with torch.random.fork_rng():
             torch.manual_seed(settings.seed)
-            actor = Actor(episodes.space, settings.hidden_size)
+            actor = Actor(episodes.space, settings.hidden_size, settings.blind)
         told: dict[str, Any] = {"update": 0, "decisions": 0, "curve": {}}
         if resume:
             arrays, told = load(path)

@@ -78,20 +78,33 @@ class Settings:
     """Width of the networks."""
     gradient_max: float = 0.5
     """Norm to which gradients are clipped."""
+    blind: tuple[str, ...] = ()
+    """What the policy does not know of: some of teammates, signs and map (`blindness`). The critic does."""
+    attention: bool = True
+    """Whether what the policy sees attends to each other; else each choice is encoded by itself (`FeedForward`)."""
+    privileged_critic: bool = True
+    """Whether the critic sees the truth; else what the robot sees, and nothing more."""
+    from_rule: bool = True
+    """Whether training starts from the weights of `RULE`; else from 0, where all choices are alike."""
 
 
 class Critic(nn.Module):
     """Expected rest of the return of a robot that decides: from what it sees, the floor that is mapped correctly, and
     where all robots truly are."""
 
-    def __init__(self, space: spaces.Dict, width: int):
+    def __init__(self, space: spaces.Dict, width: int, is_privileged: bool = True):
+        """is_privileged: else it sees what the robot sees, and nothing more."""
         super().__init__()
         self.encoder = Encoder(space, width)
-        self.robot = nn.Sequential(nn.Linear(STATE_FIGURES, width), nn.ReLU(), nn.Linear(width, width))
-        self.worth = nn.Sequential(nn.Linear(3 * width + 1, width), nn.Tanh(), nn.Linear(width, 1))
+        robot = nn.Sequential(nn.Linear(STATE_FIGURES, width), nn.ReLU(), nn.Linear(width, width))
+        self.robot = robot if is_privileged else None
+        seen = 3 * width + 1 if is_privileged else width
+        self.worth = nn.Sequential(nn.Linear(seen, width), nn.Tanh(), nn.Linear(width, 1))
 
     def forward(self, seen: dict[str, Tensor]) -> Tensor:
         """(batch,) values; besides the blocks of the policy, `gained` (batch, 1) and `state` (batch, robots, 8)."""
+        if self.robot is None:
+            return self.worth(self.encoder(seen)[1])[:, 0]
         robots = self.robot(seen["state"])
         parts = [self.encoder(seen)[1], robots.mean(1), robots.amax(1), seen["gained"]]
         return self.worth(torch.cat(parts, 1))[:, 0]
@@ -305,7 +318,10 @@ class Learner:
         self._discount = settings.discount**time_step_s
         with torch.random.fork_rng():
             torch.manual_seed(settings.seed)
-            self.actor, self.critic = (kind(space, settings.hidden_size) for kind in (Actor, Critic))
+            self.actor = Actor(space, settings.hidden_size, settings.blind, settings.attention)
+            self.critic = Critic(space, settings.hidden_size, settings.privileged_critic)
+        if not settings.from_rule:
+            nn.init.zeros_(self.actor.rule)
         parameters = [*self.actor.parameters(), *self.critic.parameters()]
         self.optimizer = torch.optim.Adam(parameters, lr=settings.learning_rate, eps=1e-5)
 

@@ -68,6 +68,10 @@ class Settings:
     """Entropy bonus, against premature convergence (stable-baselines3: 0)."""
     hidden_size: int = 64
     """Width of the networks."""
+    blind: tuple[str, ...] = ()
+    """What the policy does not know of: some of teammates, signs and map (`blindness`). Its value function does."""
+    from_rule: bool = True
+    """Whether training starts from the weights of `RULE`; else from 0, where all choices are alike."""
 
 
 class Seen(BaseFeaturesExtractor):
@@ -84,11 +88,14 @@ class Seen(BaseFeaturesExtractor):
 class ChoiceNetworks(nn.Module):
     """Logits of the choices, and features of the value, which has its own encoder and also sees the return so far."""
 
-    def __init__(self, space: spaces.Dict, width: int):
+    def __init__(self, space: spaces.Dict, width: int, blind: tuple[str, ...] = (), from_rule: bool = True):
+        """blind, from_rule: as in `Settings`."""
         super().__init__()
         self.latent_dim_pi, self.latent_dim_vf = (space["frontiers"].shape or (0,))[0], width
-        self.actor, self.critic = Actor(space, width), Encoder(space, width)
+        self.actor, self.critic = Actor(space, width, blind), Encoder(space, width)
         self.value = nn.Sequential(nn.Linear(width + 1, width), nn.Tanh())
+        if not from_rule:
+            nn.init.zeros_(self.actor.rule)
 
     def forward(self, seen: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Logits, and the features of the value."""
@@ -108,12 +115,14 @@ class ChoiceNetworks(nn.Module):
 class ChoicePolicy(MultiInputActorCriticPolicy):
     """The standard actor-critic over `ChoiceNetworks`, whose first output is the logits."""
 
-    def __init__(self, *arguments, width: int = 64, **options):
-        self._width = width
+    def __init__(self, *arguments, settings: Settings, **options):
+        self._settings = settings
         super().__init__(*arguments, **{**options, "features_extractor_class": Seen})
 
     def _build_mlp_extractor(self) -> None:
-        self.mlp_extractor = ChoiceNetworks(self.observation_space, self._width)
+        self.mlp_extractor = ChoiceNetworks(
+            self.observation_space, self._settings.hidden_size, self._settings.blind, self._settings.from_rule
+        )
 
     def _build(self, lr_schedule) -> None:
         super()._build(lr_schedule)
@@ -217,7 +226,7 @@ def _new_model(teams: VecEnv, settings: Settings) -> PPO:
         gae_lambda=settings.gae_lambda,
         clip_range=settings.clip,
         ent_coef=settings.entropy_weight,
-        policy_kwargs={"width": settings.hidden_size},
+        policy_kwargs={"settings": settings},
         device="cpu",
     )
 

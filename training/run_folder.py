@@ -13,9 +13,10 @@ import twc_env
 from twc_env import TASKS, task_config
 from twc_env import config as configuration
 from twc_env.errors import ConfigError, DataError, TwcError, WorkerError, did_you_mean, one_of
-from twc_env.records.json_values import table_of, write_json
+from twc_env.records.json_values import plain, table_of, write_json
 from twc_env.running.output_folder import alone_in
 
+from .blindness import check_blind
 from .checkpoint import FILE_NAME
 
 HELD_OUT_SEED = 100_000
@@ -170,7 +171,8 @@ def check_choices(task: Task) -> configuration.EnvConfig:
 
 def check_run(folder: Path, algorithm: str, task: Task, settings: Any, resume: bool) -> None:
     """Raise DataError unless `folder` is free for a new run, or holds one of this task with these settings that can be
-    resumed."""
+    resumed; ConfigError if they are blind for something unknown."""
+    check_blind(settings.blind)
     has_model = (folder / FILE_NAME).exists()
     if not resume:
         if has_model:
@@ -185,8 +187,8 @@ def check_run(folder: Path, algorithm: str, task: Task, settings: Any, resume: b
     told: Mapping[str, Any] = record["settings"]
     free = {name: told.get(name, getattr(settings, name)) for name in ("workers", "steps")}
     settings = replace(settings, **free)  # how many processes there are, and when training ends
-    own: dict[str, Any] = {**asdict(task), "kinds": list(task.kinds), **asdict(settings)}
-    written = {**record["task"], **told}
+    own: dict[str, Any] = plain({**asdict(task), **asdict(settings)})
+    written = {**plain(asdict(type(settings)())), **record["task"], **told}  # earlier runs lack later settings
     said = {"id": "task", "area_m2": "area", "overrides": "set"}  # the names of the options
     changed = [
         f"{_option(said.get(k, k))} {written.get(k)} instead of {value}"

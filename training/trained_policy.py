@@ -14,6 +14,7 @@ import twc_env
 from twc_env.errors import DataError
 from twc_env.records.random_streams import random_stream
 
+from .blindness import check_blind
 from .checkpoint import below, load
 from .encoder import USED, Actor
 from .run_folder import model_in, read_settings
@@ -37,7 +38,10 @@ def load_actor(model_path: Path, space: spaces.Space) -> Actor:
             f"{model_path} chooses among candidates, which these observations lack; make the environment with the "
             "settings of its run: parallel_env(config=task_of(read_settings(FOLDER)).config)"
         )
-    actor = Actor(TeamNotes.space(space), int(record["settings"].get("hidden_size", 64)))
+    told = record["settings"]
+    blind = tuple(told.get("blind", ()))
+    check_blind(blind)
+    actor = Actor(TeamNotes.space(space), int(told.get("hidden_size", 64)), blind, bool(told.get("attention", True)))
     own = below(arrays, "actor.") or below(arrays, "policy.mlp_extractor.actor.")
     fill(actor, own, model_path)
     return actor

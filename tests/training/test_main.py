@@ -69,6 +69,29 @@ def test_one_environment_takes_one_worker_and_a_team_says_how_many_robots_it_has
 
 
 @pytest.mark.usefixtures("torch")
+def test_what_is_kept_from_a_learner_is_an_option_and_stays_so_when_it_goes_on(tmp_path, monkeypatch):
+    from dataclasses import asdict
+
+    from twc_env.training import mappo
+    from twc_env.training.run_folder import write_settings
+
+    asked = []
+
+    def train(task, settings, folder, *_):
+        asked.append(settings)
+        write_settings(folder, "mappo", task, asdict(settings))
+        return folder
+
+    monkeypatch.setattr(mappo, "train", train)
+    words = ["train", "mappo", "--references", "0", "--out", str(tmp_path)]
+    switches = ["--no-attention", "--no-privileged-critic", "--no-from-rule"]
+    assert main([*words, "--blind", "signs", "map", *switches]) == main([*words, "--resume"]) == 0
+    first, resumed = asked
+    assert first == resumed and first.blind == ("signs", "map")
+    assert not (first.attention or first.privileged_critic or first.from_rule)
+
+
+@pytest.mark.usefixtures("torch")
 @pytest.mark.parametrize(
     ("has_viz", "lacks"), [(True, "an episode that has ended"), (False, "pip install 'twc_env[viz]'")]
 )

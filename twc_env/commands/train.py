@@ -19,6 +19,8 @@ from twc_env.running.options import add_folder, add_ray, add_set, assignments, c
 
 MODULES = {"mappo": "mappo", "es": "evolution", "ppo": "ppo"}
 """Algorithm -> its module in `twc_env.training`."""
+BLIND = "teammates", "signs", "map"
+"""`HIDES` of twc_env.training.blindness."""
 SEEDS = 2**31
 """Seeds are below this: torch and numpy accept no larger ones, and resuming adds the number of steps."""
 FIRST_HOUR = """\
@@ -101,6 +103,7 @@ def _add_algorithm(algorithms: Any, name: str, steps: int, summary: str, more: s
     defaults = _defaults(module)
     for option in tuned._group_actions:
         option.help = f"{option.help} (default: {defaults[option.dest]})"
+    _add_knowledge(parser, name)
     parser.add_argument(
         "--references",
         type=natural,
@@ -160,6 +163,21 @@ def _add_gradients(tuned: Any, name: str) -> None:
         tuned.add_argument("--batch-size", type=count, help="samples per gradient step")
 
 
+def _add_knowledge(parser: argparse.ArgumentParser, name: str) -> None:
+    """What can be kept from a learner."""
+    told = "what is kept from it to measure what it is worth, as reproduce ablation does; by default nothing"
+    kept = parser.add_argument_group("knowledge", told)
+    shown = ", ".join(BLIND)
+    kept.add_argument("--blind", nargs="+", choices=BLIND, metavar="NAME", help=f"from the policy: any of {shown}")
+    switches = {
+        "attention": "candidates, teammates and signs attend to each other, or each is encoded by itself",
+        "privileged-critic": "the critic sees the truth, or what the robot sees",
+        "from-rule": "start from the rule for one robot, or from choices that are all alike",
+    }
+    for switch in {"mappo": [*switches], "ppo": ["from-rule"]}.get(name, []):
+        kept.add_argument(f"--{switch}", action=argparse.BooleanOptionalAction, help=switches[switch])
+
+
 def _train(options: argparse.Namespace) -> int:
     with learning_libraries():
         from twc_env.training.run_folder import Task, read_settings, task_id, task_of
@@ -189,6 +207,7 @@ def _train(options: argparse.Namespace) -> int:
     before = record.get("settings", {"steps": options.default_steps})
     given = {field.name: getattr(options, field.name, None) for field in fields(algorithm.Settings)}
     asked = {name: before.get(name) if value is None else value for name, value in given.items()}
+    asked["blind"] = tuple(asked["blind"] or ())
     settings = algorithm.Settings(**{name: value for name, value in asked.items() if value is not None})
     if options.workers is None:
         settings = replace(settings, workers=0 if options.ray else min(settings.workers, settings.environments))
