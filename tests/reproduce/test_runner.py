@@ -40,6 +40,17 @@ def test_more_seeds_take_the_parts_that_are_there_again(tmp_path):
     assert done == [(0, 1.0), (1, 1.0), (2, 1.0), (1, 2.0)]
 
 
+def test_parts_depend_on_the_code_of_the_packages_that_a_table_names(tmp_path, monkeypatch):
+    from twc_env.running import finished_parts
+
+    asked, digest = [], finished_parts.code_digest
+    monkeypatch.setattr(finished_parts, "code_digest", lambda *names: asked.append(names) or digest())
+    for packages in ({}, {"PACKAGES": ("twc_env.training",)}):
+        table = SimpleNamespace(rows=lambda options, runner: [{"folder": runner.folder.parent}], **packages)
+        main("toy", table, argparse.Namespace(json=None, cache=tmp_path))
+    assert asked == [(), ("twc_env.training",)]
+
+
 def test_the_list_of_tables_says_which_need_real_data():
     readers = "data_folder", "intel_log", "corrected_log"
     reads = {name: any(hasattr(table_module(name), reader) for reader in readers) for name in TABLES}

@@ -83,6 +83,9 @@ TABLES = {
     "ambiguity": Table(
         "merging where places look alike: teams merged rightly, wrongly and not at all, in buildings of eight kinds"
     ),
+    "ablation": Table(
+        "learners without teammates, signs, map, attention or a privileged critic, and ppo beside mappo, in one task"
+    ),
     "transfer": Table(
         "a trained policy with other numbers of robots, in flats of HouseExpo and on ROS maps, beside scripted teams",
         needs_data=True,
@@ -115,13 +118,19 @@ it is asked for."""
 class Runner:
     """Runs the parts of a table, keeps finished parts on disk, and reports the progress."""
 
-    def __init__(self, name: str, folder: Path, settings: dict):
-        self._parts = FinishedParts(folder, name, settings)
+    def __init__(self, name: str, folder: Path, settings: dict, packages: tuple[str, ...] = ()):
+        """packages: whose code finished parts depend on, besides that of twc_env."""
+        self._parts = FinishedParts(folder, name, settings, packages)
         self._started = time.monotonic()
         if self._parts.remark:
             tell(self._parts.remark)
         self.notes: list[str] = []
         """Sentences to print below the rows."""
+
+    @property
+    def folder(self) -> Path:
+        """Where finished parts are kept, of these settings and this code; parts may keep more in folders of it."""
+        return self._parts.folder
 
     def each(
         self, parts: Sequence, work: Callable[..., object], label: Callable[..., str] = str, processes: int = 1
@@ -229,7 +238,7 @@ def main(name: str, module, options: argparse.Namespace) -> None:
         changes_no_part += ["format", "dpi"]
     settings = {k: v for k, v in vars(options).items() if k not in changes_no_part}
     check_folder(getattr(options, "out", None))
-    runner = Runner(name, options.cache, settings)
+    runner = Runner(name, options.cache, settings, getattr(module, "PACKAGES", ()))
     try:
         rows = plain(module.rows(options, runner))
     except BaseException as error:
