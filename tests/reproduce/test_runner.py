@@ -1,5 +1,7 @@
 import argparse
+import re
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -49,6 +51,23 @@ def test_parts_depend_on_the_code_of_the_packages_that_a_table_names(tmp_path, m
         table = SimpleNamespace(rows=lambda options, runner: [{"folder": runner.folder.parent}], **packages)
         main("toy", table, argparse.Namespace(json=None, cache=tmp_path))
     assert asked == [(), ("twc_env.training",)]
+
+
+def _plays(module: str) -> bool:
+    """Whether a module of tables lets teams play, itself or through another table's module."""
+    source = Path(sys.modules[module].__file__).read_text()
+    others = re.findall(r"^from (twc_env\.reproduce\.\w+\.\w+) import", source, re.MULTILINE)
+    return "twc_env.agents " in source or "twc_env.suite.player " in source or any(map(_plays, others))
+
+
+def test_tables_in_which_teams_play_depend_on_the_code_of_the_teams():
+    """It stands beside the package in a clone, so the package's own digest does not hold it."""
+    modules = [table_module(name) for name in TABLES]
+    playing = [module.__name__ for module in modules if _plays(module.__name__)]
+    assert len(playing) == 6
+    assert [m.__name__ for m in modules if "twc_env.agents" in getattr(m, "PACKAGES", ())] == playing
+    learned = [m.__name__ for m in modules if "twc_env.training" in getattr(m, "PACKAGES", ())]
+    assert [name.rpartition(".")[2] for name in learned] == ["ablation", "transfer"]
 
 
 def test_the_list_of_tables_says_which_need_real_data():

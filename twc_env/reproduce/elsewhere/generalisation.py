@@ -57,6 +57,7 @@ LOGS = ("aces", "orebro", "freiburg-101", "intel")
 GRAPHS = ("ring", "manhattanOlson3500_vertigo")
 SIGN_BUILDINGS, SIGN_WALK_M = tuple(f"fresh/{number:04d}" for number in range(94, 100)), 150.0
 """The buildings in which places are recognised, and the length of each of three robots' walks."""
+PACKAGES = ("twc_env.agents",)
 OFFICE, OFFICE_SHARE = "gen:office:5000:6000000", 0.5
 """The building of radio walks, and their share of the published length."""
 FLATS = range(100, 106)

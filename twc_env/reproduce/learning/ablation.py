@@ -35,7 +35,7 @@ from twc_env.suite.player import play
 from twc_env.suite.standings import budget_areas
 
 CHOOSES = ("buildings", "variants")
-PACKAGES = ("twc_env.training",)
+PACKAGES = ("twc_env.agents", "twc_env.training")
 TASK = "twc/ExploreQuick-v1"
 TIMES = {"mappo": 1, "es": 3, "ppo": 3}
 """Decisions in a training, in `--steps`: `ppo` counts those of busy robots to go on, of three robots as many steps;

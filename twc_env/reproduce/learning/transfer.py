@@ -26,6 +26,7 @@ from twc_env.suite.standings import budget_areas
 from twc_env.tasks import task_config
 from twc_env.world.building.splits import family_of, split_names
 
+PACKAGES = ("twc_env.agents", "twc_env.training")
 CHOOSES = ("buildings", "kinds", "agents")
 TASK = "twc/ExploreQuick-v1"
 FLATS, FLOORS, IPA_FLOORS = "flats", "floors", "ipa floors"

@@ -39,6 +39,7 @@ from twc_env.tasks import task_config
 from twc_env.world.building.floorplan import Floorplan
 from twc_env.world.building.splits import split_names
 
+PACKAGES = ("twc_env.agents",)
 CHOOSES = ("teams", "kinds")
 CORRIDOR_WIDTHS_M, CORRIDOR_LENGTHS_M = (1.2, 2.0, 3.0), (40.0, 160.0)
 FAMILIES = {

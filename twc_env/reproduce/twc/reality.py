@@ -33,6 +33,7 @@ from twc_env.running.options import count, natural
 from twc_env.suite.player import drive
 
 CHOOSES = ("buildings", "first", "effects")
+PACKAGES = ("twc_env.agents",)
 EFFECTS: dict[str, dict] = {
     "clean": {},
     "people 12": {"people.count": 12},

@@ -27,6 +27,7 @@ from twc_env.reproduce.runner import Runner, add_seeds
 from twc_env.running.finished_parts import code_digest
 from twc_env.running.options import count
 
+PACKAGES = ("twc_env.agents",)
 CHOOSES = ("seeds", "maps")
 AGENTS = ("wall-follower", "radio-walk")
 STEP_M = 1.0
