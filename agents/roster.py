@@ -128,6 +128,24 @@ TEAMS: dict[str, Team] = {
         "upper reference",
         is_oracle=True,
     ),
+    "informed-no-merging": Team(
+        "oracle.partly_informed", "WithoutMerging",
+        "informed, but does not know what makes maps merge",
+        "what the informed team knows, a piece at a time",
+        is_oracle=True,
+    ),
+    "informed-plan-only": Team(
+        "oracle.partly_informed", "WithoutTeammates",
+        "informed, but robots know of others only while they share a map",
+        "what the informed team knows, a piece at a time",
+        is_oracle=True,
+    ),
+    "informed-poses-only": Team(
+        "oracle.partly_informed", "WithoutPlan",
+        "information-gain in one true frame, on what anybody has mapped",
+        "what the informed team knows, a piece at a time",
+        is_oracle=True,
+    ),
 }  # fmt: skip
 
 

@@ -1,11 +1,10 @@
 """The informed team: an oracle that knows the true plan and all true poses, under the same engine and sensors.
 
-It shows what a plan is worth, not what a team can know: only where the robots drive is decided with the truth, while
-the map is made by the engine from what they sense, like that of every other team. It plans tours of all robots that
-show the floor early (`twc_env.planning.LatencyTours`), with a model of when maps merge: robots that share none read the
-same signs or, where there are none, see each other, where that brings more floor into the largest map. Once a central
-mapper has most of the floor in one map, and where most doors open and close, its robots do as `information-gain` does,
-as views on the map itself serve better.
+Only where the robots drive is decided with the truth: the map is made by the engine from what they sense, like that of
+every other team. It plans tours of all robots that show the floor early (`twc_env.planning.LatencyTours`), with a model
+of when maps merge: robots that share none read the same signs or, where there are none, see each other, where that
+brings more floor into the largest map. Once a central mapper has most of the floor in one map, and where most doors
+open and close, its robots do as `information-gain` does. `partly_informed` says what each piece of this is worth.
 """
 
 from __future__ import annotations
@@ -62,13 +61,13 @@ class Informed(InformationGain):
         signs = np.array([[*sign.position_m, sign.facing_rad] for sign in plan.signs]).reshape(-1, 3)
         camera, apart_m = self.config.signs, self.config.slam.merging.spread_min_m
         self._views = FloorViews.of(floor, self._poses()[0, :2], spacing_m, range_m, signs, camera, apart_m)
-        self._state = TeamState.begin(len(self.robots), self._views)
+        self.state = TeamState.begin(len(self.robots), self._views)
         self._looks = np.zeros(len(self._views.bits), np.int64)
         link, places_m = self.config.link, self._views.graph.places_m
         links = links_between(floor, places_m, link) if link.topology == "peer" else None
-        speeds, rates = np.array([[each.speed_max_m_s, each.turn_rate_max_rad_s] for each in own]).T
-        self._route = LatencyTours(self._views, PACE * speeds, rates, np.array(self.reverses), links=links)
-        self._planned_step, self._merged = -1, self._state.is_merged
+        fast, rates = np.array([[PACE * each.speed_max_m_s, each.turn_rate_max_rad_s] for each in own]).T
+        self._route = LatencyTours(self._views, fast, rates, np.array(self.reverses), links=links)
+        self._planned_step, self._merged = -1, self.state.is_merged
         self.explorer = replace(self.explorer, replan_s=PLAN_S)
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
@@ -76,16 +75,17 @@ class Informed(InformationGain):
         poses, step = self._poses(), next(iter(beliefs.values())).step
         if self._route is not None and step % LOOK_STEPS == 0:
             self._note(beliefs, poses)
-            if self._is_due(step):
+            is_late = self._planned_step < 0 or (step - self._planned_step) * self.dynamics.time_step_s >= PLAN_S
+            if is_late or (self.state.is_merged != self._merged).any():
                 self._plan_tours(self._route, beliefs, poses, step)
         if self._route is None:
             return super().act(beliefs)
         self._drop_stops(self._route, poses)
         true = {}
         for agent, belief in beliefs.items():
-            teammates = {other: poses[other] for other in range(len(poses)) if other != belief.robot}
-            here, seen = poses[belief.robot], belief.ranges_m
-            true[agent] = Belief(belief.robot, step, here, self._grid, teammates, ranges_m=seen)
+            teammates = {other: poses[other] for other in self.known_to(belief)}
+            here = poses[belief.robot]
+            true[agent] = Belief(belief.robot, step, here, self._grid, teammates, ranges_m=belief.ranges_m)
         return super().act(true)
 
     def best_plan(
@@ -104,14 +104,22 @@ class Informed(InformationGain):
             self._route.advance(number)
         return None, "wait"
 
+    def known_to(self, belief: Belief) -> list[int]:
+        """The robots of which a robot knows where they are: all others."""
+        return [other for other in range(len(self.robots)) if other != belief.robot]
+
+    def improve(self, route: LatencyTours, left_s: float, tries: int) -> None:
+        """Change the tours for the better, by judging so many changes."""
+        route.plan(self.state, left_s, tries, self.random)
+
     def _note(self, beliefs: dict[str, Belief], poses: Array) -> None:
         """Where the robots are, what they see there, and which share a map."""
-        self._state.is_merged = np.eye(len(beliefs), dtype=bool)
+        self.state.is_merged = np.eye(len(beliefs), dtype=bool)
         for belief in beliefs.values():
-            self._state.stand(belief.robot, poses[belief.robot], self._views)
-            self._looks += self._views.is_seen(self._state.places[belief.robot])
+            self.state.stand(belief.robot, poses[belief.robot], self._views)
+            self._looks += self._views.is_seen(self.state.places[belief.robot])
             for other in belief.teammates:
-                self._state.is_merged[belief.robot, other] = self._state.is_merged[other, belief.robot] = True
+                self.state.is_merged[belief.robot, other] = self.state.is_merged[other, belief.robot] = True
 
     def _drop_stops(self, route: LatencyTours, poses: Array) -> None:
         """Go on from the stops that robots have reached."""
@@ -121,28 +129,22 @@ class Informed(InformationGain):
                 route.advance(number)
                 robot.replan = True
 
-    def _is_due(self, step: int) -> bool:
-        """Whether the tours are to be planned anew."""
-        late = self._planned_step < 0 or (step - self._planned_step) * self.dynamics.time_step_s >= PLAN_S
-        return late or bool((self._state.is_merged != self._merged).any())
-
     def _plan_tours(self, route: LatencyTours, beliefs: dict[str, Belief], poses: Array, step: int) -> None:
         """Plan the tours of all robots from what their maps hold, or leave the rest to views."""
         known = []
         for belief in beliefs.values():
             to_map = compose(belief.pose_map_robot, inverse(poses[belief.robot]))
             if len(self._views.signs):
-                signs_m = np.array([sign.position_m for sign in belief.signs]).reshape(-1, 2)
-                signs_m = transform_points(inverse(to_map), signs_m)
-                self._state.read[belief.robot] = self._views.read(signs_m)
+                read_m = np.array([sign.position_m for sign in belief.signs]).reshape(-1, 2)
+                self.state.read[belief.robot] = self._views.read(transform_points(inverse(to_map), read_m))
             is_known = belief.grid.level_at(transform_points(to_map, self._views.cells_m)) < 0
-            self._state.seen[belief.robot] = self._views.as_words(is_known | (self._looks > LOOKS_MAX))
+            self.state.seen[belief.robot] = self._views.as_words(is_known | (self._looks > LOOKS_MAX))
             known.append(is_known.mean())
-        if self._state.is_merged.all() and min(known) >= KNOWN_SHARE and route.links is None:
+        if self.state.is_merged.all() and min(known) >= KNOWN_SHARE and route.links is None:
             self._route, self.explorer = None, replace(self.explorer, replan_s=CHOOSE_S)
             return self.reset(int(self.random.integers(2**31)), list(beliefs))
-        left_s, is_first = (self.config.max_cycles - step) * self.dynamics.time_step_s, self._planned_step < 0
-        route.plan(self._state, left_s, TRIES_FIRST if is_first else TRIES, self.random)
-        self._planned_step, self._merged = step, self._state.is_merged.copy()
+        left_s = (self.config.max_cycles - step) * self.dynamics.time_step_s
+        self.improve(route, left_s, TRIES_FIRST if self._planned_step < 0 else TRIES)
+        self._planned_step, self._merged = step, self.state.is_merged.copy()
         for robot in self.robots.values():
             robot.replan = True

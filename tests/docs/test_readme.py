@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from twc_env.agents.explore import explore
-from twc_env.agents.policy import policy_names
+from twc_env.agents.roster import TEAMS
 
 from twc_env import TASKS, EnvConfig
 from twc_env.reproduce.runner import TABLES, table_module
@@ -87,7 +87,7 @@ def test_the_readme_counts_tasks_and_teams_rightly():
     words = {"nine": 9, "ten": 10, "eleven": 11, "eighteen": 18, "nineteen": 19, "twenty": 20, "twenty-one": 21}
     tasks, teams = re.search(r"(\S+) tasks with held-out buildings, (\S+) scripted teams", README).groups()
     assert words[tasks] == sum(name.endswith("-v1") for name in TASKS)
-    assert words[teams] == len(policy_names()) - 1  # the oracle is counted by itself
+    assert words[teams] == sum(not team.is_oracle for team in TEAMS.values())
 
 
 def test_the_commands_of_the_readme_are_targets_of_the_makefile():

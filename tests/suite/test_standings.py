@@ -15,6 +15,7 @@ from twc_env.config import EnvConfig
 from twc_env.records.class_file import digest_of
 from twc_env.suite import leaderboard, tables
 from twc_env.suite.entries import Entry
+from twc_env.suite.gaps import rows_of_models
 from twc_env.suite.leaderboard import Origin, rows_as_json
 from twc_env.suite.page import DEFINITIONS, page_of
 from twc_env.suite.standings import ALL, THRESHOLDS, standings_of
@@ -73,6 +74,16 @@ def test_the_best_other_team_is_no_reference():
     assert {team: r.improvement for team, r in found.items()} == {
         "mine": 1.0, "other": 0.0, "random": 0.0, "informed": 1.0
     }  # fmt: skip
+
+
+def test_an_oracle_that_lacks_a_piece_of_the_truth_is_marked_and_is_no_rival(monkeypatch):
+    monkeypatch.setitem(LEVELS, "informed-plan-only", 0.55)
+    entries, values, standings = played(tuple(LEVELS))
+    assert row(standings, TASKS[0], "informed-plan-only").score == pytest.approx(0.9)
+    assert row(standings, TASKS[0], "mine").improvement_over == "other"
+    assert "informed-plan-only (oracle)" in tables.text_of(standings)
+    assert rf"\textbf{{{row(standings, TASKS[0], 'mine').score:.3f}}}" in tables.latex_of(standings)
+    assert rows_of_models(["mine"], entries, values)[0]["best_scripted"] == "other"
 
 
 def test_figures_are_sums_means_and_medians_over_buildings():

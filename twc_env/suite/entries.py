@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from twc_env.agents.roster import TEAMS
 from twc_env.config import EnvConfig, override
 from twc_env.errors import ConfigError, did_you_mean, one_of
 from twc_env.tasks import SUITES, task_config
@@ -13,8 +14,12 @@ from twc_env.world.building.splits import FAMILY_SPLITS, family_of, split_names
 RANDOM, INFORMED = "random", "informed"
 """The teams that have the scores 0 and 1."""
 REFERENCES = (RANDOM, INFORMED)
-SPECIAL = ("radio-frontier", "radio-walk")
-"""Scripted teams that are only played if they are named: no task has the radio map that they follow."""
+PARTLY_INFORMED = tuple(name for name, team in TEAMS.items() if team.is_oracle and name != INFORMED)
+SPECIAL = ("radio-frontier", "radio-walk", *PARTLY_INFORMED)
+"""Scripted teams that are only played if they are named: no task has the radio map that the first two follow, and
+oracles that lack a piece of what the informed team knows show what it is worth."""
+NO_RIVALS = (*REFERENCES, *PARTLY_INFORMED)
+"""No other team is measured by its lead over them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.errors import UNFIT
 from twc_env.metrics import team_scores
-from twc_env.suite.entries import INFORMED, RANDOM, REFERENCES, Entry
+from twc_env.suite.entries import INFORMED, NO_RIVALS, RANDOM, Entry
 from twc_env.suite.standings import budget_areas
 
 
@@ -35,7 +35,7 @@ def rows_of_models(
         merges: dict[str, int] = {}
         for entry, value in own:
             merges[entry.team] = merges.get(entry.team, 0) + int(value["wrong_merges"])
-        scripted = [team for team in areas if team not in (*models, *REFERENCES)]
+        scripted = [team for team in areas if team not in (*models, *NO_RIVALS)]
         best = max(scripted, key=lambda team: float(areas[team].mean()))
         for model in (model for model in models if model in areas):
             ends = float(areas[RANDOM].mean()), float(areas[INFORMED].mean())

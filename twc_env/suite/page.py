@@ -10,7 +10,7 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 
-from twc_env.suite.entries import REFERENCES
+from twc_env.suite.entries import NO_RIVALS
 from twc_env.suite.standings import Row, Standings
 from twc_env.suite.tables import COLUMNS, TWINS_TITLE, cells_of, groups_of, interval_of, title_of, twin_cells
 
@@ -80,7 +80,7 @@ def _table(standings: Standings, group: str) -> str:
     low, high = min(0.0, *values), max(1.0, *values)
     heads = [_button(long) for long, _, _ in COLUMNS]
     heads[INTERVAL] += _axis(low, high)
-    best = next((row for row in rows if row.team not in REFERENCES), None)
+    best = next((row for row in rows if row.team not in NO_RIVALS), None)
     body = []
     for row, cells in zip(rows, cells_of(rows), strict=True):
         shown = [
@@ -89,7 +89,7 @@ def _table(standings: Standings, group: str) -> str:
             else f"<td>{escape(cell)}</td>"
             for cell in cells[1:]
         ]
-        kind = ' class="reference"' if row.team in REFERENCES else ' class="best"' if row is best else ""
+        kind = ' class="reference"' if row.team in NO_RIVALS else ' class="best"' if row is best else ""
         body.append(f'<tr{kind}><th scope="row">{escape(cells[0])}</th>{"".join(shown)}</tr>')
     return _titled(group, _CAPTION, heads, body)
 

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from twc_env.agents.roster import display_name
 from twc_env.pictures.curves import MERGED
 from twc_env.pictures.style import INK, TEAMS, TRUE_WALL, legend_below, new_figure, save_figure
 from twc_env.suite.entries import REFERENCES
 from twc_env.suite.standings import THRESHOLDS, Standings
-from twc_env.suite.tables import team_name, title_of
+from twc_env.suite.tables import title_of
 
 REFERENCE_STYLE: dict[str, tuple[str, Any]] = {"random": (TRUE_WALL, "dotted"), "informed": (INK, "dashed")}
 """Colour and line of the teams with the scores 0 and 1."""
@@ -30,7 +31,7 @@ def draw_curves(standings: Standings, path: Path, dpi: float | None = None) -> N
         for team in standings.teams:
             colour, line = _style(team, standings.teams)
             curve = standings.curves[task][team]
-            panel.plot(curve["time_s"], curve["mean"], ls=line, color=colour, lw=1.6, label=team_name(team))
+            panel.plot(curve["time_s"], curve["mean"], ls=line, color=colour, lw=1.6, label=display_name(team))
             if all(map(math.isfinite, curve["low"])):
                 panel.fill_between(curve["time_s"], curve["low"], curve["high"], color=colour, alpha=0.15, lw=0)
         panel.set(title=title_of(task), ylim=(0, 1.02), xlim=(0, curve["time_s"][-1]))
@@ -50,7 +51,7 @@ def draw_profiles(standings: Standings, path: Path, dpi: float | None = None) ->
     for team in standings.teams:
         colour, line = _style(team, standings.teams)
         profile = standings.profiles[team]
-        panel.step(THRESHOLDS, profile["share"], ls=line, where="mid", color=colour, lw=1.6, label=team_name(team))
+        panel.step(THRESHOLDS, profile["share"], ls=line, where="mid", color=colour, lw=1.6, label=display_name(team))
         if all(map(math.isfinite, profile["low"])):
             band = {"step": "mid", "color": colour, "alpha": 0.12, "lw": 0}
             panel.fill_between(THRESHOLDS, profile["low"], profile["high"], **band)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.metrics import team_scores
-from twc_env.suite.entries import INFORMED, RANDOM, REFERENCES, Entry
+from twc_env.suite.entries import INFORMED, NO_RIVALS, RANDOM, REFERENCES, Entry
 from twc_env.suite.twins import TwinRow, twin_rows
 
 ALL = "all"
@@ -197,7 +197,7 @@ def _profile(strata: Sequence[Array]) -> dict[str, list[float]]:
 
 def _improvement(scores: dict[str, list[Array]], team: str) -> tuple[float, str]:
     """Probability of improvement over the best other team that is no reference, and which one that is."""
-    others = [name for name in scores if name not in (team, *REFERENCES)]
+    others = [name for name in scores if name not in (team, *NO_RIVALS)]
     if not others:
         return math.nan, ""
     best = max(others, key=lambda name: float(team_scores.interquartile_mean(np.concatenate(scores[name]))))

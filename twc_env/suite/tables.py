@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from twc_env.agents.roster import display_name
 from twc_env.records.text_tables import aligned_text, latex_text
-from twc_env.suite.entries import INFORMED, REFERENCES
+from twc_env.suite.entries import NO_RIVALS
 from twc_env.suite.standings import ALL, Row, Standings
 
 ABSENT = "-"
@@ -23,7 +24,7 @@ def _rounded(value: float) -> str:
 
 
 COLUMNS: tuple[tuple[str, str, Callable[[Row], str]], ...] = (
-    ("team", "team", lambda row: team_name(row.team)),
+    ("team", "team", lambda row: display_name(row.team)),
     ("score", "score", lambda row: _rounded(row.score)),
     ("95 % interval", "95 %", lambda row: interval_of(row)),
     ("probability of improvement", "P(improve)", lambda row: _plain(".2f")(row.improvement)),
@@ -41,11 +42,6 @@ COLUMNS: tuple[tuple[str, str, Callable[[Row], str]], ...] = (
     ("to 99 % [s]", "99 % s", lambda row: _plain(".0f")(row.to_99_s)),
 )
 """Long title, short title and cell of each column."""
-
-
-def team_name(team: str) -> str:
-    """The name of a team in tables; the oracle is marked as such."""
-    return f"{team} (oracle)" if team == INFORMED else team
 
 
 def interval_of(row: Row) -> str:
@@ -122,7 +118,7 @@ def latex_of(standings: Standings) -> str:
     score of each task that is no reference is bold."""
     groups, cells = groups_of(standings), {(row.task, row.team): row for row in standings.rows}
     best = {
-        group: next((r.team for r in standings.rows_of(group) if r.team not in REFERENCES), None) for group in groups
+        group: next((r.team for r in standings.rows_of(group) if r.team not in NO_RIVALS), None) for group in groups
     }
     order = [row.team for row in standings.rows_of(groups[0])]
     lines = [
@@ -131,7 +127,7 @@ def latex_of(standings: Standings) -> str:
     ]  # fmt: skip
     for team in order:
         shown = [_latex_cell(cells[group, team], team == best[group]) for group in groups]
-        lines.append(" & ".join([latex_text(team_name(team)), *shown]) + r" \\")
+        lines.append(" & ".join([latex_text(display_name(team)), *shown]) + r" \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
 
 
