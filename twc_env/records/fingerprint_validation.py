@@ -51,11 +51,11 @@ def fault_of_readings(macs: ArrayLike, rssi_dbm: ArrayLike) -> str | None:
 
 
 def fault_of_strengths(rssi_dbm: Array) -> str | None:
-    """What fingerprint sets write for "not heard" among strengths that are heard: 100, or 0; None if it is not there.
-
-    Strengths that are all positive are a fault of their unit.
-    """
+    """What fingerprint sets write for "not heard" among strengths that are heard: 100, or 0; or that none is below 0 and
+    some above 30, as in per cent or without the sign. None if they are dBm. Those that are not finite are ignored."""
     is_odd = (rssi_dbm > _RSSI_MAX_DBM) | (rssi_dbm == 0.0)
-    if is_odd.any() and (rssi_dbm < 0.0).any():
-        return f"a strength of {rssi_dbm[is_odd][0]:g} dBm: leave out what was not heard"
-    return None
+    if (rssi_dbm < 0.0).any():
+        return f"a strength of {rssi_dbm[is_odd][0]:g} dBm: leave out what was not heard" if is_odd.any() else None
+    told = rssi_dbm[np.isfinite(rssi_dbm)]
+    is_other = told.size and (told.max() > _RSSI_MAX_DBM or not told.any())
+    return f"strengths from {told.min():g} to {told.max():g}: give dBm, such as -67" if is_other else None

@@ -50,7 +50,7 @@ def scan(macs, rssi_dbm) -> WifiScan:
         ({"wifi": replace(scan([1, 2], [-40.0, -50.0]), age_s=np.zeros(1))}, "one age each"),
         ({"wifi": replace(scan([1, 2], [-40.0, -50.0]), age_s=np.array([0.0, np.nan]))}, "one age each"),
         ({"wifi": scan(["aa:01", "aa:02"], [-40.0, -50.0])}, r"such as .*'aa:01'.*: int\(mac.replace\(':', ''\), 16\)"),
-        ({"wifi": scan([1, 2], [40.0, 50.0])}, "strengths up to 50: give dBm, which are negative"),
+        ({"wifi": scan([1, 2], [40.0, 50.0])}, "a WiFi scan with strengths from 40 to 50: give dBm"),
         ({"wifi": {1: -40.0}}, r"has dict as WiFi: give WifiScan"),
         ({"signs": (("A101", 0.0, 2.0),)}, r"holds \('A101', 0.0, 2.0\) as a sign: give SignReading"),
         ({"signs": (SignReading("A101", 0.0, -2.0),)}, "a finite, non-negative range"),

@@ -274,3 +274,9 @@ def test_a_fingerprint_of_what_was_not_heard_is_refused(not_heard):
     prints = [Fingerprint(np.arange(3), np.array([-50.0, not_heard, -60.0]))] * 2
     with pytest.raises(DataError, match=f"a strength of {not_heard:g} dBm: leave out what was not heard"):
         RadioLog(np.zeros((1, 3)), np.zeros(1), prints)
+
+
+def test_fingerprints_without_the_sign_of_dbm_are_refused():
+    prints = [Fingerprint(np.arange(2), np.array([50.0, 60.0]))] * 2
+    with pytest.raises(DataError, match="fingerprint 0 has strengths from 50 to 60: give dBm, such as -67"):
+        RadioLog(np.zeros((1, 3)), np.zeros(1), prints)

@@ -328,6 +328,9 @@ def test_no_readings_leave_everything_unknown():
         ({"router_m": [[np.nan, 0.0]]}, "places of routers must be finite"),
         ({"rssi_dbm": np.zeros((60, 0))}, "a router at least"),
         ({"resolution_m": 0.0}, "resolution_m must be above 0"),
+        ({"rssi_dbm": np.full((60, 1), 50.0)}, "readings have strengths from 50 to 50: give dBm, such as -67"),
+        ({"rssi_dbm": np.zeros((60, 1))}, "readings have strengths from 0 to 0: give dBm"),
+        ({"rssi_dbm": np.full((60, 1), -50.0 + 1j)}, "readings must be real numbers"),
     ],
 )
 def test_invalid_readings_are_rejected(changes, message):

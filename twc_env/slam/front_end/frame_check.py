@@ -17,8 +17,6 @@ JUMP_MAX_M = 1000.0
 """Largest motion between two frames; larger values are in millimetres, or positions instead of motions."""
 TIME_MAX_S = 1e11
 """Three thousand years; larger values are in fractions of a second."""
-RSSI_MAX_DBM = 30.0
-"""Above the legal transmit power; percentages and RSSI without its sign exceed it."""
 
 
 def check_frames(frames: Sequence[SensorFrame], times_s: Array, beam_count: int) -> None:
@@ -120,8 +118,6 @@ def _fault_of_scan(scan: WifiScan) -> str | None:
         return f"has {type(scan).__name__} as WiFi: give WifiScan(macs, rssi_dbm)"
     if fault := fault_of_readings(scan.macs, scan.rssi_dbm):
         return f"has a WiFi scan with {fault}"
-    if len(scan.macs) and np.min(scan.rssi_dbm) > 0.0 and np.max(scan.rssi_dbm) > RSSI_MAX_DBM:
-        return f"has a WiFi scan of strengths up to {np.max(scan.rssi_dbm):g}: give dBm, which are negative"
     ages_s = scan.age_s
     if ages_s is not None and not (np.shape(ages_s) == np.shape(scan.macs) and np.isfinite(ages_s).all()):
         return f"has a WiFi scan with ages {ages_s!r}: readings have one age each [s], or none of them has"

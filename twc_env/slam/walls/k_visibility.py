@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.errors import DataError
-from twc_env.records.array_validation import validated_points
+from twc_env.records.array_validation import real_array, validated_points
 from twc_env.records.fingerprint_validation import fault_of_strengths
 from twc_env.slam.walls.k_visibility_grid import WallGrid, cell_probabilities
 from twc_env.slam.walls.k_visibility_signal import fit_signal, locate_router, typical_signal
@@ -68,12 +68,13 @@ def map_structure(
     """Map walls from readings (n, routers) [dBm], NaN where not heard, taken in order at positions (n, 2).
 
     If router positions (routers, 2) are not given, they are estimated first. The grid is aligned so that a cell corner
-    lies at origin_m (2,). Raises DataError for inconsistent shapes, for 100 or 0 dBm, and if the grid would have more
-    than GRID_CELLS_MAX cells.
+    lies at origin_m (2,). Raises DataError for inconsistent shapes, for 100 or 0 dBm and other units, and if the grid
+    would have more than GRID_CELLS_MAX cells.
     """
     position_m = validated_points(position_m, "positions")
-    if fault := fault_of_strengths(np.asarray(rssi_dbm, float)):
-        raise DataError(f"readings have {fault} (NaN)")
+    rssi_dbm = real_array(rssi_dbm, "readings")
+    if fault := fault_of_strengths(rssi_dbm):
+        raise DataError(f"readings have {fault}; NaN is not heard")
     if router_m is not None:
         router_m = validated_points(router_m, "places of routers")
     _check_grid(position_m, router_m, resolution_m)
@@ -111,7 +112,7 @@ def map_structure(
     )  # fmt: skip
     return Structure(
         router_m=router_m,
-        walls=solver.count_walls(position_m, np.asarray(rssi_dbm, float)),
+        walls=solver.count_walls(position_m, rssi_dbm),
         candidates=solver.candidates,
         probability=solver.probability,
         grid=grid,
