@@ -1,4 +1,6 @@
+import dataclasses
 import gc
+import pickle
 import weakref
 from functools import partial
 from pathlib import Path
@@ -347,7 +349,16 @@ def test_the_results_of_a_given_plan_bear_its_name():
     env = twc_env.parallel_env(floorplan=plan, robots=1)
     env.reset(seed=0)
     assert env.result()["map"] == env.config.map == plan.name
-    assert twc_env.parallel_env(map="mine", floorplan=plan).config.map == "mine"
+    mine = twc_env.parallel_env(map="mine", floorplan=plan)
+    assert mine.config.map == pickle.loads(pickle.dumps(mine)).config.map == "mine"
+    assert twc_env.parallel_env(floorplan=dataclasses.replace(plan, name="")).config.map == "unnamed"
+
+
+def test_a_setting_beside_a_preset_goes_before_it_nested_or_dotted():
+    for beside in ({"lidar": {"beam_count": 90}}, {"lidar.beam_count": 90}):
+        for task in (None, "twc/Explore-v0"):
+            lidar = twc_env.parallel_env(task=task, config={"lidar.preset": "rplidar-a1", **beside}).config.lidar
+            assert (lidar.beam_count, lidar.range_max_m) == (90, 12.0)
 
 
 @pytest.mark.parametrize("name", ["max_cycles", "lidar.beam_count", "config", "task", "world"])

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from twc_env.exploration.viewer import Viewer
 
 STATE_LIMIT = 1e4
+UNNAMED = "unnamed"
+"""Map of reports of a floor plan made in memory that has no name."""
 NO_RENDER_MODE = (
     "render() shows nothing without a render_mode: make the environment with render_mode='rgb_array' or 'human'"
 )
@@ -127,11 +129,11 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     time step at `metadata["render_fps"]`; closing it ends the display, not the episode.
 
     `reset(options=...)` applies to one episode. `{"starts": "map"}` uses the map's own start poses instead of random
-    ones, `{"starts": "entrance"}` poses side by side, `{"starts": [(x, y, heading), ...]}` the given ones, in the
-    building frame; robots that would overlap a wall or each other are refused. `{"map": NAME}` plays in another
-    building, `{"split": "train"}` (or validation, test) in a building of that split drawn by the seed, of the family of
-    `map` if it has one; `floorplan.name` is its name. `{"prior": FILE}` begins with a map that an engine saved earlier
-    (`slam.prior`).
+    ones, `{"starts": "entrance"}` poses side by side, `{"starts": [(x, y, heading), ...]}` the given ones [m, m,
+    rad], in the building frame; robots that would overlap a wall or each other are refused. `{"map": NAME}` plays in
+    another building, `{"split": "train"}` (or validation, test) in a building of that split drawn by the seed, of the
+    family of `map` if it has one; `floorplan.name` is its name. `{"prior": FILE}` begins with a map that an engine
+    saved earlier (`slam.prior`).
 
     `belief(agent)` is what a robot knows, for planners; `result()` evaluates the episode so far against ground truth;
     `snapshot()` and `restore()` save and restore the exact state.
@@ -162,12 +164,11 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         if not isinstance(floorplan, (Floorplan, NoneType)):
             raise ConfigError(f"floorplan must be a Floorplan; got {floorplan!r}: name a map or a file as `map`")
         announcer()
-        building = floorplan.name or None if map is None and floorplan is not None else map
+        building = (floorplan.name or UNNAMED) if map is None and floorplan is not None else map
         self.config = resolve(config, task, {"map": building, "robots": robots, "max_cycles": max_cycles})
         # Copies are made from the resolved values: a dict may be changed by its owner later.
-        EzPickle.__init__(
-            self, config=self.config, render_mode=render_mode, floorplan=floorplan, render_signal=render_signal
-        )
+        kept = {"render_mode": render_mode, "floorplan": floorplan, "render_signal": render_signal}
+        EzPickle.__init__(self, map=self.config.map, config=self.config, **kept)
         self.metadata = copy.deepcopy(type(self).metadata)
         self.render_mode = render_mode
         self._viewer = _make_viewer(render_mode, self.metadata["render_fps"], render_signal)

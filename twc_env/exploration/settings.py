@@ -34,7 +34,9 @@ def resolve(
         if wrong := [key for key in config if not isinstance(key, str)]:
             raise ConfigError(f"settings are named by text, such as 'lidar.beam_count'; got {wrong[0]!r}")
         nested = {key: value for key, value in config.items() if "." not in key}
-        resolved = override(from_dict(nested), {key: value for key, value in config.items() if "." in key})
+        dotted = {key: value for key, value in config.items() if "." in key}
+        again = {key: value for key, value in nested.items() if f"{key}.preset" in dotted}  # goes before the preset
+        resolved = override(from_dict(nested), again | dotted)
     else:
         hint = ": twc_env.config.load reads a file" if isinstance(config, (str, PathLike)) else ""
         raise ConfigError(f"config must be an EnvConfig or a dict of settings; got {config!r}{hint}")
