@@ -271,3 +271,27 @@ def test_in_turns_an_episode_goes_on_from_a_snapshot_with_the_first_robot():
     assert env.last()[2:4] == (False, True)
     env.unwrapped.restore(over)
     assert not env.agents
+
+
+def test_a_trace_notes_each_step_of_one_episode_once(tmp_path):
+    env = twc_env.parallel_env(robots=2, config={"lidar.beam_count": 36})
+    env.reset(seed=0)
+    moment, trace = env.snapshot(), twc_env.EpisodeTrace(env)
+    still = dict.fromkeys(env.agents, np.zeros(2, np.float32))
+    with pytest.raises(TwcError, match=r"steps 0 to 0 of seed 0, and the .* at step 0: note each step once"):
+        trace.note()
+    trace.note(env.step(still)[1])
+    for back in (lambda: env.restore(moment), lambda: env.reset(seed=1)):
+        back()
+        with pytest.raises(TwcError, match=f"the episode of seed {env.episode.seed} is at step 0: .* another trace"):
+            trace.note()
+    env.step(still)
+    env.step(still)
+    with pytest.raises(TwcError, match="steps 0 to 1 of seed 0, and the episode of seed 1 is at step 2"):
+        trace.note()
+    env.restore(moment)
+    env.step(still)
+    env.step(still)
+    trace.note()
+    trace.write(tmp_path / "trace.npz")
+    assert len(np.load(tmp_path / "trace.npz")["estimated_poses"]) == 3

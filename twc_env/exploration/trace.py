@@ -17,7 +17,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import to_dict
 from twc_env.datasets.logs.arrays_file import write_arrays
-from twc_env.errors import DataError
+from twc_env.errors import DataError, TwcError
 from twc_env.exploration.assessment import evaluation
 from twc_env.exploration.assessment.map_scores import GroupScore
 from twc_env.exploration.environment import ExplorationEnv
@@ -41,7 +41,7 @@ class EpisodeTrace:
     """Records one episode: create it after `reset`, call `note` after every step, then `write`."""
 
     def __init__(self, env: ExplorationEnv, period_s: float = 2.0):
-        self._env = env
+        self._env, self._seed = env, env.episode.seed
         self._period = max(1, round(period_s / env.config.dynamics.time_step_s))
         self._estimated: list[Array] = []
         """Per time step (robots, 3), in the building frame by the alignment at the latest moment or jump of the map."""
@@ -55,8 +55,17 @@ class EpisodeTrace:
         self.note()
 
     def note(self, rewards: dict[str, float] | None = None) -> None:
-        """Record one step; rewards: as returned by `step`."""
-        step = self._env.episode.steps
+        """Record one step; rewards: as returned by `step`.
+
+        Raises TwcError for a step that is noted, as after `reset` or `restore`: a trace is of one episode.
+        """
+        step, noted = self._env.episode.steps, len(self._estimated)
+        if step < noted or self._env.episode.seed != self._seed:
+            now = f"the episode of seed {self._env.episode.seed} is at step {step}"
+            raise TwcError(
+                f"the trace has steps 0 to {noted - 1} of seed {self._seed}, and {now}: note each step once, and begin "
+                "another trace after reset()"
+            )
         self._rewards.append(sum(rewards.values()) if rewards else 0.0)
         if not self._moments or step - self._moments[-1][0]["step"] >= self._period:
             self._add_moment(step)
