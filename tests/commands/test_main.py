@@ -83,6 +83,7 @@ def test_bench_accepts_any_setting(tmp_path):
         (["explore", "--map", "twin-01", "--set", "map=twin-02"], "--map twin-01 and --set map=twin-02 name the same"),
         (["watch", "--steps", "9", "--set", "max_cycles=3"], "--steps 9 and --set max_cycles=3 name the same setting"),
         (["compare", "--set", "map=twin-01"], "--set map=twin-01: compare plays the buildings named by --maps"),
+        (["compare", "--buildings", "101"], "the split test has 100 buildings; got --buildings 101"),
         (["compare", "--maps", "twin-01", "--set", "map=gen:office:100:test"], "named by --maps; use that"),
     ],
 )

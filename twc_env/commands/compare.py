@@ -61,7 +61,10 @@ def _compare(options: argparse.Namespace) -> int:
     asked = assignments(options.set).get("map")
     if asked is not None and (options.maps or not is_set(str(asked))):
         raise DataError(f"--set map={asked}: compare plays the buildings named by --maps; use that")
-    maps = options.maps or split_names("test", family_of(config.map))[: options.buildings]
+    tested = split_names("test", family_of(config.map))
+    if not options.maps and options.buildings > len(tested):
+        raise DataError(f"the split test has {len(tested)} buildings; got --buildings {options.buildings}")
+    maps = options.maps or tested[: options.buildings]
     seeds = None if options.seeds is None else parse_seeds(options.seeds)
     if seeds is not None and len(set(maps)) < len(maps):
         raise DataError(f"--maps names {max(maps, key=maps.count)} twice; with --seeds name it once")
