@@ -158,6 +158,7 @@ def test_a_plan_built_in_memory_is_validated_too(changes, expected):
         (np.zeros((2, 3)), ConfigError, r"starts must be 3 finite poses .* got shape \(2, 3\)"),
         (np.full((3, 3), -50.0), ConfigError, r"starts\[0\] at \(-50, -50\) is not on the free floor"),
         (np.full((3, 3), 1e300), ConfigError, r"starts\[0\] at \(1e\+300, 1e\+300\) is not on the free floor"),
+        ([[2, 2, 0], [3, 3, 90], [2, 3, 0]], ConfigError, r"starts\[1\] .* heading .* got 90: .* 1.5708 rad"),
         ([[2, 2, 0], [3, 3, 0], [2, np.nan, 0]], ConfigError, r"finite poses .*; got starts\[2\] = \[2.0, nan, 0.0\]"),
         (
             [[2, 2, 0], [3, 3, 0], [2.1, 2, 0]],

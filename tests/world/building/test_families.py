@@ -62,7 +62,8 @@ def test_names_of_families_sets_and_buildings_are_told_apart():
     ("name", "message"),
     [
         (f"{FAMILY}:test", "is a set of buildings; name one of them, for example gen:office.ward:200:test/0000"),
-        (f"{FAMILY}:test/0100", "names no building; write gen:KIND:AREA:SEED"),
+        (f"{FAMILY}:test/0100", "no building 'gen:office.ward:200:test/0100': .*:test holds 100, .*/0000 to .*/0099"),
+        (f"{FAMILY}:test/7", "holds 100, .*/0000 to .*/0099"),
         (f"{FAMILY}:tset/0001", "names no building"),
         ("gen:office+palace:200:test/0001", f"no buildings of kind 'palace'; kinds are {KINDS[0]}"),
     ],

@@ -181,6 +181,37 @@ def test_plans_are_read_only():
         plan.cells().free[0, 0] = True
 
 
+def square(**parts) -> Floorplan:
+    """A room of 4 m, made in code."""
+    corners = [[0, 0], [4, 0], [4, 4], [0, 4]]
+    walls = [[corners[k - 1], corners[k]] for k in range(4)]
+    return Floorplan("own", walls, [5.0] * 4, interior_m=[[2, 2]], **parts)
+
+
+def test_signs_access_points_and_rooms_take_lists_as_walls_do():
+    plans = []
+    for kind in (list, np.array):
+        signs, rooms = [Sign("A", kind([0.0, 2.0]), 0.0)], [Room("R", kind([[1, 1], [2, 1], [2, 2]]))]
+        plans.append(square(signs=signs, rooms=rooms, access_points=[AccessPoint("a", kind([1, 1]), (1,))]))
+    assert plans[0].digest == plans[1].digest
+    assert validate(plans[0]).moved((1.0, 0.0, 0.5)).signs[0].position_m.shape == (2,)
+
+
+@pytest.mark.parametrize(
+    ("make", "expected"),
+    [
+        (lambda: {"signs": [Sign("A", "here", 0.0)]}, "position_m of 'A' must be numbers; got 'here'"),
+        (lambda: {"signs": [Sign(5, [0.0, 2.0], 0.0)]}, "names and sign texts are texts; got 5"),
+        (lambda: {"signs": [Sign("A", [0.0, 2.0], 90.0)]}, "sign 'A': facing_rad .* radians; got 90: .* 1.5708"),
+        (lambda: {"starts": [[2, 2, 180]]}, "start 0: its heading must be an angle in radians; got 180: .* 3.1416"),
+        (lambda: {"access_points": [AccessPoint("a", [1, 1], ("02:00:5e:11:00:10",))]}, "a number of 48 bits"),
+    ],
+)
+def test_mistakes_of_a_plan_made_in_code_are_named(make, expected):
+    with pytest.raises(MapError, match=expected):
+        validate(square(**make()))
+
+
 def test_a_copied_or_pickled_plan_is_the_same_plan():
     plan = load_map("twin-01").moved([1, 2, 0.5])
     for other in (copy.deepcopy(plan), pickle.loads(pickle.dumps(plan))):

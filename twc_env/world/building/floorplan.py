@@ -16,12 +16,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env.errors import MapError
+from twc_env.errors import UNFIT, MapError
 from twc_env.records.geometry import compose, inverse, transform_points
 from twc_env.world.building.floor_cells import Cells, rasterise
 from twc_env.world.building.wall_index import WallIndex, index_walls
 
 FORMAT = "twc_env/floorplan-1"
+ANGLE_MAX_RAD = 12.567
+"""Two turns; greater angles are taken for degrees and rejected."""
 SIGN_FRONT_M = 0.3
 """The point this far in front of a sign must be free."""
 SIGN_FACE_M = 0.02
@@ -40,6 +42,9 @@ class Sign:
     facing_rad: float
     """Direction of the outward normal of the wall it hangs on."""
 
+    def __post_init__(self) -> None:
+        _keep_array(self, "position_m", self.text)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AccessPoint:
@@ -53,6 +58,9 @@ class AccessPoint:
     floor: int = 0
     """Storey relative to the drawn one (negative: below); the signal crosses the ceilings between them."""
 
+    def __post_init__(self) -> None:
+        _keep_array(self, "position_m", self.name)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Room:
@@ -61,6 +69,9 @@ class Room:
     name: str
     polygon_m: Array
     """(k, 2) corners in order, not closed."""
+
+    def __post_init__(self) -> None:
+        _keep_array(self, "polygon_m", self.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +194,16 @@ class Floorplan:
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)} | {"_cache": kept}
 
 
+def angle_fault(angle_rad: float) -> str:
+    """What is wrong with an angle that can only be meant in degrees; "" if nothing is."""
+    if abs(angle_rad) <= ANGLE_MAX_RAD:
+        return ""
+    return (
+        f"must be an angle in radians; got {angle_rad:g}: as many degrees are "
+        f"{np.radians(angle_rad) % (2 * np.pi):.4f} rad"
+    )
+
+
 def local_macs(box: int, count: int) -> tuple[int, ...]:
     """Locally administered MAC addresses (02:...) of a generated access point."""
     return tuple(0x02005E << 24 | int(box) << 8 | k for k in range(count))
@@ -269,6 +290,20 @@ def _rounded(value: object) -> object:
     if isinstance(value, dict):
         return {key: _rounded(item) for key, item in value.items()}
     return value
+
+
+def _keep_array(part: Sign | AccessPoint | Room, key: str, name: str) -> None:
+    """Make an array of a list of coordinates. Raises MapError for anything else."""
+    value = getattr(part, key)
+    if isinstance(value, np.ndarray):
+        return
+    try:
+        array = np.array(value)
+        if array.dtype.kind not in "iuf":
+            raise ValueError
+    except UNFIT:
+        raise MapError(f"{key} of {name!r} must be numbers; got {value!r:.80}") from None
+    object.__setattr__(part, key, array)
 
 
 def _read_only(value: object, shape: tuple[int, ...], where: str) -> Array:

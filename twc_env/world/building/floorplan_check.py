@@ -9,7 +9,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.errors import MapError, one_of
 from twc_env.world.building.floor_cells import Cells
-from twc_env.world.building.floorplan import SIGN_FACE_M, SIGN_FRONT_M, Floorplan, Sign, mac_text
+from twc_env.world.building.floorplan import SIGN_FACE_M, SIGN_FRONT_M, Floorplan, Sign, angle_fault, mac_text
 from twc_env.world.building.materials import MATERIALS
 
 SIGN_TO_WALL_MAX_M = 0.3
@@ -26,6 +26,7 @@ def validate(plan: Floorplan) -> Floorplan:
     where = f"map {plan.name!r}"
     _check_walls(plan, where)
     _check_names(plan, where)
+    _check_angles(plan.home, where)
     cells = plan.cells(_CHECK_RESOLUTION_M)
     if not cells.free.any():
         raise MapError(
@@ -66,6 +67,13 @@ def _check_walls(plan: Floorplan, where: str) -> None:
         raise MapError(f"{where}: wall {i} has a loss of {plan.wall_loss_db[i]:g} dB; losses are 0 to 1000")
 
 
+def _check_angles(home: Floorplan, where: str) -> None:
+    named = [(f"start {i}: its heading", start[2]) for i, start in enumerate(home.starts)]
+    for name, angle_rad in named + [(f"sign {sign.text!r}: facing_rad", sign.facing_rad) for sign in home.signs]:
+        if fault := angle_fault(angle_rad):
+            raise MapError(f"{where}: {name} {fault}")
+
+
 def _named_arrays(plan: Floorplan) -> Iterator[tuple[str, Array]]:
     for key in ("walls_m", "wall_loss_db", "starts", "interior_m", "pose_building_home"):
         yield key, getattr(plan, key)
@@ -80,6 +88,8 @@ def _named_arrays(plan: Floorplan) -> Iterator[tuple[str, Array]]:
 def _check_names(plan: Floorplan, where: str) -> None:
     names = [plan.name, *(room.name for room in plan.rooms), *(point.name for point in plan.access_points)]
     for text in names + [sign.text for sign in plan.signs]:
+        if not isinstance(text, str):
+            raise MapError(f"{where}: names and sign texts are texts; got {text!r}")
         if any("\ud800" <= letter <= "\udfff" for letter in text):
             raise MapError(f"{where}: the text {text[:40]!r} holds half a letter (a lone surrogate); write it whole")
     owner: dict[int, str] = {}
@@ -87,8 +97,10 @@ def _check_names(plan: Floorplan, where: str) -> None:
         if not access_point.macs:
             raise MapError(f"{where}: access point {access_point.name!r} has no MAC address; give it at least one")
         for mac in access_point.macs:
-            if not 0 < mac < 1 << 48:
-                raise MapError(f"{where}: access point {access_point.name!r} has MAC {mac}; use 48 bits, not all zero")
+            if not isinstance(mac, (int, np.integer)) or not 0 < mac < 1 << 48:
+                raise MapError(
+                    f"{where}: access point {access_point.name!r} has MAC {mac!r}; use a number of 48 bits, not 0"
+                )
             if mac in owner:
                 raise MapError(
                     f"{where}: MAC {mac_text(mac)} is used by {owner[mac]!r} and by {access_point.name!r}; "

@@ -14,15 +14,13 @@ from twc_env.errors import UNFIT, DataError, MapError, one_of
 from twc_env.records.input_file import input_path, unpacked_bytes_max
 from twc_env.records.json_values import check_lists, table_of
 from twc_env.records.whole_file import whole_file
-from twc_env.world.building.floorplan import FORMAT, AccessPoint, Floorplan, Room, Sign, to_values
+from twc_env.world.building.floorplan import FORMAT, AccessPoint, Floorplan, Room, Sign, angle_fault, to_values
 from twc_env.world.building.floorplan_check import validate
 
 FILE_BYTES_MAX = 64_000_000
 """Maximum size of a map file, uncompressed."""
 FLOORS_MAX = 200
 """Maximum storeys between a floor and an access point."""
-FACING_MAX_RAD = 12.567
-"""Two turns; greater angles are taken for degrees and rejected."""
 
 
 def read_floorplan(path: str | Path) -> Floorplan:
@@ -167,9 +165,8 @@ def _sign(values: object, where: str) -> Sign:
     table = _table(values, where, ("text", "position_m", "facing_rad"))
     position = _numbers(table["position_m"], (2,), f"{where}.position_m", "x, y")
     facing = _numbers([table["facing_rad"]], (1,), f"{where}.facing_rad", "angle")[0]
-    if abs(facing) > FACING_MAX_RAD:
-        remedy = f"degrees are {np.radians(facing) % (2 * np.pi):.4f} rad"
-        raise MapError(f"{where}.facing_rad must be an angle in radians; got {facing:g}: as many {remedy}")
+    if fault := angle_fault(facing):
+        raise MapError(f"{where}.facing_rad {fault}")
     return Sign(_text(table["text"], f"{where}.text"), position, float(facing))
 
 

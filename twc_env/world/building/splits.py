@@ -133,6 +133,10 @@ def _parts(name: str, rest: str) -> tuple[str, float, int]:
     parts = rest.split(":")
     if is_set(name):
         raise MapError(f"{name!r} is a set of buildings; name one of them, for example {name}/0000")
+    place = name.partition("/")[0]
+    if is_set(place) and not is_of_split(name):
+        names = split_names(place.rpartition(":")[2], family_of(name))
+        raise MapError(f"no building {name!r}: {place} holds {len(names)}, {names[0]} to {names[-1]}")
     try:
         kinds, area_m2, split = parts[0].split("+"), float(parts[1]), parts[2].partition("/")[0]
         if len(parts) != 3 or not math.isfinite(area_m2):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray as Array
 from twc_env.errors import UNFIT, ConfigError, MapError
 from twc_env.records.geometry import compose, inverse
 from twc_env.records.random_streams import random_stream
-from twc_env.world.building.floorplan import Floorplan
+from twc_env.world.building.floorplan import Floorplan, angle_fault
 
 START_CLEARANCE_M = 0.4
 """Least distance of a random start to walls ..."""
@@ -73,6 +73,8 @@ def _check_poses(plan: Floorplan, robots: int, poses: Array) -> None:
             raise ConfigError(f"{wanted}; got starts[{i}] = {pose.tolist()}")
         if not is_free[i]:
             raise ConfigError(f"{_named(i, pose)} is not on the free floor of map {plan.home.name!r}; move it inside")
+        if fault := angle_fault(pose[2]):
+            raise ConfigError(f"{_named(i, pose)}: its heading {fault}")
 
 
 def _overlap(home: Floorplan, radii_m: Array, poses_home: Array, poses: Array) -> str | None:
