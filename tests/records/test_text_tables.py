@@ -28,5 +28,7 @@ def test_csv_has_every_key_and_leaves_empty_what_does_not_exist():
 
 def test_latex_escapes_what_has_a_meaning_there():
     assert latex_text("50 % of A_1 & B\\") == r"50 \% of A\_1 \& B\textbackslash{}"
+    assert latex_text("-0.27 (-0.5 to +0.1) +- 0.2") == r"$-$0.27 ($-$0.5 to +0.1) $\pm$ 0.2"
+    assert latex_text("lds-01, gen:office:300:-3, 0-9, a-.py, -") == "lds-01, gen:office:300:-3, 0-9, a-.py, -"
     table = latex_table(ROWS)
     assert r"\begin{tabular}{lrrr}" in table and table.count(r"\\") == 3 and table.count("midrule") == 1

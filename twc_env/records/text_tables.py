@@ -5,10 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 GAP = "  "
+_MINUS = re.compile(r"(?<![\w.:/-])-(?=\.?\d)")
+"""The sign of a number, in no name or range."""
 
 
 def aligned_text(rows: Sequence[Sequence[str]], width: int | None = None, left: int = 1) -> str:
@@ -58,9 +61,10 @@ def latex_table(rows: Sequence[Sequence[str]], has_head: bool = True) -> str:
 
 
 def latex_text(text: str) -> str:
-    """A text with LaTeX's special characters escaped."""
+    """A text with LaTeX's special characters escaped, `+-`, and the minus of numbers, which would be a hyphen."""
     special = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-    return "".join(special.get(sign, rf"\{sign}" if sign in "&%$#_{}" else sign) for sign in text)
+    escaped = "".join(special.get(sign, rf"\{sign}" if sign in "&%$#_{}" else sign) for sign in text)
+    return _MINUS.sub("$-$", escaped.replace("+-", r"$\pm$"))
 
 
 def flat(values: Mapping[str, Any]) -> dict[str, Any]:
