@@ -509,6 +509,14 @@ def test_other_environments_go_on_from_a_snapshot_with_the_same_bytes(workers):
         assert on(second, 9) == expected
         with pytest.raises(DataError, match=r"no snapshot of 3 environments: 'actions.2' is missing"):
             second.restore({name: kept[name] for name in ("seeds", "actions.0", "actions.1")})
+        before = second.snapshot()
+        for other in (VectorTeams(3, {**config, "robots": 1}), VectorTeams(3, {**config, "action.kind": "velocity"})):
+            with other, pytest.raises(DataError, match=r"actions.0 are int64 of shape .*, here they are"):
+                other.restore(before)
+        more = {**before, "seeds": np.append(before["seeds"], 7)}
+        with pytest.raises(DataError, match=r"no snapshot of these 3 environments: it has 4 seeds"):
+            second.restore(more)
+        assert all(np.array_equal(before[name], block) for name, block in second.snapshot().items())
         first.send(first.sample(), range(3))
         with pytest.raises(TwcError, match=r"without pending steps"):
             first.snapshot()

@@ -71,7 +71,7 @@ class VectorTeams:
     ):
         """`workers`: processes that share the environments, of which this is the first; 0 is as 1. `buildings`: a split
         ("train") or names of maps; each new episode plays in one of them, drawn by its seed. Without any, all play on
-        the config's own map. `ray`: address of a Ray cluster, or "auto", whose actors are the workers; 0 is one per
+        the config's own map, or each in one of its set (`gen:office:300:train`), drawn by the seed. `ray`: address of a Ray cluster, or "auto", whose actors are the workers; 0 is one per
         core. `task`: id of a standard task, of which `config` then overrides settings.
 
         Raises ConfigError for an invalid count or number of workers, or for workers of a process that may have none,
@@ -163,14 +163,24 @@ class VectorTeams:
     def restore(self, arrays: Mapping[str, Array]) -> dict[str, Array]:
         """Play the episodes of a `snapshot` again up to where they were; returns observations as `reset` does.
 
-        Takes the time of these steps. arrays: of as many environments with the same settings. Raises DataError for the
-        arrays of anything else.
+        Takes the time of these steps. arrays: of as many environments with the same settings, which is for the caller
+        to see to: others play the same seeds and actions. Raises DataError for arrays of other numbers of environments
+        or robots, or of other actions; the present episodes are unchanged then.
         """
         for name in ("seeds", *(f"actions.{k}" for k in self._all)):
             if name not in arrays:
                 raise DataError(f"no snapshot of {self.count} environments: {name!r} is missing; snapshot() has it")
-        self.reset(arrays["seeds"].tolist())
         played, step = [arrays[f"actions.{k}"] for k in self._all], 0
+        wanted = self._arrays.actions[0]
+        if len(arrays["seeds"]) != self.count:
+            raise DataError(f"no snapshot of these {self.count} environments: it has {len(arrays['seeds'])} seeds")
+        for k, own in enumerate(played):
+            if (own.shape[1:], own.dtype) != (wanted.shape, wanted.dtype):
+                raise DataError(
+                    f"no snapshot of these {self.count} environments: its actions.{k} are {own.dtype} of shape "
+                    f"{own.shape}, here they are {wanted.dtype} of shape {(len(own), *wanted.shape)}"
+                )
+        self.reset(arrays["seeds"].tolist())
         while ids := [k for k in self._all if step < len(played[k])]:
             self.send(np.stack([played[k][step] for k in ids]), ids)
             self.recv(len(ids))
