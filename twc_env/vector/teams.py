@@ -71,8 +71,9 @@ class VectorTeams:
     ):
         """`workers`: processes that share the environments, of which this is the first; 0 is as 1. `buildings`: a split
         ("train") or names of maps; each new episode plays in one of them, drawn by its seed. Without any, all play on
-        the config's own map, or each in one of its set (`gen:office:300:train`), drawn by the seed. `ray`: address of a Ray cluster, or "auto", whose actors are the workers; 0 is one per
-        core. `task`: id of a standard task, of which `config` then overrides settings.
+        the config's own map, or each in one of its set (`gen:office:300:train`), drawn by the seed. `ray`: address of a
+        Ray cluster, or "auto", whose actors are the workers; 0 is one per core. `task`: id of a standard task, of which
+        `config` then overrides settings.
 
         Raises ConfigError for an invalid count or number of workers, or for workers of a process that may have none,
         MapError for an unknown building, TwcError for an invalid configuration, DataError without that cluster.
