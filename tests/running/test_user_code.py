@@ -45,6 +45,17 @@ def test_a_comprehension_is_told_once(mine, capsys):
     assert lines == [f"error in your code: {mine}, line 9, in helper", f"called from {mine}, line 6, in act"]
 
 
+def test_a_module_that_is_missing_is_told_without_the_machinery_of_imports(mine, capsys):
+    mine.write_text("import there_is_no_such_module\n")
+    assert main(EXPLORE) == 1
+    assert capsys.readouterr().err.splitlines() == [
+        f"error in your code: {mine}, line 1, in <module>",
+        "    import there_is_no_such_module",
+        "ModuleNotFoundError: No module named 'there_is_no_such_module'",
+        "--verbose shows the whole traceback",
+    ]
+
+
 def test_verbose_shows_the_whole_traceback_above(mine, capsys):
     assert main([*EXPLORE, "--verbose"]) == 1
     text = capsys.readouterr().err

@@ -20,7 +20,7 @@ def told_of_user_code(error: BaseException) -> str | None:
     frames = [
         (found["file"], found["line"], found["where"], found["source"].strip())
         for found in _FRAME.finditer("".join(traceback.format_exception(error)))
-        if is_user_file(Path(found["file"]))
+        if not found["file"].startswith("<") and is_user_file(Path(found["file"]))  # <frozen importlib._bootstrap>
     ]
     if not frames:
         return None
