@@ -39,6 +39,12 @@ def test_outputs_of_one_run_from_top_to_bottom_are_stored(path):
     assert path.stat().st_size < 1_500_000
 
 
+def test_the_interval_over_eight_buildings_is_that_of_eight():
+    """It was 1.96 standard errors, which hold the mean of eight values in 91 of 100 cases."""
+    sources = [cell.source for cell in cells_of(NOTEBOOKS[-1])]
+    assert any("mean_interval(lead)" in source for source in sources) and not any("1.96" in each for each in sources)
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_begins_with_a_title_and_ends_with_three_exercises(path):
     texts = [cell.source for cell in cells_of(path, "markdown")]
