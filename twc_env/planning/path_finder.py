@@ -12,6 +12,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.kernels.compiled import kernel
 from twc_env.planning.terrain import Terrain
+from twc_env.records.growing_arrays import lazy_zeros
 
 UNITS_PER_CELL = 10
 """Path costs are integers; a straight step over cells of `OPEN_COST` has this cost."""
@@ -32,6 +33,8 @@ NOWHERE = 8
 LOW_BITS = (1 << 15) - 1
 WAITING = 1 << 16
 """Entries of the queue at first; open floor of 2,000 m2 needs some 3,000."""
+UNDO_MAX = 200_000
+"""Cells whose costs discs may raise."""
 _NOW, _ENTRIES, _OPENED, _SETTLED, _USED, _FREE = range(6)
 """State of a search between calls: path cost, entries in the queue, cells opened and settled, entries of the queue that
 were ever used, and the first that is free again."""
@@ -319,11 +322,11 @@ class PathFinder:
     def __init__(self) -> None:
         self._spent, self._came = np.zeros(0, np.int32), np.zeros(0, np.uint8)
         self._opened, self._settled = np.zeros((2, 0), np.int32)
-        self._head, self._waiting = np.empty(BUCKETS, np.int32), np.empty((WAITING, 2), np.int32)
+        self._head, self._waiting = np.empty(BUCKETS, np.int32), lazy_zeros((WAITING, 2), np.int32)
         self._counts = np.zeros(6, np.int64)
         self._begun: tuple[ReferenceType[Array], int, tuple[Disc, ...]] | None = None
         """Costs, start and discs of the last search."""
-        self._undo_cell, self._undo_cost = np.empty(200_000, np.int64), np.empty(200_000, np.uint8)
+        self._undo_cell, self._undo_cost = lazy_zeros((UNDO_MAX,), np.int64), lazy_zeros((UNDO_MAX,), np.uint8)
 
     def __reduce__(self) -> tuple[type[PathFinder], tuple[()]]:
         return PathFinder, ()
@@ -438,8 +441,9 @@ class PathFinder:
         if begun is not None and begun[0]() is terrain.cost and begun[1:] == (start, discs):
             return
         if size > len(self._spent):
-            self._spent, self._came = np.full(size + size // 2, FAR, np.int32), np.empty(size + size // 2, np.uint8)
-            self._opened, self._settled = np.empty((2, size + size // 2), np.int32)
+            room = size + size // 8
+            self._spent, self._came = np.full(room, FAR, np.int32), np.empty(room, np.uint8)
+            self._opened, self._settled = lazy_zeros((2, room), np.int32)
             self._counts[_OPENED] = 0
         self._begun = None if start < 0 else (ref(terrain.cost), start, discs)
         if start < 0:

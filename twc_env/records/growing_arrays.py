@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+import mmap
+
 import numpy as np
+from numpy.typing import DTypeLike
 from numpy.typing import NDArray as Array
 
 from twc_env.kernels.compiled import kernel
@@ -13,16 +17,27 @@ READINGS_ROOM = 32 * ROOM
 """Initial room for RSSI readings of all fingerprints."""
 MANY = 4096
 """Arrays with as many rows grow by a quarter, smaller ones double."""
+LARGE = 2**17
+"""Size [bytes] from which `lazy_zeros` asks the system for memory of their own."""
+_OF_THIS_PROCESS = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
+
+
+def lazy_zeros(shape: tuple[int, ...], dtype: DTypeLike = float) -> Array:
+    """Zeros of which, if there are many, each page takes memory only once it is written to.
+
+    Those of NumPy do so too, but not where the allocator clears memory for them that was in use before: that of the
+    last episode, say.
+    """
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    if size < LARGE:
+        return np.zeros(shape, dtype)
+    return np.frombuffer(mmap.mmap(-1, size, **_OF_THIS_PROCESS), dtype).reshape(shape)
 
 
 def grown(rows: Array) -> Array:
-    """A larger copy with zero rows at the end.
-
-    They usually take memory only once written to, but not if the allocator clears old memory for them: large arrays
-    therefore grow by a quarter only.
-    """
+    """A larger copy with zero rows at the end."""
     count = len(rows)
-    out = np.zeros((2 * count if count < MANY else count + count // 4, *rows.shape[1:]), rows.dtype)
+    out = lazy_zeros((2 * count if count < MANY else count + count // 4, *rows.shape[1:]), rows.dtype)
     out[:count] = rows
     return out
 

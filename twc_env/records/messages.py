@@ -216,7 +216,7 @@ BLOCK_SHAPE = (16, 64)
 """Rows and columns of a block of cells."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class GridMap:
     """Occupancy as log-odds; row 0 is the lowest y. Free < 0, wall > 0, unknown 0."""
 

@@ -33,7 +33,7 @@ def evaluator_arguments(count, robots=3, seed=0, apart_m=0.0):
 @pytest.mark.parametrize("apart_m", [0.0, 5.0])
 def test_a_copy_evaluates_a_map_as_the_original_does(cells, count, apart_m):
     evaluators, arguments = MapEvaluators(), evaluator_arguments(count, apart_m=apart_m)
-    first, again = (evaluators.evaluate(0, *arguments, cells) for _ in range(2))
+    first, again = (evaluators.evaluate(*arguments, cells) for _ in range(2))
     assert first == again
     assert len(first[1]) == (2 if apart_m else 0)
 
@@ -44,12 +44,12 @@ def test_the_memory_of_judging_is_bounded(cells, apart_m):
     for count in (KEYFRAMES_MAX // 2, KEYFRAMES_MAX, 3 * KEYFRAMES_MAX, 20 * KEYFRAMES_MAX):
         arguments = evaluator_arguments(count, apart_m=apart_m)
         for _ in range(2):
-            evaluators.evaluate(0, *arguments, cells)
+            evaluators.evaluate(*arguments, cells)
         rows.append(max(map(len, evaluators._room)))
     assert max(rows) == KEYFRAMES_MAX + 3
 
 
 def test_a_subset_of_many_keyframes_gives_nearly_the_alignment_of_all(cells):
     robots, nodes, truth, grid = evaluator_arguments(5 * KEYFRAMES_MAX)
-    pose, _, _ = MapEvaluators().evaluate(0, robots, nodes, truth, grid, cells)
+    pose, _, _ = MapEvaluators().evaluate(robots, nodes, truth, grid, cells)
     assert pose == pytest.approx(lay(robots, nodes, truth)[0], abs=0.01)

@@ -84,7 +84,7 @@ def test_cached_counts_give_the_same_area_as_a_full_count(wander):
         env.step({a: wander(ranges_m[k], env.episode.steps, k) for k, a in enumerate(env.agents)})
         if env.episode.steps % 50 == 0:
             for score in scores_of(env.engine, env.episode.record, cells):
-                where = score.view.viewers[0], score.grid, score.pose_building_map, cells
+                where = score.grid, score.pose_building_map, cells
                 area_m2 = env.episode.record.map_evaluators.correct_area_m2(*where)
                 assert area_m2 == MapEvaluators().correct_area_m2(*where)
                 evaluated += area_m2 > 0

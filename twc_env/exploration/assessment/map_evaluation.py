@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -143,12 +144,12 @@ def _evaluate(
 
 
 class _Held:
-    """Mask and counts of a map at one place; not valid for a grid that has grown, which is a new GridMap."""
+    """Mask and counts of a map at one place."""
 
     def __init__(self, grid: GridMap, place: tuple[int, int, int], cells: Cells):
         """place: rounded alignment, in units of `PLACE_M` and `TURN_RAD`."""
         assert grid.touched is not None
-        self.grid, self.place = grid, place
+        self.place = place
         rounded = np.array([place[0] * PLACE_M, place[1] * PLACE_M, place[2] * TURN_RAD])
         self.mask = metrics.floor_mask(
             grid.log_odds.shape, grid.origin_m, grid.resolution_m, rounded, cells.free, cells.origin_m,
@@ -164,13 +165,14 @@ class _Held:
 class MapEvaluators:
     """Evaluates maps, with a cache per map. The cache can be computed from the maps, so copies start with none.
 
-    Memory: of each map the two latest places with a mask of a byte per cell and, if it has grown in between, the map
-    itself; and 100 bytes for each of at most `KEYFRAMES_MAX` keyframes, and one more of each robot.
+    Memory: of each map that is in use the two latest places, with a mask of a byte per cell; and 100 bytes for each of
+    at most `KEYFRAMES_MAX` keyframes, and one more of each robot.
     """
 
     def __init__(self) -> None:
-        self._held: dict[int, tuple[_Held, ...]] = {}
-        """By owner, the latest two places of its map, newest first: maps often alternate between two."""
+        self._held: WeakKeyDictionary[GridMap, tuple[_Held, ...]] = WeakKeyDictionary()
+        """The latest two places of each map, newest first: maps often alternate between two. One that has grown is a
+        new GridMap."""
         self._room: tuple[Array, ...] = ()
         self._run: Callable[..., None] | None = None
         """`_evaluate` bound to the scratch arrays `_room`."""
@@ -180,33 +182,35 @@ class MapEvaluators:
         return MapEvaluators, ()
 
     def evaluate(
-        self, owner: int, robots: tuple[int, ...], nodes: Nodes, true_poses: Array, grid: GridMap, cells: Cells
+        self, robots: tuple[int, ...], nodes: Nodes, true_poses: Array, grid: GridMap, cells: Cells
     ) -> MapEvaluation | None:
         """Align the map of these robots with the building and measure its `correct_area_m2`; None without keyframes.
 
-        owner: key of the map in the cache; nodes, true_poses: as in `lay`.
+        nodes, true_poses: as in `lay`.
         """
-        kept = self._held.get(owner)
-        if kept and kept[0].grid is grid:
-            x, y, turn, wrong, count = self._evaluate_again(kept[0], robots, nodes, true_poses)
+        kept = self._held.get(grid)
+        if kept:
+            x, y, turn, wrong, count = self._evaluate_again(grid, kept[0], robots, nodes, true_poses)
             if wrong == 0.0:  # otherwise, which is rare, `lay` below names the pairs
                 pose = [x, y, turn]
                 if count == NOT_KNOWN:
-                    return pose, (), self.correct_area_m2(owner, grid, pose, cells)
+                    return pose, (), self.correct_area_m2(grid, pose, cells)
                 return pose, (), count * grid.resolution_m**2
         laid = lay(robots, nodes, true_poses, _stride(len(nodes[0])))
         if laid is None:
             return None
         pose = laid[0].tolist()
-        return pose, laid[1], self.correct_area_m2(owner, grid, pose, cells)
+        return pose, laid[1], self.correct_area_m2(grid, pose, cells)
 
-    def _evaluate_again(self, held: _Held, robots: tuple[int, ...], nodes: Nodes, true_poses: Array) -> list[float]:
+    def _evaluate_again(
+        self, grid: GridMap, held: _Held, robots: tuple[int, ...], nodes: Nodes, true_poses: Array
+    ) -> list[float]:
         """The result (5,) of `_evaluate` for a cached map."""
         robots_in_all = true_poses.shape[1]
         if not self._room or min(len(nodes[0]), KEYFRAMES_MAX) + robots_in_all > len(self._room[0]):
             self._room, self._run = _room_for(min(2 * len(nodes[0]), KEYFRAMES_MAX), robots_in_all), None
         now = (
-            *held.arguments, self._result, _numbers(robots), *nodes, true_poses, held.grid.log_odds, held.grid.touched
+            *held.arguments, self._result, _numbers(robots), *nodes, true_poses, grid.log_odds, grid.touched
         )  # fmt: skip
         if self._run is None:
             self._run = bound(_evaluate, Lent(self._room), *now)
@@ -214,19 +218,17 @@ class MapEvaluators:
         said: list[float] = self._result.tolist()
         return said
 
-    def correct_area_m2(
-        self, owner: int, grid: GridMap, pose_building_map: Sequence[float] | Array, cells: Cells
-    ) -> float:
+    def correct_area_m2(self, grid: GridMap, pose_building_map: Sequence[float] | Array, cells: Cells) -> float:
         """`metrics.correct_area_m2` with the rounded alignment, counted over cells of the map instead of the floor."""
         x, y, turn = pose_building_map
         place = round(x / PLACE_M), round(y / PLACE_M), round(turn / TURN_RAD)
-        kept = self._held.get(owner, ())
+        kept = self._held.get(grid, ())
         for held in kept:
-            if held.place == place and held.grid is grid:
+            if held.place == place:
                 break
         else:
             held = _Held(grid, place, cells)
         if not kept or held is not kept[0]:  # newest first
-            self._held[owner] = (held, *[other for other in kept[:2] if other is not held][:1])
+            self._held[grid] = (held, *[other for other in kept[:2] if other is not held][:1])
         count: int = recount_free(grid.log_odds, held.mask, grid.touched, held.known, held.counts)
         return count * grid.resolution_m**2

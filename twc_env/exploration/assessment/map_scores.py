@@ -78,7 +78,7 @@ def standing(engine: Engine, record: EpisodeRecord, cells: Cells, last: Sequence
             nodes, groups = mapper.nodes, mapper.groups
         group, segments = groups[view.group], view.segments
         truth = true_of_segments(mapper, true_poses)
-        evaluated = evaluate(viewers[0], segments, nodes, truth, group.grid.snapshot(), cells)
+        evaluated = evaluate(segments, nodes, truth, group.grid.snapshot(), cells)
         if evaluated is not None:
             (x, y, turn), wrong, area_m2 = evaluated
             c, s = math.cos(turn), math.sin(turn)

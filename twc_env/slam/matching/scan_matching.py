@@ -19,6 +19,7 @@ from twc_env.errors import ConfigError, DataError
 from twc_env.kernels.compiled import BindsAnew, Lent, borrowing_kernel, bound, kernel, parts_of
 from twc_env.records.array_validation import validated_points, validated_pose, validated_rows
 from twc_env.records.geometry import beam_directions
+from twc_env.records.growing_arrays import lazy_zeros
 from twc_env.slam.matching.line_equations import line_scratch
 from twc_env.slam.matching.line_matching import (
     WEIGHT_MIN,
@@ -327,7 +328,7 @@ def field_storage(size_m: float, resolution_m: float, *count: int) -> tuple[Arra
     side = max(int(round(size_m / resolution_m)), BLOCK_CELLS)
     return (
         np.full((*count, side, side), NO_WALL),
-        np.zeros((*count, LINES_MAX + 1, 3), np.float32),
+        lazy_zeros((*count, LINES_MAX + 1, 3), np.float32),
         np.zeros((*count, 2)),
         np.zeros((*count, 5), np.int64),
     )

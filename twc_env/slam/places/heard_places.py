@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twc_env.records.growing_arrays import READINGS_ROOM, grown
+from twc_env.records.growing_arrays import READINGS_ROOM, grown, lazy_zeros
 from twc_env.records.messages import Fingerprint
 
 
@@ -14,7 +14,7 @@ class HeardPlaces:
     """Concatenated fingerprints; that of place k has the rows `starts[k]` to `starts[k + 1] - 1`."""
 
     def __init__(self) -> None:
-        self.macs, self.rssi_dbm = np.zeros(READINGS_ROOM, np.int64), np.zeros(READINGS_ROOM)
+        self.macs, self.rssi_dbm = lazy_zeros((READINGS_ROOM,), np.int64), lazy_zeros((READINGS_ROOM,))
         """(room,) readings of all places, followed by spare room."""
         self.starts = np.zeros(1, np.int64)
         """(places + 1,) first row of each place."""

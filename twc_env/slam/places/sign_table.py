@@ -11,7 +11,7 @@ from numpy.typing import NDArray as Array
 
 from twc_env.config import PlaceRecognitionConfig
 from twc_env.kernels.compiled import BindsAnew, Lent, borrowing_kernel, bound, kernel, parts_of, rebound
-from twc_env.records.growing_arrays import READINGS_ROOM, ROOM, grown, only
+from twc_env.records.growing_arrays import READINGS_ROOM, ROOM, grown, lazy_zeros, only
 from twc_env.records.messages import Keyframe
 from twc_env.slam.places.device_offsets import DeviceOffsets
 from twc_env.slam.places.radio_fingerprint import rssi_similarity
@@ -109,7 +109,7 @@ class SignTable(BindsAnew):
         """Robot and text number; path length."""
         self._ends, self._found = np.zeros(ROOM, np.int64), np.zeros((ROOM, 6))
         """End of each row's fingerprint, which starts at the end of the previous one; output rows of a query."""
-        self._macs, self._rssi_dbm = np.zeros(READINGS_ROOM, np.int64), np.zeros(READINGS_ROOM)
+        self._macs, self._rssi_dbm = lazy_zeros((READINGS_ROOM,), np.int64), lazy_zeros((READINGS_ROOM,))
         """Fingerprints of all rows, concatenated."""
         self._likeness, self._is_skipped = np.full(ROOM, UNLIKE), np.zeros(0, bool)
         """Similarity of each text to the query, and robots to skip; reset after each query."""

@@ -42,33 +42,26 @@ def least(values: Array, robots: Array, count: int) -> Array:
 
 
 class PathPlaces:
-    """Keyframes about STEP_M apart along each robot's path, with the descriptors of their scans."""
+    """Keyframes about STEP_M apart along each robot's path."""
 
-    def __init__(self, range_max_m: float):
-        self._range_max_m = range_max_m
+    def __init__(self) -> None:
         self.keyframes: list[Keyframe] = []
-        self._descriptors: list[Array] = []
-        self._keys: list[Array] = []
         self._last_m: dict[int, float] = {}
 
     def sparsify(self, is_held: Callable[[Keyframe], bool]) -> Array:
         """See `Recogniser`; returns which places are kept (places,) bool."""
         is_kept = np.array([is_held(keyframe) for keyframe in self.keyframes], bool)
-        kept = np.flatnonzero(is_kept).tolist()
-        self.keyframes = [self.keyframes[k] for k in kept]
-        self._descriptors, self._keys = [self._descriptors[k] for k in kept], [self._keys[k] for k in kept]
+        self.keyframes = [self.keyframes[k] for k in np.flatnonzero(is_kept).tolist()]
         return is_kept
 
     def is_due(self, keyframe: Keyframe) -> bool:
         """Whether the robot has moved STEP_M since its last stored place."""
         return keyframe.travel_m - self._last_m.get(keyframe.robot, -math.inf) >= STEP_M
 
-    def add(self, keyframe: Keyframe, descriptor: Array) -> None:
+    def add(self, keyframe: Keyframe) -> None:
         """Store a place."""
         self._last_m[keyframe.robot] = keyframe.travel_m
         self.keyframes.append(keyframe)
-        self._descriptors.append(descriptor)
-        self._keys.append(ring_key(descriptor))
 
     def others(self, keyframe: Keyframe, skipped_robots: Sequence[int], revisit_travel_m: float) -> Array:
         """Indices of the places that a keyframe may be compared with."""
@@ -82,6 +75,27 @@ class PathPlaces:
             int,
         )
 
+
+class DescribedPlaces(PathPlaces):
+    """The same, with the descriptors of their scans."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._descriptors: list[Array] = []
+        self._keys: list[Array] = []
+
+    def sparsify(self, is_held: Callable[[Keyframe], bool]) -> Array:
+        """See `PathPlaces`."""
+        is_kept = super().sparsify(is_held)
+        kept = np.flatnonzero(is_kept).tolist()
+        self._descriptors, self._keys = [self._descriptors[k] for k in kept], [self._keys[k] for k in kept]
+        return is_kept
+
+    def describe_last(self, descriptor: Array) -> None:
+        """Give the place that was added last its descriptor."""
+        self._descriptors.append(descriptor)
+        self._keys.append(ring_key(descriptor))
+
     def most_similar(self, numbers: Array, descriptor: Array) -> tuple[Array, Array, Array]:
         """At most CANDIDATES_MAX of these places, those with the most similar scans of those with similar ring keys:
         indices, similarities and rotations, best first."""
@@ -94,14 +108,6 @@ class PathPlaces:
         best = least(-similarity, robots, CANDIDATES_MAX)
         return near[best], similarity[best], turn[best]
 
-    def guess(self, number: int, descriptor: Array) -> Array:
-        """(3,) pose guess of a scan in the frame of a stored one: rotation only."""
-        return np.array([0.0, 0.0, compare(self._descriptors[number], descriptor)[1]])
-
-    def describe(self, keyframe: Keyframe) -> Array:
-        """The descriptor of a keyframe's scan."""
-        return describe(keyframe.ranges_m, self._range_max_m)
-
 
 class WifiRecogniser:
     """Shared transmitters and similar strengths alone; scans only give the rotation guess."""
@@ -109,8 +115,8 @@ class WifiRecogniser:
     name = "wifi"
 
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
-        self._config = config
-        self._places = PathPlaces(range_max_m)
+        self._config, self._range_max_m = config, range_max_m
+        self._places = PathPlaces()
         self._table = SignTable()
         """The same places, as if one sign was read at all of them."""
         self._radio = RadioRule.of(config)
@@ -128,12 +134,13 @@ class WifiRecogniser:
             if is_alike:
                 found.append((min(macs, rssi), k, macs, rssi))
         found.sort(key=lambda entry: (-entry[0], entry[1]))
-        descriptor = self._places.describe(keyframe)
         candidates = []
         for _, k, macs, rssi in found[:CANDIDATES_MAX]:
-            ends, guess = (self._places.keyframes[k].key, keyframe.key), self._places.guess(k, descriptor)
+            place = self._places.keyframes[k]
+            turn = compare(*(describe(scan, self._range_max_m) for scan in (place.ranges_m, keyframe.ranges_m)))[1]
+            ends, guess = (place.key, keyframe.key), np.array([0.0, 0.0, turn])
             candidates.append(LoopCandidate(*ends, guess, self.name, mac_similarity=macs, rssi_similarity=rssi))
-        self._places.add(keyframe, descriptor)
+        self._places.add(keyframe)
         self._table.append(keyframe, "", 0)
         return candidates
 
@@ -207,14 +214,14 @@ class ScanRecogniser:
 
     def __init__(self, config: PlaceRecognitionConfig, range_max_m: float):
         self._config, self._range_max_m = config, range_max_m
-        self._places = PathPlaces(range_max_m)
+        self._places = DescribedPlaces()
 
     def propose(self, keyframe: Keyframe, skipped_robots: Sequence[int] = ()) -> list[LoopCandidate]:
         """See `Recogniser`; returns the most similar places. Of many that look the same, as in rows of rooms, some of
         each robot and from all along its path."""
         if not self._places.is_due(keyframe):
             return []
-        descriptor = self._places.describe(keyframe)
+        descriptor = describe(keyframe.ranges_m, self._range_max_m)
         numbers = self._places.others(keyframe, skipped_robots, self._config.revisit_travel_m)
         alike = zip(*self._places.most_similar(numbers, descriptor), strict=True) if len(numbers) else ()
         candidates = [
@@ -222,7 +229,8 @@ class ScanRecogniser:
             for k, similarity, turn in alike
             if similarity >= self._config.scan_similarity_min
         ]
-        self._places.add(keyframe, descriptor)
+        self._places.add(keyframe)
+        self._places.describe_last(descriptor)
         return candidates
 
     def sparsify(self, is_held: Callable[[Keyframe], bool]) -> None:

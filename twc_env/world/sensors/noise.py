@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, cached_property
 from statistics import NormalDist
 
 import numpy as np
@@ -11,9 +11,10 @@ from numpy.typing import NDArray as Array
 
 from twc_env.kernels.compiled import borrowing_kernel
 
-STEPS, _STEPS_MAX = 64, 256
-"""Steps per call, and the same for at most `_FEW_COUNT` numbers per step."""
-_FEW_COUNT = 16
+STEPS = 16
+"""Steps per call for many numbers per step ..."""
+_STEPS_OF = (16, 256), (128, 64)
+"""... and for at most so many."""
 _POOL = 512
 """Numbers drawn per refill of a pool."""
 _BITS, NORMALS_PER_WORD = 12, 5
@@ -27,16 +28,18 @@ class StepNoise:
         """`count` numbers per robot and step; kind: "standard_normal", "random" (uniform in [0, 1)) or "bits" (random
         64-bit words)."""
         self._sources = [(streams, count, kind)]
-        self.numbers = np.empty((_steps(count), len(streams), count), np.uint64 if kind == "bits" else np.float64)
-        """(steps, robots, count)."""
         self._taken, self._block = 0, -1
 
     def beside(self, streams: Sequence[np.random.Generator], count: int, kind: str = "standard_normal") -> StepNoise:
         """Append numbers of other streams as further columns; returns self."""
         self._sources.append((streams, count, kind))
-        _, robots, columns = self.numbers.shape
-        self.numbers = np.empty((_steps(columns + count), robots, columns + count))
         return self
+
+    @cached_property
+    def numbers(self) -> Array:
+        """(steps, robots, count); not allocated where none is used."""
+        (streams, _, kind), count = self._sources[0], sum(count for _, count, _ in self._sources)
+        return np.empty((_steps(count), len(streams), count), np.uint64 if kind == "bits" else np.float64)
 
     def next(self) -> Array:
         """(robots, count) numbers of the next step; valid until the next call."""
@@ -66,7 +69,7 @@ class StepNoise:
 
 def _steps(count: int) -> int:
     """Steps per call for `count` numbers per step."""
-    return _STEPS_MAX if count <= _FEW_COUNT else STEPS
+    return next((steps for most, steps in _STEPS_OF if count <= most), STEPS)
 
 
 class NormalPools:
@@ -103,19 +106,20 @@ class StepQueue:
 
     def __init__(self, streams: Sequence[np.random.Generator], count: int):
         self._streams = streams
-        self.numbers = np.empty((STEPS, len(streams), count))
-        self.used = np.full(len(streams), STEPS)
+        self.numbers = np.empty((_steps(count), len(streams), count))
+        self.used = np.full(len(streams), len(self.numbers))
         self._block = -1
 
     def hold(self, step: int) -> None:
         """Provide enough rows for all steps of equal `step // STEPS`."""
-        if step // STEPS == self._block:
+        steps = len(self.numbers)
+        if step // steps == self._block:
             return
-        self._block = step // STEPS
+        self._block = step // steps
         for robot, (stream, used) in enumerate(zip(self._streams, self.used.tolist(), strict=True)):
             rows = self.numbers[:, robot]
-            rows[: STEPS - used] = rows[used:].copy()
-            rows[STEPS - used :] = stream.standard_normal((used, rows.shape[1]))
+            rows[: steps - used] = rows[used:].copy()
+            rows[steps - used :] = stream.standard_normal((used, rows.shape[1]))
         self.used[:] = 0
 
 
