@@ -168,7 +168,7 @@ class GroupMaps:
             or not np.array_equal(partial.nodes, nodes[:count])
             or _have_moved(poses[:count], partial.poses)
         ):
-            grid = self._new_grid()
+            grid = self._new_grid(has_kinds=cache is self._fixed_maps)
             count = self._begun(grid, nodes)
             partial = PartialMap(grid, nodes[:count], poses[:count])
         self._draw(partial.grid, *self._graph.rows_of(nodes[count:]))
@@ -258,8 +258,8 @@ class GroupMaps:
         grid.integrate(poses, scans)
         self.changes += grid.log_odds is not cells
 
-    def _new_grid(self) -> OccupancyGrid:
-        return OccupancyGrid(self._resolution_m, self._lidar.range_max_m, self._lidar.circle_beam_count)
+    def _new_grid(self, has_kinds: bool = True) -> OccupancyGrid:
+        return OccupancyGrid(self._resolution_m, self._lidar.range_max_m, self._lidar.circle_beam_count, has_kinds)
 
     @property
     def range_max_m(self) -> float:

@@ -20,9 +20,11 @@ def note_kinds(log_odds, first_row, first_column, end_row, end_column, kinds):
     """Write to kinds, in place, the class of the 2 x 2 cells that extend up and right from each cell of a region.
 
     `WALL` if any of the four is a wall, else `FREE` if any is free: a thin wall is rarely missed when the image is
-    subsampled. In the last row and column the missing neighbours are ignored.
+    subsampled. In the last row and column the missing neighbours are ignored. Empty kinds stay empty.
     """
     rows, columns = log_odds.shape
+    if kinds.shape[0] < rows:
+        return
     first, end = max(first_column, 0), min(end_column, columns - 1)
     for r in range(max(first_row, 0), min(end_row, rows)):
         above = min(r + 1, rows - 1)

@@ -30,8 +30,9 @@ class OccupancyGrid(BindsAnew):
 
     PADDING_M = 6.0
 
-    def __init__(self, resolution_m: float, range_max_m: float, beam_count: int):
-        self.resolution_m = resolution_m
+    def __init__(self, resolution_m: float, range_max_m: float, beam_count: int, has_kinds: bool = True):
+        """has_kinds: whether it keeps `GridMap.kinds`, for pictures and observations."""
+        self.resolution_m, self._has_kinds = resolution_m, has_kinds
         self.range_max_m = range_max_m
         self._sparse = SparseScans(beam_count, range_max_m)
         self._room = folding_room(self._sparse.beam_count, int(2 * range_max_m / resolution_m) + 8)
@@ -55,7 +56,8 @@ class OccupancyGrid(BindsAnew):
     def take_over(self, other: OccupancyGrid) -> None:
         """Copy the state of another grid."""
         self.log_odds, self.origin_m = other.log_odds.copy(), other.origin_m.copy()
-        self._kinds, self._touched, self._numbers = other._kinds.copy(), other._touched.copy(), other._numbers.copy()
+        self._kinds = other._kinds.copy() if self._has_kinds else self._kinds
+        self._touched, self._numbers = other._touched.copy(), other._numbers.copy()
         self._boxes_m, self._snapshot = other._boxes_m.copy(), None
         self._rebind()
 
@@ -123,7 +125,8 @@ class OccupancyGrid(BindsAnew):
             views = self.log_odds.view(), self.origin_m.view(), self._kinds.view(), self._touched.view()
             for view in views:
                 view.flags.writeable = False
-            self._snapshot = GridMap(*views[:2], self.resolution_m, *views[2:])
+            cells, origin_m, kinds, touched = views
+            self._snapshot = GridMap(cells, origin_m, self.resolution_m, kinds if self._has_kinds else None, touched)
         return self._snapshot
 
     def known_box(self) -> tuple[int, int, int, int]:
@@ -157,7 +160,7 @@ class OccupancyGrid(BindsAnew):
         shape = top - bottom, right - left
         if shape[0] * shape[1] > CELLS_MAX:
             raise self._too_far()
-        grown, kinds = np.zeros(shape, np.int16), np.zeros(shape, np.uint8)
+        grown, kinds = np.zeros(shape, np.int16), np.zeros(shape if self._has_kinds else (0, 0), np.uint8)
         if rows:
             (x, y) = self.origin_m.tolist()
             r, c = round(y / cell - bottom), round(x / cell - left)
