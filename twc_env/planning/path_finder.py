@@ -443,7 +443,8 @@ class PathFinder:
         if size > len(self._spent):
             room = size + size // 8
             self._spent, self._came = np.full(room, FAR, np.int32), np.empty(room, np.uint8)
-            self._opened, self._settled = lazy_zeros((2, room), np.int32)
+            if room > len(self._settled):  # the part of it that no search reaches takes no memory
+                self._opened, self._settled = lazy_zeros((2, 4 * room), np.int32)
             self._counts[_OPENED] = 0
         self._begun = None if start < 0 else (ref(terrain.cost), start, discs)
         if start < 0:

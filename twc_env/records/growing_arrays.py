@@ -15,8 +15,6 @@ ROOM, SPARE = 1024, 64
 """Initial rows, enough for a typical episode; least number of spare rows after a removal."""
 READINGS_ROOM = 32 * ROOM
 """Initial room for RSSI readings of all fingerprints."""
-MANY = 4096
-"""Arrays with as many rows grow by a quarter, smaller ones double."""
 LARGE = 2**17
 """Size [bytes] from which `lazy_zeros` asks the system for memory of their own."""
 _OF_THIS_PROCESS = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
@@ -35,10 +33,9 @@ def lazy_zeros(shape: tuple[int, ...], dtype: DTypeLike = float) -> Array:
 
 
 def grown(rows: Array) -> Array:
-    """A larger copy with zero rows at the end."""
-    count = len(rows)
-    out = lazy_zeros((2 * count if count < MANY else count + count // 4, *rows.shape[1:]), rows.dtype)
-    out[:count] = rows
+    """A copy with as many zero rows at the end."""
+    out = lazy_zeros((2 * len(rows), *rows.shape[1:]), rows.dtype)
+    out[: len(rows)] = rows
     return out
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.kernels.compiled import borrowing_kernel
+from twc_env.records.growing_arrays import lazy_zeros
 from twc_env.world.building.wall_index import WallIndex, cross, is_crossed
 
 _SQUARE_M = 1.0
@@ -84,7 +85,9 @@ def _enlarged(array: Array, count: int) -> Array:
     """The array, or a copy with more than `count` rows, the new ones zero."""
     if count <= len(array):
         return array
-    return np.concatenate([array, np.zeros((2 * count - len(array), *array.shape[1:]), array.dtype)])
+    enlarged = lazy_zeros((2 * count, *array.shape[1:]), array.dtype)
+    enlarged[: len(array)] = array
+    return enlarged
 
 
 @borrowing_kernel

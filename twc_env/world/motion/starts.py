@@ -114,15 +114,16 @@ def _random_starts(
     """(robots, 3) random poses with clearance to walls and spacing, which is reduced in steps if there is no room."""
     clearance_m = max(START_CLEARANCE_M, radius_m + START_MARGIN_M)
     apart_m = 2 * radius_m + START_MARGIN_M
-    places = start_places(home, clearance_m)
-    if len(places) == 0:
+    clear = _clear_cells(home, clearance_m)
+    if len(clear) == 0:
         raise MapError(f"map {home.name!r} has no place {clearance_m:g} m clear of walls to start from")
     widest_m = max(ENTRANCE_SPACING_M if is_entrance else START_SPACING_M, apart_m)
     for spacing_m in np.linspace(widest_m, max(START_SPACING_MIN_M, apart_m), _TRIES):
         if is_entrance:
+            places = start_places(home, clearance_m)
             candidates = _around(home, places, places[random.integers(len(places))])
         else:
-            candidates = places[random.permutation(len(places))[:_PLACES_MAX]]
+            candidates = _centres(home, clear[random.permutation(len(clear))[:_PLACES_MAX]])
         chosen = _choose_spaced(candidates, robots, spacing_m)
         if len(chosen) == robots:
             return np.column_stack([chosen, random.uniform(-math.pi, math.pi, robots)])
@@ -136,13 +137,21 @@ def _around(home: Floorplan, places: Array, entrance: Array) -> Array:
     return near[home.wall_index.crossing(entrance, np.ascontiguousarray(near))[0] == 0]
 
 
-@lru_cache(maxsize=2)
 def start_places(home: Floorplan, clearance_m: float = START_CLEARANCE_M) -> Array:
-    """(k, 2) centres of the free cells at least `clearance_m` from walls; those of two buildings are kept, as they are
-    7 MB in 5,000 m2."""
-    cells = home.cells()
-    centres = cells.centre_of(np.argwhere(cells.free))
-    return centres[home.wall_index.distance_m(centres, clearance_m) >= clearance_m]
+    """(k, 2) centres of the free cells at least `clearance_m` from walls."""
+    return _centres(home, _clear_cells(home, clearance_m))
+
+
+@lru_cache(maxsize=2)
+def _clear_cells(home: Floorplan, clearance_m: float) -> Array:
+    """(k,) int32 flat indices of these cells; those of two buildings are kept, as they are 2 MB in 5,000 m2."""
+    free = np.flatnonzero(home.cells().free)
+    return free[home.wall_index.distance_m(_centres(home, free), clearance_m) >= clearance_m].astype(np.int32)
+
+
+def _centres(home: Floorplan, flat: Array) -> Array:
+    """(k, 2) centres of cells with these flat indices (k,)."""
+    return home.cells().centre_of(np.column_stack(np.unravel_index(flat, home.cells().free.shape)))
 
 
 def _choose_spaced(places: Array, count: int, spacing_m: float) -> Array:
