@@ -49,6 +49,14 @@ def test_the_memory_of_judging_is_bounded(cells, apart_m):
     assert max(rows) == KEYFRAMES_MAX + 3
 
 
+def test_nothing_is_kept_of_a_map_that_is_gone(cells):
+    evaluators, (robots, nodes, truth, grid) = MapEvaluators(), evaluator_arguments(500)
+    evaluators.evaluate(robots, nodes, truth, grid, cells)
+    assert len(evaluators._held) == 1
+    del grid
+    assert len(evaluators._held) == 0
+
+
 def test_a_subset_of_many_keyframes_gives_nearly_the_alignment_of_all(cells):
     robots, nodes, truth, grid = evaluator_arguments(5 * KEYFRAMES_MAX)
     pose, _, _ = MapEvaluators().evaluate(robots, nodes, truth, grid, cells)

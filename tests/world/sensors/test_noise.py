@@ -2,21 +2,36 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from twc_env.world.sensors.noise import NORMALS_PER_WORD, StepNoise, look_up_normals, normal_quantiles
+from twc_env.world.sensors.noise import NORMALS_PER_WORD, StepNoise, StepQueue, look_up_normals, normal_quantiles
 
 
 def streams(*seeds):
     return [np.random.default_rng(seed) for seed in seeds]
 
 
-def test_numbers_in_blocks_equal_those_drawn_step_by_step():
-    noise = StepNoise(streams(1, 2), 3).beside(streams(3, 4), 2, "random")
+@pytest.mark.parametrize(("count", "steps"), [(3, 256), (60, 64), (200, 16)])
+def test_numbers_in_blocks_equal_those_drawn_step_by_step(count, steps):
+    noise = StepNoise(streams(1, 2), count).beside(streams(3, 4), 2, "random")
     normal, uniform = streams(1, 2), streams(3, 4)
+    assert "numbers" not in vars(noise), "no memory before the first step"
     for _ in range(150):
         found = noise.next()
         for robot in range(2):
-            assert found[robot, :3] == pytest.approx(normal[robot].standard_normal(3), abs=0)
-            assert found[robot, 3:] == pytest.approx(uniform[robot].random(2), abs=0)
+            assert found[robot, :count] == pytest.approx(normal[robot].standard_normal(count), abs=0)
+            assert found[robot, count:] == pytest.approx(uniform[robot].random(2), abs=0)
+    assert noise.numbers.shape == (steps, 2, count + 2)
+
+
+@pytest.mark.parametrize("count", [3, 200])
+def test_a_queue_gives_each_robot_the_rows_of_its_stream_in_order(count):
+    queue, drawn = StepQueue(streams(1, 2), count), streams(1, 2)
+    used_by = np.random.default_rng(3).random((300, 2)) < [0.9, 0.3]
+    for step, uses in enumerate(used_by):
+        queue.hold(step)
+        for robot in np.flatnonzero(uses):
+            row = queue.numbers[queue.used[robot], robot]
+            assert row == pytest.approx(drawn[robot].standard_normal(count), abs=0)
+            queue.used[robot] += 1
 
 
 def test_words_differ_between_steps_and_robots_and_repeat_with_the_seed():

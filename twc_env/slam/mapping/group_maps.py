@@ -20,6 +20,9 @@ from twc_env.slam.scans.occupancy_grid import OccupancyGrid, resampled
 
 MOVED_M, MOVED_RAD = 0.04, 0.008
 """The map is redrawn when a keyframe has moved by more than this since it was drawn."""
+SIDES_MAX = 6
+"""Sides of merges whose grids are kept, those used last: in a team of eight there are ten, of a megabyte or two each.
+With four, eight robots draw a tenth more keyframes again."""
 
 
 @dataclass(slots=True, eq=False)
@@ -69,7 +72,7 @@ class GroupMaps:
         self._has_scan = np.zeros(ROOM, bool)
         """(nodes,) whether the scan has been received; others may only be drawn for their own robot."""
         self._partial_maps: dict[tuple[int, ...], PartialMap] = {}
-        """Robots of one side of a merge -> grid of their nodes."""
+        """Robots of one side of a merge -> grid of their nodes, the one used last at the end."""
         self._fixed_maps: dict[tuple[int, ...], PartialMap] = {}
         """Robots of a group -> grid of the nodes that were fixed at its last redraw."""
         self._prior_grid: OccupancyGrid | None = None
@@ -156,8 +159,11 @@ class GroupMaps:
         """Map of the received scans of some robots of a group, in the group's map frame."""
         if not self._on_request and len(robots) == len(self.groups[group].robots):
             return self.groups[group].grid.snapshot()
-        nodes = self._graph.nodes_of(robots)
-        return self._drawn_in(self._partial_maps, tuple(robots), nodes[self._has_scan[nodes]]).grid.snapshot()
+        nodes, kept = self._graph.nodes_of(robots), self._partial_maps
+        partial = self._drawn_in(kept, tuple(robots), nodes[self._has_scan[nodes]])
+        if len(kept) > SIDES_MAX:
+            del kept[next(iter(kept))]
+        return partial.grid.snapshot()
 
     def _drawn_in(self, cache: dict[tuple[int, ...], PartialMap], robots: tuple[int, ...], nodes: Array) -> PartialMap:
         """Cached grid of these nodes: extended by new nodes if the earlier ones have not moved, otherwise redrawn."""
@@ -172,6 +178,7 @@ class GroupMaps:
             count = self._begun(grid, nodes)
             partial = PartialMap(grid, nodes[:count], poses[:count])
         self._draw(partial.grid, *self._graph.rows_of(nodes[count:]))
+        cache.pop(robots, None)  # the one used last becomes the last
         cache[robots] = partial = PartialMap(partial.grid, nodes, np.concatenate([partial.poses, poses[count:]]))
         return partial
 
