@@ -161,3 +161,15 @@ def test_overwriting_a_belief_is_impossible_or_does_not_affect_the_episode(same_
         if array.flags.writeable:
             array[...] = 7
     assert same_steps([go_on(env, s) for s in range(8)], [go_on(untouched, s) for s in range(8)])
+
+
+def test_the_map_of_a_belief_goes_on_and_a_deep_copy_keeps_its_moment():
+    env = twc_env.parallel_env(map="twin-01", robots=2, config={"lidar.beam_count": 90})
+    env.reset(seed=3)
+    ahead = dict.fromkeys(env.agents, np.array([0.5, 0.2], np.float32))
+    belief = env.belief("robot_0")
+    kept, seen = copy.deepcopy(belief), belief.grid.log_odds.copy()
+    for _ in range(30):
+        env.step(ahead)
+    assert np.array_equal(kept.grid.log_odds, seen)
+    assert not np.array_equal(belief.grid.log_odds, seen) and not belief.grid.log_odds.flags.writeable

@@ -323,7 +323,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
         return self.episode.contacts
 
     def belief(self, agent: str) -> Belief:
-        """What one robot knows: the merged map of its group and its pose in it. Estimates only.
+        """What one robot knows: the merged map of its group and its pose in it. Estimates only. Its `grid` is not a
+        copy and changes with the next steps; `copy.deepcopy` keeps it as it is.
 
         Raises TwcError for an unknown agent.
         """

@@ -297,6 +297,8 @@ class Belief:
     pose_map_robot: Array
     """(3,)."""
     grid: GridMap
+    """The map that the engine goes on drawing: it changes with the next steps. `copy.deepcopy(belief)` keeps this
+    moment."""
     teammates: dict[int, Array] = field(default_factory=dict)
     """Other robots of the group -> (3,) estimated pose in the same map frame: current with a central mapper, as of the
     newest keyframe received with one mapper per robot."""
