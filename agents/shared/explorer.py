@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env import TwcError
 from twc_env.config import DynamicsConfig, EnvConfig, robot_configs
 from twc_env.planning import (
     Disc,
@@ -62,7 +63,8 @@ class Explorer(ABC):
         self._idle_since: int | None = None
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
-        """One command per robot; replans where necessary."""
+        """One command per robot; replans where necessary. Raises TwcError as `check_begun`."""
+        self.check_begun(beliefs)
         for agent, belief in beliefs.items():
             self._observe(self.robots[agent], belief)
         for agent in self._in_planning_order(beliefs):
@@ -72,6 +74,17 @@ class Explorer(ABC):
             self.robots[agent].step_before = belief.step
         self._note_idle(beliefs)
         return actions
+
+    def check_begun(self, beliefs: dict[str, Belief]) -> None:
+        """Raise TwcError for a team that was not reset for this episode: it remembers another one, or nothing."""
+        for agent, belief in beliefs.items():
+            known = self.robots.get(agent)
+            if known is None or belief.step < known.step_before:
+                told = f"it knows no {agent!r}" if known is None else f"it was at step {known.step_before} before"
+                raise TwcError(
+                    f"this team has not begun the episode, which is at step {belief.step}: {told}; call "
+                    "twc_env.agents.begin(team, NAME, env, seed) after each reset of the environment"
+                )
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:
         """Whether all robots share one map and none has had a reachable frontier for a while."""

@@ -119,6 +119,21 @@ def test_every_team_has_a_file_of_150_lines_at_most_that_names_its_source():
             assert year in path.read_text(), f"{name} does not name {team.source}"
 
 
+@pytest.mark.parametrize("name", ["nearest-frontier", "minpos", "information-gain"])
+def test_a_team_that_has_not_begun_an_episode_says_so(name):
+    """In the next episode it went on with the goals and failures of the one before, for less floor."""
+    env = twc_env.parallel_env(map="gen:office:100:1", robots=2, config={"lidar.beam_count": 60})
+    team = make_policy(name, env.config)
+    env.reset(seed=0)
+    for told in ("it knows no 'robot_0'", "at step 0: it was at step 3 before"):
+        with pytest.raises(twc_env.TwcError, match=f"has not begun the episode, .*{told}; call .*begin"):
+            team.act({agent: env.belief(agent) for agent in env.agents})
+        begin(team, name, env, 0)
+        for _ in range(4):
+            env.step(team.act({agent: env.belief(agent) for agent in env.agents}))
+        env.reset(seed=1)
+
+
 def test_an_oracle_is_marked_in_tables():
     assert display_name("informed") == "informed (oracle)"
     assert display_name("minpos") == "minpos"
