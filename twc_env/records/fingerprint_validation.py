@@ -51,8 +51,9 @@ def fault_of_readings(macs: ArrayLike, rssi_dbm: ArrayLike) -> str | None:
 
 
 def fault_of_strengths(rssi_dbm: Array) -> str | None:
-    """What fingerprint sets write for "not heard" among strengths that are heard: 100, or 0; or that none is below 0 and
-    some above 30, as in per cent or without the sign. None if they are dBm. Those that are not finite are ignored."""
+    """What is wrong with strengths: a mark of fingerprint sets for "not heard" among others, 100 or 0; or another unit,
+    where none is below 0 and some exceed 30 (per cent, or no sign). None if they are dBm; only finite ones count.
+    """
     is_odd = (rssi_dbm > _RSSI_MAX_DBM) | (rssi_dbm == 0.0)
     if (rssi_dbm < 0.0).any():
         return f"a strength of {rssi_dbm[is_odd][0]:g} dBm: leave out what was not heard" if is_odd.any() else None
