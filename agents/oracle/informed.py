@@ -65,7 +65,7 @@ class Informed(InformationGain):
         self._looks = np.zeros(len(self._views.bits), np.int64)
         link, places_m = self.config.link, self._views.graph.places_m
         links = links_between(floor, places_m, link) if link.topology == "peer" else None
-        fast, rates = np.array([[PACE * each.speed_max_m_s, each.turn_rate_max_rad_s] for each in own]).T
+        fast, rates = np.array([[PACE * each.speed_max_m_s, each.turn_rate_max_rad_s] for each in own]).T.copy()
         self._route = LatencyTours(self._views, fast, rates, np.array(self.reverses), links=links)
         self._planned_step, self._merged = -1, self.state.is_merged
         self.explorer = replace(self.explorer, replan_s=PLAN_S)

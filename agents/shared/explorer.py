@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray as Array
 
-from twc_env import TwcError
 from twc_env.config import DynamicsConfig, EnvConfig, robot_configs
+from twc_env.errors import TwcError
 from twc_env.planning import (
     Disc,
     Follower,

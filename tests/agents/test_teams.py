@@ -103,7 +103,7 @@ def test_teams_without_truth_are_given_beliefs_only():
             names = [node.module] if isinstance(node, ast.ImportFrom) and not node.level else []
             names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             for name in names:
-                allowed = ("twc_env.config", "twc_env.planning", "twc_env.records")
+                allowed = ("twc_env.config", "twc_env.errors", "twc_env.planning", "twc_env.records")
                 assert not name.startswith("twc_env") or name.startswith(allowed), f"{path.name} imports {name}"
     assert {"world", "floorplan", "true_pose"}.isdisjoint(field for field in Belief.__slots__)
 
