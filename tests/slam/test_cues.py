@@ -90,6 +90,8 @@ def test_a_disabled_cue_is_not_used():
     frame = SensorFrame(0, 0, 0.0, np.zeros(3), 0.0, np.ones(4), WifiScan(macs, np.array([-50.0, -60.0, -90.0])))
     assert restricted_frame(frame, CuesConfig(wifi=False)).wifi.macs.tolist() == [CELL_ID_MIN + 1]
     assert restricted_frame(frame, CuesConfig(lte=False)).wifi.macs.tolist() == [1, 2]
+    listed = replace(frame, wifi=WifiScan(macs.tolist(), [-50.0, -60.0, -90.0]))
+    assert restricted_frame(listed, CuesConfig(lte=False)).wifi.macs.tolist() == [1, 2]
 
 
 def test_the_recogniser_follows_from_the_enabled_cues():

@@ -11,8 +11,9 @@ from numpy.typing import NDArray as Array
 from twc_env.errors import UNFIT, DataError
 from twc_env.records.messages import Fingerprint
 
-_RSSI_MAX_DBM = 30.0
-"""No receiver hears more."""
+_RSSI_MIN_DBM, _RSSI_MAX_DBM = -200.0, 30.0
+"""No receiver hears so little, far below thermal noise, or more: the first and less are marks, such as -999."""
+_ADDRESS_MAX = np.iinfo(np.int64).max
 
 
 def validated_fingerprints(fingerprints: Sequence[Fingerprint]) -> tuple[Fingerprint, ...]:
@@ -30,7 +31,7 @@ def validated_fingerprint(fingerprint: Fingerprint, name: str = "the fingerprint
         raise DataError(f"{name} must hold numbers: {error}") from None
     if fault := fault_of_readings(macs, rssi_dbm):
         raise DataError(f"{name} has {fault}")
-    if macs is fingerprint.macs and rssi_dbm is fingerprint.rssi_dbm:
+    if macs is fingerprint.macs and macs.dtype.kind == "i" and rssi_dbm is fingerprint.rssi_dbm:
         return fingerprint
     return Fingerprint(macs.astype(np.int64), rssi_dbm)
 
@@ -43,18 +44,20 @@ def fault_of_readings(macs: ArrayLike, rssi_dbm: ArrayLike) -> str | None:
     if len(macs) and macs.dtype.kind not in "iu":
         example = f"such as {macs[0]!r}: int(mac.replace(':', ''), 16) makes one of text"
         return f"addresses that are not whole numbers, {example}"
-    if not (np.diff(macs) > 0).all():
+    if not (macs[1:] > macs[:-1]).all():  # differences of unsigned numbers are never negative
         return "addresses that do not ascend: sort them, each but once"
+    if len(macs) and macs[-1] > _ADDRESS_MAX:
+        return f"address {macs[-1]}, which has more than 63 bits"
     if not np.isfinite(rssi_dbm).all():
         return "a strength that is not finite: leave out what was not heard"
     return fault_of_strengths(np.asarray(rssi_dbm))
 
 
 def fault_of_strengths(rssi_dbm: Array) -> str | None:
-    """What is wrong with strengths: a mark of fingerprint sets for "not heard" among others, 100 or 0; or another unit,
-    where none is below 0 and some exceed 30 (per cent, or no sign). None if they are dBm; only finite ones count.
+    """What is wrong with strengths: a mark of fingerprint sets for "not heard" among others, 100, 0 or -999; or another
+    unit, where none is below 0 and some exceed 30 (per cent, or no sign). None if they are dBm; only finite ones count.
     """
-    is_odd = (rssi_dbm > _RSSI_MAX_DBM) | (rssi_dbm == 0.0)
+    is_odd = (rssi_dbm > _RSSI_MAX_DBM) | (rssi_dbm == 0.0) | ((rssi_dbm <= _RSSI_MIN_DBM) & (rssi_dbm > -np.inf))
     if (rssi_dbm < 0.0).any():
         return f"a strength of {rssi_dbm[is_odd][0]:g} dBm: leave out what was not heard" if is_odd.any() else None
     told = rssi_dbm[np.isfinite(rssi_dbm)]

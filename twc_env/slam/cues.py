@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+
 from twc_env.config import CuesConfig, EnvConfig, PlaceRecognitionConfig
 from twc_env.records.class_file import is_in_file
 from twc_env.records.messages import SensorFrame, WifiScan
@@ -52,8 +54,9 @@ def restricted_frame(frame: SensorFrame, cues: CuesConfig) -> SensorFrame:
     """The frame without the readings of disabled cues; laser ranges stay, for navigation and drawing."""
     wifi = frame.wifi
     if wifi is not None and not (cues.wifi and cues.lte):
-        is_cell = wifi.macs >= CELL_ID_MIN
+        macs, rssi_dbm = np.asarray(wifi.macs), np.asarray(wifi.rssi_dbm)
+        is_cell = macs >= CELL_ID_MIN
         kept = (is_cell & cues.lte) | (~is_cell & cues.wifi)
-        age = None if wifi.age_s is None else wifi.age_s[kept]
-        wifi = WifiScan(wifi.macs[kept], wifi.rssi_dbm[kept], age)
+        age = None if wifi.age_s is None else np.asarray(wifi.age_s)[kept]
+        wifi = WifiScan(macs[kept], rssi_dbm[kept], age)
     return dataclasses.replace(frame, wifi=wifi, signs=frame.signs if cues.text else ())

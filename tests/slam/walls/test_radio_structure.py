@@ -141,3 +141,13 @@ def test_a_known_wall_on_a_ray_explains_its_loss():
         update_reading(log_odds, np.zeros(2), 10.0, 5.5, 0.15, 0.5, 0.15, -40.0 - 20 * np.log10(5.0) - 8.0, *signal)
         changes.append(int(log_odds[1, 15]))
     assert changes[1] < min(changes[0], 0)
+
+
+def test_scans_may_be_lists():
+    pictures = []
+    for kind in (np.array, list):
+        radio = RadioStructure(CONFIG, 0.1, 1)
+        scan = WifiScan(kind([7, 9]), kind([-40.0, -50.0]), kind([0.0, 0.1]))
+        radio.add(SensorFrame(0, 0, 0.0, np.zeros(3), 0.0, np.zeros(4), scan), np.zeros(3))
+        pictures.append(radio.picture_of((0,), np.zeros((1, 3)), 0))
+    assert np.array_equal(pictures[0].grid.log_odds, pictures[1].grid.log_odds)

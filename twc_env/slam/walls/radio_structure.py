@@ -94,9 +94,10 @@ class RadioStructure:
         """Store a frame's WiFi scan, if any, without readings cached from the robot's previous scan."""
         if frame.wifi is None:
             return
-        own, macs, rssi_dbm = self._readings[frame.robot], frame.wifi.macs, frame.wifi.rssi_dbm
+        own = self._readings[frame.robot]
+        macs, rssi_dbm = np.asarray(frame.wifi.macs), np.asarray(frame.wifi.rssi_dbm)
         if frame.wifi.age_s is not None:
-            is_new = frame.wifi.age_s < frame.time_s - own.scanned_s
+            is_new = np.asarray(frame.wifi.age_s) < frame.time_s - own.scanned_s
             macs, rssi_dbm = macs[is_new], rssi_dbm[is_new]
         own.scanned_s = frame.time_s
         if len(macs):
