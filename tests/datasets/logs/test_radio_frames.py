@@ -44,6 +44,19 @@ def test_a_recording_that_contradicts_itself_is_refused(times, scans):
         radio_frames(np.array(times), np.zeros((3, 3)), np.zeros(2), heard(scans), 36)
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"reckoned": np.zeros((3, 2))}, {"reckoned": np.full((3, 3), np.nan)}, {"turned_rad": np.full(2, np.inf)},
+        {"times_s": [0.0, 1.0, np.inf]}, {"fingerprints": [None] * 3},
+    ],
+)  # fmt: skip
+def test_a_recording_with_values_missing_is_refused(changes):
+    recording = {"times_s": [0.0, 1.0, 2.0], "reckoned": np.zeros((3, 3)), "turned_rad": np.zeros(2)}
+    with pytest.raises(DataError):
+        radio_frames(**{**recording, "fingerprints": heard(3), "beam_count": 36, **changes})
+
+
 def test_odometry_makes_the_whole_turns_that_the_gyro_counts():
     poses, turned = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 3.3], [1.0, 1.0, 0.0]]), np.array([3.3, -3.2])
     frames = radio_frames(np.array([0.0, 2.0, 3.0]), poses, turned, heard(3), 36)

@@ -88,6 +88,7 @@ def test_a_map_needs_a_position_for_each_fingerprint():
         (None, "is None: give an empty Fingerprint"),
         (Fingerprint(np.array([1, 2]), np.array([-40.0])), r"addresses of shape \(2,\) and strengths of \(1,\)"),
         (Fingerprint(np.array([2, 1]), np.array([-40.0, -50.0])), "do not ascend"),
+        (Fingerprint(np.array([2, 1], np.uint64), np.array([-40.0, -50.0])), "do not ascend"),
         (Fingerprint(np.array([1.5]), np.array([-40.0])), "whole numbers"),
         (Fingerprint(np.array([1]), np.array([np.nan])), "not finite"),
         (Fingerprint(np.array([1]), ["loud"]), "must hold numbers"),
@@ -115,7 +116,12 @@ def test_invalid_sizes_of_a_radio_map_are_rejected():
     radio_map = surveyed()
     with pytest.raises(DataError, match="neighbours must be 1 or more"):
         radio_map.nearest(heard_at((0, 0), 0), 0)
-    with pytest.raises(DataError, match="must be above 0"):
+    with pytest.raises(DataError, match="must be finite and above 0"):
         GaussianProcessMap(radio_map, length_m=0.0)
+    with pytest.raises(DataError, match="must be finite and above 0"):
+        GaussianProcessMap(radio_map, noise_std_db=np.nan)
+    twice = RadioMap(np.zeros((30, 2)), [heard_at((0, 0), k) for k in range(30)])
+    with pytest.raises(DataError, match="noise_std_db 1e-09 is too small"):
+        GaussianProcessMap(twice, noise_std_db=1e-9)
     with pytest.raises(ConfigError, match="similarity mode"):
         RadioMap(np.zeros((1, 2)), [heard_at((0, 0), 0)], "loud")

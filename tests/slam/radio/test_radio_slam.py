@@ -164,6 +164,12 @@ def test_unknown_cues_are_rejected(cues):
         solve(made_log()[0], RadioSlamConfig(), cues)
 
 
+def test_cues_may_come_one_by_one():
+    log = made_log()[0]
+    listed, one_by_one = (solve(log, RadioSlamConfig(), cues) for cues in (["wifi"], iter(["wifi"])))
+    assert not listed.fell_back and np.array_equal(listed.poses, one_by_one.poses)
+
+
 def test_the_result_is_deterministic():
     log, _ = made_log()
     assert solve(log, RadioSlamConfig()).poses.tobytes() == solved(made_log, 0).poses.tobytes()

@@ -57,7 +57,9 @@ def test_two_consecutive_calibrations_compose():
     ("motion", "turned_rad", "level", "message"),
     [
         ([np.nan, 0.0, 0.0], 0.0, -50.0, "motion"),
+        ([1.0, 0.0], 0.0, -50.0, "a motion must be a finite pose"),
         ([1.0, 0.0, 0.0], np.inf, -50.0, "turn"),
+        ([1.0, 0.0, 0.0], None, -50.0, "a turn must be a finite number"),
         ([1.0, 0.0, 0.0], 0.0, np.nan, "not finite"),
     ],
 )

@@ -3,6 +3,7 @@ import logging
 import numpy as np
 import pytest
 
+from twc_env.errors import DataError
 from twc_env.slam.radio.similarity_model import train, train_on_path, warn_cut_off
 
 
@@ -42,3 +43,9 @@ def test_a_model_without_bins_is_not_reported_as_truncated(caplog):
     with caplog.at_level(logging.WARNING):
         model = train_on_path(np.full((3, 3), 0.9), travel, np.column_stack([travel, travel]), 0.7)
     assert not len(model.centre) and "truncated" not in caplog.text
+
+
+@pytest.mark.parametrize("distance_m", [np.r_[np.ones(49), np.nan], np.ones(10)])
+def test_training_pairs_without_a_distance_are_refused(distance_m):
+    with pytest.raises(DataError, match="a finite similarity and distance each"):
+        train(np.full(50, 0.5), distance_m, 60.0)

@@ -64,10 +64,11 @@ class GaussianProcessMap:
     def __init__(
         self, radio_map: RadioMap, length_m: float = 6.0, signal_std_db: float = 8.0, noise_std_db: float = 4.0
     ):
-        """Raises DataError for a length or a standard deviation that is not above 0."""
-        if not min(length_m, signal_std_db, noise_std_db) > 0.0:
+        """Raises DataError for a length or a standard deviation that is not finite and above 0, and for noise too small
+        for places so close."""
+        if not all(0.0 < value < np.inf for value in (length_m, signal_std_db, noise_std_db)):
             raise DataError(
-                "length_m, signal_std_db and noise_std_db must be above 0; "
+                "length_m, signal_std_db and noise_std_db must be finite and above 0; "
                 f"got {length_m!r}, {signal_std_db!r} and {noise_std_db!r}"
             )
         known = np.unique(np.concatenate([f.macs for f in radio_map.fingerprints]))
@@ -77,7 +78,10 @@ class GaussianProcessMap:
         self._mean = heard.mean(axis=0)
         places = radio_map.positions_m
         covariance = signal_std_db**2 * _kernel(places, places, length_m) + noise_std_db**2 * np.eye(len(places))
-        factor = cho_factor(covariance, lower=True)
+        try:
+            factor = cho_factor(covariance, lower=True)
+        except np.linalg.LinAlgError as error:
+            raise DataError(f"noise_std_db {noise_std_db!r} is too small for places so close; raise it") from error
         around = CANDIDATE_M * np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(CANDIDATES_PER_PLACE, 2)
         self._candidates = (places[:, None] + around[None]).reshape(-1, 2)
         solved = cho_solve(factor, heard - self._mean)

@@ -135,6 +135,7 @@ def solve(
 
     Raises DataError for unknown cues. `false_closures`, between scans, are added to the closures in robustness tests.
     """
+    cues = cues if isinstance(cues, str) else tuple(cues)
     if isinstance(cues, str) or not set(cues) <= set(CUES):
         raise DataError(f"cues must be a list of some of {', '.join(CUES)}; got {cues!r}")
     return _Solver(log, config, cues).run(false_closures)

@@ -9,14 +9,13 @@ depends on the building, not on the path length.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray as Array
 from scipy.sparse import csr_array
 
 from twc_env.config import RadioSlamConfig
 from twc_env.errors import DataError
+from twc_env.records.array_validation import real_array, validated_pose
 from twc_env.records.fingerprint_validation import validated_fingerprint
 from twc_env.records.geometry import between, compose, poses_along
 from twc_env.records.messages import Fingerprint
@@ -98,8 +97,10 @@ class RadioTrail:
 
         Raises DataError for a motion that is not finite or an invalid fingerprint.
         """
-        if not (np.isfinite(motion).all() and math.isfinite(turned_rad)):
-            raise DataError(f"a motion and its turn must be finite; got {motion} and {turned_rad!r}")
+        motion, turned = validated_pose(motion, "a motion"), real_array(turned_rad, "a turn")
+        if turned.ndim or not np.isfinite(turned):
+            raise DataError(f"a turn must be a finite number [rad]; got {turned_rad!r}")
+        turned_rad = float(turned)
         fingerprint = validated_fingerprint(fingerprint)
         right = self._calibration.applied(Motions(np.array([motion], float), np.array([turned_rad])))
         turned_rad, length_m = float(right.turned_rad[0]), float(right.length_m[0])

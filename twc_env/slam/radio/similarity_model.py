@@ -58,11 +58,14 @@ class SimilarityModel:
 def train(
     similarity: Array, distance_m: Array, window_m: float, bin_width: float = 0.05, formula: str = "repaired"
 ) -> SimilarityModel:
-    """A model from training pairs (k,). Raises DataError for an unknown formula."""
+    """A model from training pairs (k,). Raises DataError for an unknown formula and pairs that are not finite."""
     if formula not in FORMULAS:
         raise DataError(f"a formula is one of {', '.join(FORMULAS)}; got {formula!r}")
+    similarity, distance_m = np.asarray(similarity), np.asarray(distance_m)
+    if similarity.shape != distance_m.shape or not (np.isfinite(similarity).all() and np.isfinite(distance_m).all()):
+        raise DataError("training pairs have a finite similarity and distance each")
     order = np.argsort(similarity, kind="stable")
-    similarity, distance_m = np.asarray(similarity)[order], np.asarray(distance_m)[order]
+    similarity, distance_m = similarity[order], distance_m[order]
     centres = np.arange(0.0, 1.0 + BIN_STEP / 2, BIN_STEP)
     first = np.searchsorted(similarity, centres - bin_width / 2, side="left")
     last = np.searchsorted(similarity, centres + bin_width / 2, side="right")
