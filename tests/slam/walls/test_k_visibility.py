@@ -327,7 +327,11 @@ def test_no_readings_leave_everything_unknown():
         ({"position_m": 1e6 * np.random.default_rng(0).random((60, 2))}, "check their unit"),
         ({"router_m": [[np.nan, 0.0]]}, "places of routers must be finite"),
         ({"rssi_dbm": np.zeros((60, 0))}, "a router at least"),
-        ({"resolution_m": 0.0}, "resolution_m must be above 0"),
+        ({"resolution_m": 0.0}, "resolution_m must be finite and above 0"),
+        ({"resolution_m": np.inf}, "resolution_m must be finite and above 0"),
+        ({"resolution_m": "fine"}, "resolution_m must be real numbers"),
+        ({"origin_m": [np.nan, 0.0]}, "a corner of the grid must be finite"),
+        ({"origin_m": [0.0, 0.0, 0.0]}, "a corner of the grid must have shape"),
         ({"rssi_dbm": np.full((60, 1), 50.0)}, "readings have strengths from 50 to 50: give dBm, such as -67"),
         ({"rssi_dbm": np.zeros((60, 1))}, "readings have strengths from 0 to 0: give dBm"),
         ({"rssi_dbm": np.full((60, 1), -50.0 + 1j)}, "readings must be real numbers"),
@@ -339,9 +343,38 @@ def test_invalid_readings_are_rejected(changes, message):
         map_structure(**{**readings, **changes})
 
 
-@pytest.mark.parametrize("not_heard", [100.0, 0.0])
+@pytest.mark.parametrize("not_heard", [100.0, 0.0, -999.0])
 def test_readings_of_what_was_not_heard_are_refused(not_heard):
     position_m = np.stack([np.linspace(0.0, 5.0, 50), np.zeros(50)], axis=1)
     rssi_dbm = np.where(np.arange(50) % 3 == 0, not_heard, -50.0)[:, None]
     with pytest.raises(DataError, match=f"a strength of {not_heard:g} dBm: leave out what was not heard"):
         map_structure(position_m, rssi_dbm)
+
+
+def test_what_was_not_heard_has_no_number_of_walls():
+    values = np.array([-40.0, np.nan, -60.0])
+    for call in (lambda: k_means(values, 2), lambda: predict_walls(values, np.array([-40.0, -60.0]))):
+        with pytest.raises(DataError, match="leave out those in which it was not heard"):
+            call()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"router_of": np.array([0, 1])}, "numbers 1 routers from 0; got 0 to 1"),
+        ({"router_of": np.array([0, -1])}, "numbers 1 routers from 0; got -1 to 0"),
+        ({"walls": np.array([0])}, "a router for each of 2 cells"),
+        ({"walls": np.array([0.0, np.nan])}, "walls must be"),
+        ({"cells": np.zeros((2, 3), int)}, "cells must have shape"),
+        ({"router_cells": np.array([[np.nan, 0.0]])}, "places of routers must be finite"),
+    ],
+)
+def test_readings_that_do_not_belong_together_are_rejected(changes, message):
+    readings = {"cells": np.array([[1, 1], [2, 3]]), "walls": np.array([0, 1]), "router_of": np.zeros(2, int)}
+    with pytest.raises(DataError, match=message):
+        rules.map_by_rules(**{**readings, "router_cells": np.array([[0.5, 0.5]]), "shape": (4, 5), **changes})
+
+
+def test_algorithm_1_refuses_strengths_of_more_routers_than_there_are():
+    with pytest.raises(DataError, match="numbers 1 routers from 0"):
+        rules.map_by_algorithm_1([[1, 1]], [0], np.array([[-60.0, -50.0]]), np.array([[0.5, 0.5]]), (4, 5))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.errors import DataError
+
 _DISTANCE_MIN_M = 0.5
 _K_MAX = 5
 
@@ -18,8 +20,11 @@ def sliding_window(rssi_dbm: Array, width: int, median: bool = False) -> Array:
 
 
 def k_means(values: Array, clusters: int, iterations: int = 100) -> Array:
-    """(clusters,) centroids, descending (C_0 strongest); starts at quantiles, an empty cluster keeps its centroid."""
-    values = np.asarray(values, float)
+    """(clusters,) centroids, descending (C_0 strongest); starts at quantiles, an empty cluster keeps its centroid.
+
+    Raises DataError for values that are not finite.
+    """
+    values = _finite(values)
     centroids = np.quantile(values, (np.arange(clusters) + 0.5) / clusters)
     for _ in range(iterations):
         nearest = np.argmin(np.abs(values[:, None] - centroids), axis=1)
@@ -33,9 +38,12 @@ def k_means(values: Array, clusters: int, iterations: int = 100) -> Array:
 
 
 def predict_walls(values: Array, centroids: Array) -> Array:
-    """(n,) k of each value: how many thresholds t_k = (C_(k-1) + C_k) / 2 it does not exceed (Eq. 1 and 3)."""
+    """(n,) k of each value: how many thresholds t_k = (C_(k-1) + C_k) / 2 it does not exceed (Eq. 1 and 3).
+
+    Raises DataError for values that are not finite: what was not heard has no k, not k = 0.
+    """
     thresholds = (centroids[:-1] + centroids[1:]) / 2
-    return (np.asarray(values)[:, None] <= thresholds).sum(axis=1)
+    return (_finite(values)[:, None] <= thresholds).sum(axis=1)
 
 
 def silhouette_k(values: Array, k_max: int = _K_MAX) -> int:
@@ -52,3 +60,10 @@ def silhouette_k(values: Array, k_max: int = _K_MAX) -> int:
 def compensate_distance(rssi_dbm: Array, distance_m: Array, exponent: float) -> Array:
     """(n,) readings [dBm] normalised to a distance of one metre: 10 n dB per decade of distance_m (n,) are added."""
     return rssi_dbm + 10.0 * exponent * np.log10(np.maximum(distance_m, _DISTANCE_MIN_M))
+
+
+def _finite(values: Array) -> Array:
+    values = np.asarray(values, float)
+    if not np.isfinite(values).all():
+        raise DataError("readings of one router must be finite: leave out those in which it was not heard")
+    return values

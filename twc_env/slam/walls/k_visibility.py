@@ -68,8 +68,8 @@ def map_structure(
     """Map walls from readings (n, routers) [dBm], NaN where not heard, taken in order at positions (n, 2).
 
     If router positions (routers, 2) are not given, they are estimated first. The grid is aligned so that a cell corner
-    lies at origin_m (2,). Raises DataError for inconsistent shapes, for 100 or 0 dBm and other units, and if the grid
-    would have more than GRID_CELLS_MAX cells.
+    lies at origin_m (2,). Raises DataError for inconsistent shapes, for 100, 0 or -999 dBm and other units, and if the
+    grid would have more than GRID_CELLS_MAX cells.
     """
     position_m = validated_points(position_m, "positions")
     rssi_dbm = real_array(rssi_dbm, "readings")
@@ -77,6 +77,8 @@ def map_structure(
         raise DataError(f"readings have {fault}; NaN is not heard")
     if router_m is not None:
         router_m = validated_points(router_m, "places of routers")
+    if origin_m is not None:
+        origin_m = validated_points([origin_m], "a corner of the grid")[0]
     _check_grid(position_m, router_m, resolution_m)
     travel_m = float(np.linalg.norm(np.diff(position_m, axis=0), axis=1).sum())
     bins = bin_along_path(position_m, rssi_dbm, float(np.clip(travel_m / _BINS, *_BIN_RANGE_M)))
@@ -123,8 +125,8 @@ def map_structure(
 
 def _check_grid(position_m: Array, router_m: Array | None, resolution_m: float) -> None:
     """Raise DataError if the grid around these positions would be too large."""
-    if not resolution_m > 0.0:
-        raise DataError(f"resolution_m must be above 0; got {resolution_m!r}")
+    if not 0.0 < float(real_array(resolution_m, "resolution_m")) < np.inf:
+        raise DataError(f"resolution_m must be finite and above 0; got {resolution_m!r}")
     places_m = position_m if router_m is None else np.concatenate([position_m, router_m])
     if len(places_m):
         columns, rows = (np.ptp(places_m, axis=0) / resolution_m + 1).tolist()

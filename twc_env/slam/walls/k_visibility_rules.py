@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from numpy.typing import NDArray as Array
 
+from twc_env.errors import DataError
 from twc_env.kernels.compiled import kernel
+from twc_env.records.array_validation import validated_points, validated_rows
 from twc_env.slam.walls.k_visibility_grid import FREE, UNKNOWN, WALL
 
 LITERAL, MIXTURE = 0, 1
@@ -51,8 +53,11 @@ def map_by_rules(
     """Classes (rows, columns) and mu (rows, columns; NaN without estimate) from readings at cells (n, 2) (row, column).
 
     walls (n,): number of walls k between each reading and its router router_of (n,), at router_cells (routers, 2).
+    Raises DataError for arrays that do not belong together.
     """
     settings = settings or RuleSettings()
+    router_cells = validated_points(router_cells, "places of routers")
+    cells, walls, router_of = _checked(cells, walls, router_of, len(router_cells))
     free = np.zeros(shape, np.bool_)
     mu, variance = np.full(shape, np.nan), np.full(shape, np.inf)
     known_k = np.full((len(router_cells), *shape), -1, np.int64)
@@ -79,10 +84,13 @@ def map_by_algorithm_1(
 ) -> Array:  # fmt: skip
     """Algorithm 1 with its misprints corrected (K13): (rows, columns) grey levels, P(free) = level / 255.
 
-    Uses the router with the strongest RSSI at each reading (n, routers); k is known only in cells of the path.
+    Uses the router with the strongest RSSI at each reading (n, routers); k is known only in cells of the path. Raises
+    DataError for arrays that do not belong together.
     """
+    router_cells = validated_points(router_cells, "places of routers")
     levels = np.full(shape, UNKNOWN, np.int64)
     focus = np.argmax(np.nan_to_num(rssi_dbm, nan=-200.0), axis=1)
+    cells, walls, focus = _checked(cells, walls, focus, len(router_cells))
     known_k = np.full((len(router_cells), *shape), -1, np.int64)
     for router in range(len(router_cells)):
         _put_medians(known_k[router], cells[focus == router], walls[focus == router])
@@ -90,6 +98,20 @@ def map_by_algorithm_1(
     room = _room(router_cells, places)
     _algorithm_1(places, focus, np.asarray(router_cells, float), known_k, ALGORITHM_1_STEP, levels, room)
     return levels.astype(np.uint8)
+
+
+def _checked(cells: Array, walls: Array, router_of: Array, routers: int) -> tuple[Array, Array, Array]:
+    """Cells (n, 2), numbers of walls (n,) and routers (n,) of readings, as the kernels need them, which check nothing.
+    Raises DataError for others."""
+    with np.errstate(invalid="ignore"):  # NaN among whole numbers is told by the error alone
+        cells = validated_rows(cells, (2,), "cells", np.int64)
+        walls = validated_rows(walls, (), "walls", np.int64)
+        router_of = validated_rows(router_of, (), "router_of", np.int64)
+    if not len(cells) == len(walls) == len(router_of):
+        raise DataError(f"give a number of walls and a router for each of {len(cells)} cells")
+    if len(router_of) and not (router_of.min() >= 0 and router_of.max() < routers):
+        raise DataError(f"router_of numbers {routers} routers from 0; got {router_of.min()} to {router_of.max()}")
+    return cells, walls, router_of
 
 
 def _room(*ends: ArrayLike) -> int:
