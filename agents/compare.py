@@ -213,7 +213,7 @@ def write_tables(
         curves = {display_name(s.agent): [o.curve for o in s.outcomes] for s in standings}
         time_max_s = config.max_cycles * config.dynamics.time_step_s
         each = "" if seeds is None else f", {len(seeds)} seed{'s' * (len(seeds) > 1)}"
-        title = f"{len(maps)} building{'s' * (len(maps) > 1)}{each}, {config.robots} robots"
+        title = f"{len(maps)} building{'s' * (len(maps) > 1)}{each}, {config.robots} robot{'s' * (config.robots > 1)}"
         paths.append(draw_coverage(curves, time_max_s, folder / f"coverage.{pictures[0]}", title, pictures[1]))
     remove_stale(folder, ("coverage",), paths)
     return paths

@@ -72,6 +72,7 @@ class Informed(InformationGain):
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
         """One command per robot, planned with the truth in place of the beliefs."""
+        self.beginning.check(beliefs)
         poses, step = self._poses(), next(iter(beliefs.values())).step
         if self._route is not None and step % LOOK_STEPS == 0:
             self._note(beliefs, poses)
@@ -83,8 +84,7 @@ class Informed(InformationGain):
         self._drop_stops(self._route, poses)
         true = {}
         for agent, belief in beliefs.items():
-            teammates = {other: poses[other] for other in self.known_to(belief)}
-            here = poses[belief.robot]
+            here, teammates = poses[belief.robot], {other: poses[other] for other in self.known_to(belief)}
             true[agent] = Belief(belief.robot, step, here, self._grid, teammates, ranges_m=belief.ranges_m)
         return super().act(true)
 

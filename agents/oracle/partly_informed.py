@@ -80,6 +80,7 @@ class WithoutPlan(InformationGain):
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
         """One command per robot."""
+        self.beginning.check(beliefs)
         poses, step = self._poses(), next(iter(beliefs.values())).step
         if any(robot.comes_to_multiple(step, LOOK_STEPS) for robot in self.robots.values()):
             self._grid = self._mapped(beliefs, poses)

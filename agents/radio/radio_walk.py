@@ -17,6 +17,7 @@ from twc_env.planning import Drivers, PathFinder, Terrain, WalkGraph, as_action,
 from twc_env.records.geometry import travelled_m
 from twc_env.records.messages import Belief
 
+from ..shared.beginning import Beginning
 from .ray_gain import RayGain, strays_m
 
 SPACING_M = 0.25
@@ -51,6 +52,7 @@ class RadioWalk:
 
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Discard all state."""
+        self._beginning = Beginning(agents)
         self._drivers = {agent: Drivers([own], self._finder) for agent, own in zip(agents, self._own, strict=False)}
         self._random = {agent: np.random.default_rng([seed, n]) for n, agent in enumerate(agents)}
         self._goals_m: dict[str, Array] = {}
@@ -62,7 +64,8 @@ class RadioWalk:
         self._idle = dict.fromkeys(agents, 0)
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
-        """Follow the chosen path, or choose a new one."""
+        """Follow the chosen path, or choose a new one. Raises TwcError as `Beginning.check`."""
+        self._beginning.check(beliefs)
         return {agent: self._drive(agent, belief) for agent, belief in beliefs.items()}
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:
@@ -141,8 +144,7 @@ class RadioWalk:
 
 def _frontiers_met(terrain: Terrain, places_m: Array, walked_m: Array) -> Array:
     """(places, k) bool: whether a position is near a frontier cell that was not near the walk so far."""
-    rows, columns = np.nonzero(terrain.labels > 0)
-    edge_m = terrain.to_metres(np.column_stack([rows, columns]) + 0.5)
+    edge_m = terrain.to_metres(np.argwhere(terrain.labels > 0) + 0.5)
     edge_m = edge_m[(np.linalg.norm(edge_m[:, None] - walked_m, axis=2) >= FRONTIER_M + 2 * ARRIVAL_M).all(axis=1)]
     met = np.linalg.norm(places_m[:, None] - edge_m, axis=2) < FRONTIER_M
     return np.repeat(met, FRONTIER_CELLS, axis=1)

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray as Array
 
 from twc_env.config import DynamicsConfig, EnvConfig, robot_configs
-from twc_env.errors import TwcError
 from twc_env.planning import (
     Disc,
     Follower,
@@ -29,6 +28,7 @@ from twc_env.planning import (
 from twc_env.records.geometry import compose, inverse
 from twc_env.records.messages import Belief, GridMap
 
+from .beginning import Beginning
 from .explorer_state import UNSEEN, ExplorerConfig, ExplorerRobot, Failure
 from .openings import is_open_behind, open_bearing
 
@@ -59,12 +59,13 @@ class Explorer(ABC):
         self.random = np.random.default_rng(seed)
         followers = [Follower(own, reverses=each) for own, each in zip(self._own, self.reverses, strict=True)]
         self.robots = {agent: ExplorerRobot(follower) for agent, follower in zip(agents, followers, strict=False)}
+        self.beginning = Beginning(self.robots)
         self._terrains: dict[tuple[float, GridMap], tuple[int, Terrain]] = {}
         self._idle_since: int | None = None
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
-        """One command per robot; replans where necessary. Raises TwcError as `check_begun`."""
-        self.check_begun(beliefs)
+        """One command per robot; replans where necessary. Raises TwcError as `Beginning.check`."""
+        self.beginning.check(beliefs)
         for agent, belief in beliefs.items():
             self._observe(self.robots[agent], belief)
         for agent in self._in_planning_order(beliefs):
@@ -74,17 +75,6 @@ class Explorer(ABC):
             self.robots[agent].step_before = belief.step
         self._note_idle(beliefs)
         return actions
-
-    def check_begun(self, beliefs: dict[str, Belief]) -> None:
-        """Raise TwcError for a team that was not reset for this episode: it remembers another one, or nothing."""
-        for agent, belief in beliefs.items():
-            known = self.robots.get(agent)
-            if known is None or belief.step < known.step_before:
-                told = f"it knows no {agent!r}" if known is None else f"it was at step {known.step_before} before"
-                raise TwcError(
-                    f"this team has not begun the episode, which is at step {belief.step}: {told}; call "
-                    "twc_env.agents.begin(team, NAME, env, seed) after each reset of the environment"
-                )
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:
         """Whether all robots share one map and none has had a reachable frontier for a while."""

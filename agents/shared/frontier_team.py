@@ -89,8 +89,8 @@ class FrontierTeam(Explorer):
         self._told: dict[str, dict[int, tuple[int, Array]]] = {agent: {} for agent in agents}
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
-        """One command per robot; replans where necessary. Raises TwcError as `check_begun`."""
-        self.check_begun(beliefs)
+        """One command per robot; replans where necessary. Raises TwcError as `Beginning.check`."""
+        self.beginning.check(beliefs)
         for agent in beliefs:
             self._listen(agent, beliefs)
         return super().act(beliefs)

@@ -42,7 +42,8 @@ class ClosureSeeker(MinPos):
         self._last: dict[str, Array] = {}
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
-        """One command per robot; replans where necessary."""
+        """One command per robot; replans where necessary. Raises TwcError as `Beginning.check`."""
+        self.beginning.check(beliefs)
         for agent, belief in beliefs.items():
             last = self._last.get(agent)
             self._travel_m[agent] += 0.0 if last is None else math.dist(last, belief.pose_odom[:2])

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from twc_env.config import EnvConfig, robot_configs
 from twc_env.records.messages import UNSEEN_M, Belief
 
+from ..shared.beginning import Beginning
+
 
 class RandomWalk:
     """Forward speed and turn rate vary around fixed means (an Ornstein-Uhlenbeck process per robot)."""
@@ -32,11 +34,16 @@ class RandomWalk:
         """Restart; the same seed gives the same velocities."""
         self._rng = np.random.default_rng(seed)
         self._agents = tuple(agents)
+        self._beginning = Beginning(agents)
         self._wander = self._rng.normal(size=(len(self._agents), 2))
         self._side = [0.0] * len(self._agents)
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, NDArray]:
-        """The next velocities; a robot in front of an obstacle turns on the spot until it is free."""
+        """The next velocities; a robot in front of an obstacle turns on the spot until it is free.
+
+        Raises TwcError as `Beginning.check`.
+        """
+        self._beginning.check(beliefs)
         fresh = self._rng.normal(size=self._wander.shape)
         self._wander = self._keep * self._wander + math.sqrt(1 - self._keep**2) * fresh
         actions = np.clip(self.MEAN + self.SPREAD * self._wander, -1.0, 1.0).astype(np.float32)

@@ -16,6 +16,7 @@ from twc_env.config import EnvConfig, robot_configs
 from twc_env.planning import as_action, drive_to
 from twc_env.records.messages import Belief
 
+from ..shared.beginning import Beginning
 from ..shared.openings import open_bearing
 
 STANDOFF_M = 0.35
@@ -43,6 +44,7 @@ class WallFollower:
     def reset(self, seed: int, agents: Sequence[str]) -> None:
         """Discard all state; the seed is used only by robots that are stuck."""
         self._random = np.random.default_rng(seed)
+        self._beginning = Beginning(agents)
         self._anchor: dict[str, tuple[Array, int]] = {}
         self._escape: dict[str, tuple[float, int]] = {}
         self._start: dict[str, Array] = {}
@@ -50,7 +52,8 @@ class WallFollower:
         self._done: set[str] = set()
 
     def act(self, beliefs: dict[str, Belief]) -> dict[str, Array]:
-        """Follow the wall with every robot."""
+        """Follow the wall with every robot. Raises TwcError as `Beginning.check`."""
+        self._beginning.check(beliefs)
         return {agent: self._follow(agent, belief) for agent, belief in beliefs.items()}
 
     def finished(self, beliefs: dict[str, Belief]) -> bool:

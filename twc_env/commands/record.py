@@ -56,7 +56,7 @@ def _record(options: argparse.Namespace) -> int:
     with alone_in(options.out):
         write_frame_log(options.out / "frames.npz", env.config, steps, contacts)
         write_truth_log(options.out / "truth.npz", options.seed, env.episode.config.map, true_poses)
-    print(f"{len(steps) - 1} steps of {env.config.robots} robots\nwritten: {options.out}")
+    print(f"{len(steps) - 1} steps of {env.config.robots} robot{'s' * (env.config.robots > 1)}\nwritten: {options.out}")
     if interruption.came:
         tell(f"interrupted after {len(steps) - 1} steps; the log holds these")
     return INTERRUPTED if interruption.came else 0

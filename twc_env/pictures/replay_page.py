@@ -97,7 +97,7 @@ def page_data(trace: dict[str, Array], report: dict[str, Any]) -> dict[str, Any]
         "robots": config.robots,
         "robot_radii_m": [own.dynamics.robot_radius_m for own in robot_configs(config)],
         "time_step_s": config.dynamics.time_step_s,
-        "subtitle": f"{config.robots} robots, {len(trace['true_poses']) - 1} steps of "
+        "subtitle": f"{config.robots} robot{'s' * (config.robots > 1)}, {len(trace['true_poses']) - 1} steps of "
         f"{config.dynamics.time_step_s:g} s, configuration {report['config_digest']}, version {report['version']}. "
         "Grey: the true building. Black and white: the estimated map. Disc: true pose; ring: estimated pose. "
         "Violet: closures; thick with crosses: accepted, but false.",
