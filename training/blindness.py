@@ -40,8 +40,11 @@ def check_blind(blind: Collection[str]) -> None:
 
 
 def _hide_teammates(seen: Mapping[str, Tensor]) -> None:
-    """Where they are or were last heard, their goals, whether one is nearer to a candidate, and to go to one."""
+    """Where they are or were last heard, their goals, whether one is nearer to a candidate, how far those of other maps
+    are, and to go to one."""
     seen["team"].zero_()
+    if "other_maps" in seen:
+        seen["other_maps"].zero_()
     seen["goals"][..., 1] = 0.0
     seen["frontiers"][..., IS_TEAMMATE_NEARER] = 0.0
     seen["action_mask"][..., TEAMMATE] = 0.0

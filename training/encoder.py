@@ -35,6 +35,7 @@ RULE = {
     "near goal of teammate": (0.0, 0.2),
     "aside": (0.0, 0.15),
     "frontier": (0.0, 0.2),
+    "to other maps": (0.0, 0.3),
     "sign": (-20.0, 0.0),
     "teammate": (-20.0, 0.0),
     "stay": (-20.0, 0.0),
@@ -42,8 +43,9 @@ RULE = {
 """What makes the utility of a choice: weight at the start of training, and how far evolution strategies vary it. Of a
 goal the logarithm of its gain, its way in 10 m, the same where more than half of the time is left, closeness to the
 robot's last goal and to those of teammates, how far it lies aside, to where a robot that drives either way has to
-turn, and its size as a frontier; utilities of the other choices, below those of most goals."""
-USED = ("frontiers", "gains", "goals", "action_mask", "pose", "clock", "team", "signs")
+turn, its size as a frontier, and its distance to other maps in 10 m, which only counts where robots observe it
+(`rule_for`); utilities of the other choices, below those of most goals."""
+USED = ("frontiers", "gains", "other_maps", "goals", "action_mask", "pose", "clock", "team", "signs")
 """The blocks that a policy sees, as far as the observation has them. Images are left out: the rows of the candidates
 summarise the part of the map that matters, and train in minutes."""
 
@@ -94,8 +96,9 @@ class Encoder(nn.Module):
         super().__init__()
         shapes = {name: tuple(block.shape or ()) for name, block in space.spaces.items()}
         self.width = width
-        self.has_gains, self.has_signs = "gains" in shapes, "signs" in shapes
-        self.frontier = nn.Linear(shapes["frontiers"][1] + self.has_gains + shapes["goals"][1], width)
+        self.alone = [name for name in ("gains", "other_maps") if name in shapes]
+        self.has_signs = "signs" in shapes
+        self.frontier = nn.Linear(shapes["frontiers"][1] + shapes["goals"][1] + len(self.alone), width)
         self.extra = nn.Parameter(torch.randn(EXTRA_CHOICES, width) / width**0.5)
         self.teammate = nn.Linear(shapes["team"][1], width)
         self.sign = nn.Linear(shapes["signs"][1], width) if self.has_signs else None
@@ -105,7 +108,7 @@ class Encoder(nn.Module):
 
     def forward(self, seen: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Blocks (batch, ...) -> encoded choices (batch, choices, width) and situation (batch, width)."""
-        frontiers = [seen["frontiers"], seen["goals"]] + ([seen["gains"][..., None]] if self.has_gains else [])
+        frontiers = [seen["frontiers"], seen["goals"], *(seen[name][..., None] for name in self.alone)]
         batch, slots = len(frontiers[0]), frontiers[0].shape[1]
         own = torch.cat([torch.log1p(seen["pose"][:, POSE_COLUMNS]), seen["clock"]], 1)
         tokens = [
@@ -139,7 +142,7 @@ class Actor(nn.Module):
         self.score = nn.Sequential(nn.Linear(2 * width, width), nn.Tanh(), nn.Linear(width, 1))
         for parameter in self.score[2].parameters():
             nn.init.zeros_(parameter)
-        self.rule = nn.Parameter(torch.tensor([weight for weight, _ in RULE.values()]))
+        self.rule = nn.Parameter(torch.tensor([weight for weight, _ in rule_for(space).values()]))
 
     def forward(self, seen: dict[str, Tensor]) -> Tensor:
         """(batch, choices) logits; masked choices have probability 0."""
@@ -150,13 +153,20 @@ class Actor(nn.Module):
         return added + logits_of_rule(seen, self.rule.expand(len(added), -1))
 
 
+def rule_for(space: spaces.Dict) -> dict[str, tuple[float, float]]:
+    """The part of `RULE` for these observations."""
+    return {name: told for name, told in RULE.items() if name != "to other maps" or "other_maps" in space.spaces}
+
+
 def logits_of_rule(seen: dict[str, Tensor], weights: Tensor) -> Tensor:
-    """(batch, choices) for weights (batch, len(RULE)); masked choices have probability 0."""
+    """(batch, choices) for weights (batch, len(rule_for(space))); masked choices have probability 0."""
     row, near, left = seen["frontiers"], seen["goals"], seen["clock"]
     way = _unshared(row[..., 3])
     gain = torch.log(HALF_GAIN_M2 * _unshared(seen["gains"]) + GAIN_MIN_M2) if "gains" in seen else 0.0 * way
     aside = 1.0 - (2.0 * row[..., 1].abs() - 1.0).abs()
     told = [near[..., 0], near[..., 1], aside, row[..., 4]]
+    if "other_maps" in seen:
+        told.append(_unshared(seen["other_maps"]))
     known = [gain, way, (left - 0.5) * way, *told]
     utilities = torch.zeros_like(gain)
     for number, column in enumerate(known):  # one after the other: matrix products round as the size of the batch says

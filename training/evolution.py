@@ -26,7 +26,7 @@ import torch
 from numpy.typing import NDArray as Array
 from twc_env.training.blindness import hidden
 from twc_env.training.checkpoint import below, load, save
-from twc_env.training.encoder import RULE, USED, Actor, logits_of_rule
+from twc_env.training.encoder import USED, Actor, logits_of_rule, rule_for
 from twc_env.training.episode_totals import EpisodeTotals
 from twc_env.training.learning_curve import LearningCurve
 from twc_env.training.run_folder import Task, check_choices, check_run, open_run
@@ -36,8 +36,6 @@ from twc_env.training.weights import arrays_of, fill
 from twc_env.errors import ConfigError
 from twc_env.records.random_streams import random_stream
 from twc_env.vector.teams import VectorTeams
-
-SPREADS = np.array([spread for _, spread in RULE.values()])
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +70,8 @@ class Episodes:
         self._blind = settings.blind
 
     def play(self, weights: Array, seeds: list[int]) -> tuple[list[dict], int]:
-        """What the episodes were like (`EpisodeTotals`), in the order of weights (environments, len(RULE)) and seeds;
-        and how many decisions were made."""
+        """What the episodes were like (`EpisodeTotals`), in the order of weights (environments, k) and seeds; and how
+        many decisions were made."""
         notes, totals = TeamNotes(self._count, self._robots, self._max_cycles), EpisodeTotals(self._count)
         found: dict[int, dict] = {}
         ids, seen, decisions = np.arange(self._count), self._teams.reset(seeds), 0
@@ -140,6 +138,8 @@ def train(
         with torch.random.fork_rng():
             torch.manual_seed(settings.seed)
             actor = Actor(episodes.space, settings.hidden_size, settings.blind)
+        rule_of = rule_for(episodes.space)
+        spreads = np.array([spread for _, spread in rule_of.values()])
         told: dict[str, Any] = {"update": 0, "decisions": 0, "curve": {}}
         if resume:
             arrays, told = load(path)
@@ -148,17 +148,17 @@ def train(
         with LearningCurve(folder, settings.steps, decisions, told["curve"], show_progress) as curve:
             while decisions < settings.steps:
                 began = time.perf_counter()
-                changes = random_stream(settings.seed, "changes", update).standard_normal((pairs, len(RULE)))
+                changes = random_stream(settings.seed, "changes", update).standard_normal((pairs, len(rule_of)))
                 rule = actor.rule.detach().numpy().astype(float)
-                weights = np.stack([rule + SPREADS * changes, rule - SPREADS * changes], 1).reshape(-1, len(RULE))
+                weights = np.stack([rule + spreads * changes, rule - spreads * changes], 1).reshape(-1, len(rule_of))
                 first = 1_000_003 * settings.seed + pairs * update
                 played, count = episodes.play(weights, [first + k // 2 for k in range(2 * pairs)])
                 scores = np.array([each["score"] for each in played]).reshape(-1, 2)
-                step = settings.learning_rate * (1.0 - decisions / settings.steps) * SPREADS * step_of(changes, scores)
+                step = settings.learning_rate * (1.0 - decisions / settings.steps) * spreads * step_of(changes, scores)
                 with torch.no_grad():
                     actor.rule += torch.from_numpy(step.astype(np.float32))
                 update, decisions = update + 1, decisions + count
-                figures = {f"rule/{name}": float(weight) for name, weight in zip(RULE, rule + step, strict=True)}
+                figures = {f"rule/{name}": float(weight) for name, weight in zip(rule_of, rule + step, strict=True)}
                 figures["speed/decisions_per_s"] = count / (time.perf_counter() - began)
                 curve.note(decisions, count, played, figures)
                 told = {"update": update, "decisions": decisions, "curve": curve.values()}

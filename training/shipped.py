@@ -22,17 +22,21 @@ def shipped() -> list[Path]:
 
 
 def shipped_for(config: EnvConfig) -> Path:
-    """The folder of the policy that suits settings best: trained on this task; else in buildings of this set; else with
-    most nearly this number of robots. Raises DataError if no policy comes with this version."""
+    """The folder of the policy that suits settings best: trained on this task; else for robots that pass maps on in the
+    same way; else in buildings of this set; else with most nearly this number of robots.
+
+    Raises DataError if no policy comes with this version.
+    """
     folders = shipped()
     if not folders:
         raise DataError("no policy comes with this version: train one with twc-env train mappo")
 
-    def likeness(folder: Path) -> tuple[bool, bool, int]:
+    def likeness(folder: Path) -> tuple[bool, bool, bool, int]:
         of = task_config(f"twc/{folder.name}")
         family = of.map.rpartition(":")[0]
         is_of_set = config.map == of.map or (bool(family) and config.map.startswith(f"{family}:"))
-        return digest(of) == digest(config), is_of_set, -abs(of.robots - config.robots)
+        is_linked_alike = of.link.topology == config.link.topology
+        return digest(of) == digest(config), is_linked_alike, is_of_set, -abs(of.robots - config.robots)
 
     return max(folders, key=likeness)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from twc_env.planning import Whereabouts, whereabouts
 from twc_env.records.messages import Fingerprint, RadioTrail
@@ -57,3 +58,19 @@ def test_a_robot_that_heard_nothing_knows_nothing():
     unknown = RadioTrail((0,), np.zeros((0, 2)), ())
     assert whereabouts(unknown, trail(AHEAD_M, (1,))) is None
     assert whereabouts(trail(AHEAD_M, (1,)), unknown) is None
+
+
+def test_the_result_does_not_depend_on_the_threads_of_matrix_libraries():
+    random = np.random.default_rng(3)
+    macs = np.arange(90)
+    told = [
+        RadioTrail(
+            (k,), 9.0 * random.random((40, 2)), tuple(Fingerprint(macs, -90 * random.random(90)) for _ in range(40))
+        )
+        for k in range(2)
+    ]
+    found = []
+    for count in (1, 2):
+        with threadpool_limits(count, user_api="blas"):
+            found.append(whereabouts(*told).share.tobytes())
+    assert found[0] == found[1]

@@ -13,7 +13,7 @@ from twc_env.config import EnvConfig, override
 from twc_env.exploration.environment import ExplorationEnv
 from twc_env.records.random_streams import random_stream
 
-BLOCKS = ("lidar", "map", "overview", "pose", "wifi", "signs", "team", "frontiers")
+BLOCKS = ("lidar", "map", "overview", "pose", "wifi", "signs", "team", "frontiers", "gains", "other_maps")
 EPISODE_STEPS = 500
 ACTIONS = (
     ("velocity", "synchronous"),

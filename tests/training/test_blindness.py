@@ -11,11 +11,12 @@ from twc_env.errors import ConfigError, DataError
 
 pytestmark = pytest.mark.usefixtures("torch")
 SEEN = {
-    "teammates": ("team", ("goals", 1), ("frontiers", 5)),
+    "teammates": ("team", "other_maps", ("goals", 1), ("frontiers", 5)),
     "signs": ("signs",),
     "map": ("gains", ("frontiers", 3), ("frontiers", 4), ("frontiers", 5)),
 }
 """The blocks that tell of it, or columns of them."""
+TOLD = {"observation.other_maps": True}
 CHOICE = {"teammates": -2, "signs": -3}
 
 
@@ -50,7 +51,7 @@ def actor_of(blind, **more):
     from twc_env.training.encoder import Actor
 
     torch.manual_seed(0)
-    actor = Actor(space_for(3), 16, blind, **more)
+    actor = Actor(space_for(3, **TOLD), 16, blind, **more)
     torch.nn.init.normal_(actor.score[2].weight, std=0.1)  # the network adds nothing before training
     torch.nn.init.normal_(actor.rule, std=0.1)
     return actor
@@ -59,7 +60,7 @@ def actor_of(blind, **more):
 @pytest.mark.parametrize("attention", [True, False])
 @pytest.mark.parametrize("blind", SEEN)
 def test_what_a_policy_is_blind_for_changes_none_of_its_logits(blind, attention, torch):
-    seen = sample(space_for(3))
+    seen = sample(space_for(3, **TOLD))
     sees, is_blind = actor_of((), attention=attention), actor_of((blind,), attention=attention)
     for place in SEEN[blind]:
         assert not torch.equal(sees(changed(seen, place)), sees(seen)), f"{place} matters"
@@ -71,7 +72,7 @@ def test_what_a_policy_is_blind_for_changes_none_of_its_logits(blind, attention,
 
 @pytest.mark.parametrize("blind", CHOICE)
 def test_nobody_goes_to_what_he_does_not_know_of(blind, torch):
-    seen, actor = sample(space_for(3)), actor_of((blind,))
+    seen, actor = sample(space_for(3, **TOLD)), actor_of((blind,))
     before = {name: block.clone() for name, block in seen.items()}
     chances = actor(seen).softmax(1)[0]
     assert chances[CHOICE[blind]] == 0.0 and chances[-1] > 0.0
@@ -81,7 +82,7 @@ def test_nobody_goes_to_what_he_does_not_know_of(blind, torch):
 def test_without_the_map_the_way_to_a_candidate_is_the_straight_line(torch):
     from twc_env.training.blindness import hidden
 
-    seen = sample(space_for(3))
+    seen = sample(space_for(3, **TOLD))
     left = hidden(seen, ("map",))["frontiers"]
     assert torch.equal(left[..., 3], seen["frontiers"][..., 2]) and torch.equal(
         left[..., :3], seen["frontiers"][..., :3]
@@ -91,19 +92,20 @@ def test_without_the_map_the_way_to_a_candidate_is_the_straight_line(torch):
 def test_who_is_blind_for_nothing_sees_the_same_tensors():
     from twc_env.training.blindness import hidden
 
-    seen = sample(space_for(3))
+    seen = sample(space_for(3, **TOLD))
     assert hidden(seen, ()) is seen
 
 
 def test_an_evolution_strategy_plays_without_what_is_kept_from_it(task):
-    from twc_env.training.encoder import RULE
+    from twc_env.training.encoder import rule_for
     from twc_env.training.evolution import Episodes, Settings
 
-    weights = np.tile([weight for weight, _ in RULE.values()], (2, 1))
-    weights[1, list(RULE).index("frontier")] = 3.0
     played = {}
     for blind in ((), ("map",)):
         episodes = Episodes(task, Settings(environments=2, workers=0, blind=blind))
+        rule = rule_for(episodes.space)
+        weights = np.tile([weight for weight, _ in rule.values()], (2, 1))
+        weights[1, list(rule).index("frontier")] = 3.0
         played[blind], _ = episodes.play(weights, [7, 7])
         episodes.close()
     assert played[()][0] != played[()][1] and played["map",][0] == played["map",][1]
@@ -119,7 +121,7 @@ def test_a_stored_policy_is_as_blind_at_play_as_in_training(blind_run, tiny, tas
     space = ExplorationEnv(config=task.config).observation_space("robot_0")
     actor = load_actor(blind_run / "model.safetensors", space)
     seen = sample(space_for(2))
-    for place in (*SEEN["teammates"], *SEEN["map"]):
+    for place in {*SEEN["teammates"], *SEEN["map"]} - {"other_maps"}:
         assert torch.equal(actor(changed(seen, place)), actor(seen))
     assert not torch.equal(actor(changed(seen, "signs")), actor(seen))
     assert isinstance(actor.encoder.attention, FeedForward)
@@ -155,9 +157,9 @@ def test_a_critic_without_privilege_sees_what_the_robot_sees(torch):
     from twc_env.training.mappo import Critic
 
     torch.manual_seed(0)
-    seen = sample(space_for(3)) | {"gained": torch.zeros(1, 1), "state": torch.rand(1, 3, 8)}
+    seen = sample(space_for(3, **TOLD)) | {"gained": torch.zeros(1, 1), "state": torch.rand(1, 3, 8)}
     for is_privileged in (True, False):
-        critic = Critic(space_for(3), 16, is_privileged)
+        critic = Critic(space_for(3, **TOLD), 16, is_privileged)
         for place in ("gained", "state"):
             other = {**seen, place: seen[place] + 0.5}
             assert torch.equal(critic(other), critic(seen)) != is_privileged
@@ -168,9 +170,9 @@ def test_without_the_rule_all_choices_are_alike_before_training(torch):
     from twc_env.training import mappo
     from twc_env.training.ppo import ChoiceNetworks
 
-    seen = sample(space_for(3))
-    learner = mappo.Learner(space_for(3), mappo.Settings(hidden_size=8, from_rule=False), 0.1)
-    networks = ChoiceNetworks(space_for(3), 8, from_rule=False)
+    seen = sample(space_for(3, **TOLD))
+    learner = mappo.Learner(space_for(3, **TOLD), mappo.Settings(hidden_size=8, from_rule=False), 0.1)
+    networks = ChoiceNetworks(space_for(3, **TOLD), 8, from_rule=False)
     for logits in (learner.actor(seen), networks(seen)[0]):
         assert (logits == 0.0).all()
 

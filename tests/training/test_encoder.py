@@ -77,7 +77,7 @@ def test_teammates_that_were_never_heard_are_as_if_there_were_none(actor, torch)
 
 
 def test_the_first_policy_prefers_near_frontiers_that_show_much(actor, torch):
-    from twc_env.training.encoder import RULE
+    from twc_env.training.encoder import rule_for
 
     seen = sample(space_for(3))
     seen["frontiers"][0, :, 3], seen["gains"][0], seen["goals"][0] = 0.5, 0.5, 0.0
@@ -88,8 +88,22 @@ def test_the_first_policy_prefers_near_frontiers_that_show_much(actor, torch):
     seen["goals"][0, 6] = 1.0
     assert actor(seen).argmax().item() == 6, "it may change its mind, and need not"
     with torch.no_grad():
-        actor.rule[list(RULE).index("near own goal")] = -3.0
+        actor.rule[list(rule_for(space_for(3))).index("near own goal")] = -3.0
     assert actor(seen).argmax().item() != 6, "where it has just been going"
+
+
+def test_robots_that_are_told_of_other_maps_can_learn_to_go_there(torch):
+    from twc_env.training.encoder import RULE, Actor, rule_for
+
+    space = space_for(3, **{"observation.other_maps": True})
+    assert rule_for(space) == RULE and list(RULE)[7] == "to other maps" and len(rule_for(space_for(3))) == len(RULE) - 1
+    actor, seen = Actor(space, 16), sample(space)
+    seen["frontiers"][0, :, 3], seen["gains"][0], seen["goals"][0] = 0.5, 0.5, 0.0
+    seen["other_maps"][0] = torch.tensor([0.5, 0.5, 0.5, 0.2, 0.5, 0.5, 0.5, 0.5])
+    assert (actor(seen)[0, 3] == actor(seen)[0, 4]).item(), "before training it does not care"
+    with torch.no_grad():
+        actor.rule[7] = -0.4
+    assert actor(seen).argmax().item() == 3
 
 
 def test_the_return_so_far_affects_the_value_of_ppo_but_not_its_policy(torch):
@@ -105,10 +119,10 @@ def test_the_return_so_far_affects_the_value_of_ppo_but_not_its_policy(torch):
 @pytest.mark.parametrize("slots", [5, 8, 64])
 def test_the_logits_of_the_rule_do_not_depend_on_what_else_is_computed_with_them(torch, slots):
     """So the result of an evolution strategy does not depend on which worker answers first."""
-    from twc_env.training.encoder import RULE, logits_of_rule
+    from twc_env.training.encoder import logits_of_rule, rule_for
 
-    space = space_for(1, **{"action.frontier_slots": slots})
-    weights = torch.from_numpy(np.random.default_rng(1).standard_normal((64, len(RULE))).astype(np.float32))
+    space = space_for(1, **{"action.frontier_slots": slots, "observation.other_maps": slots == 8})
+    weights = torch.from_numpy(np.random.default_rng(1).standard_normal((64, len(rule_for(space)))).astype(np.float32))
     together = sample(space, 64)
     alone = [logits_of_rule({k: v[i : i + 1] for k, v in together.items()}, weights[i : i + 1]) for i in range(64)]
     assert torch.equal(torch.cat(alone), logits_of_rule(together, weights))

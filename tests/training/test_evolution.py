@@ -20,12 +20,13 @@ def test_the_step_goes_along_changes_that_scored_more_whatever_the_unit_of_the_s
 
 
 def test_a_pair_with_equal_weights_plays_equal_episodes_and_weights_matter(task):
-    from twc_env.training.encoder import RULE
+    from twc_env.training.encoder import rule_for
     from twc_env.training.evolution import Episodes, Settings
 
-    weights = np.tile([weight for weight, _ in RULE.values()], (4, 1))
-    weights[3, list(RULE).index("stay")] = 20.0
     episodes = Episodes(task, Settings(environments=4, workers=0))
+    rule = rule_for(episodes.space)
+    weights = np.tile([weight for weight, _ in rule.values()], (4, 1))
+    weights[3, list(rule).index("stay")] = 20.0
     played, decisions = episodes.play(weights, [7, 7, 8, 8])
     episodes.close()
     assert played[0] == played[1] and decisions > 20

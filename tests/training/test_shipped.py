@@ -51,11 +51,17 @@ def test_the_shipped_policy_of_a_task_suits_its_settings_best(tmp_path, monkeypa
 
     from twc_env.tasks import task_config
 
-    for name in ("Quick", "Entrance"):
+    for name in ("Quick", "Entrance", "Peers"):
         (tmp_path / f"Explore{name}-v1").mkdir()
         (tmp_path / f"Explore{name}-v1" / shipped.FILE_NAME).touch()
     monkeypatch.setattr(shipped, "FOLDER", tmp_path)
-    for task, name in (("Quick", "Quick"), ("Entrance", "Entrance"), ("Office", "Entrance"), ("Mall", "Entrance")):
+    for task, name in (
+        ("Quick", "Quick"),
+        ("Entrance", "Entrance"),
+        ("Office", "Entrance"),
+        ("Mall", "Entrance"),
+        ("Peers", "Peers"),
+    ):
         assert shipped.shipped_for(task_config(f"twc/Explore{task}-v1")).name == f"Explore{name}-v1"
 
 

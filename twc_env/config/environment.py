@@ -56,6 +56,9 @@ class ObservationConfig(Checked):
     measures, up to the longest, so that agents may share a network; false: each agent has a space of its own."""
     gains: bool = later(False)
     """The unknown area that each of `frontiers` would show; needs that block."""
+    other_maps: bool = later(False)
+    """How far each of `frontiers` is from where robots of other maps are likely to have been, by the access points that
+    both heard and by pending closures; needs that block."""
     time_left: bool = later(False)
     """The share of the episode's time that is left: what pays late in it differs from what pays early."""
 

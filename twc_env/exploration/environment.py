@@ -102,6 +102,8 @@ class ExplorationEnv(ParallelEnv, EzPickle):
     | | | | whether some teammate's distance is less than l |
     | `gains` | (8,) | [0, 1] | with `observation.gains`: unknown area a that a scan from each of `frontiers` would |
     | | | | show, if no wall is where none is known, as a / (a + 10 m2) |
+    | `other_maps` | (8,) | [0, 1] | with `observation.other_maps`: expected distance d of each of `frontiers` to the |
+    | | | | path of robots of another map, as d / (d + 10 m); 0 if it is not known, or they come here |
     | `time_left` | (1,) | [0, 1] | with `observation.time_left`: share of `max_cycles` that is left |
     | `action_mask` | (11,) int8 | 0, 1 | valid choices (only with `action.kind = "frontier"`) |
     | `radio` | (2, 64, 64) uint8 | 0, 255 | with `slam.k_visibility.enabled`: probably free, probably wall, estimated |

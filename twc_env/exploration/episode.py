@@ -136,7 +136,7 @@ class Episode:
         macro_actions, search, masks = self.macro_actions, self._search, None
         if search is None:
             return self._builder.build()
-        search.look(self._beliefs)
+        search.look(self._beliefs, whole=self.engine.belief)
         if macro_actions is not None and self.config.action.kind == "frontier":
             masks = [macro_actions.mask(robot) for robot in range(self.config.robots)]
         return self._builder.build(search.candidates, masks)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from twc_env.planning.candidates import NOTHING, Candidates, can_tell_places, fi
 from twc_env.planning.drivers import ARRIVAL_M, NARROW_FACTOR, Drivers, map_id
 from twc_env.planning.follow import can_reverse
 from twc_env.planning.moving_obstacles import has_glass
+from twc_env.planning.other_maps import OtherMaps
 from twc_env.planning.path_finder import PathFinder
 from twc_env.planning.terrain import Terrain
 from twc_env.records.geometry import transform_points
@@ -46,6 +48,7 @@ class CandidateSearch:
         self._ranges_m = [each.lidar.range_max_m for each in own]
         self._period = max(1, round(config.observation.frontier_period_s / config.dynamics.time_step_s))
         self._finder = finder or PathFinder()
+        self._others = OtherMaps(config.dynamics.time_step_s) if config.observation.other_maps else None
         self._looked = [(-self._period, (-1, -1))] * config.robots
         """Step, and the robot's map then (`map_id`)."""
         self.candidates: list[Candidates] = [NOTHING] * config.robots
@@ -66,10 +69,12 @@ class CandidateSearch:
         is_due: Sequence[bool] | Array = (),
         terrains: dict[tuple[float, GridMap, int], Terrain] | None = None,
         goals_m: Array | None = None,
+        whole: Callable[[int], Belief] | None = None,
     ) -> None:
         """Update the candidates of robots for which `is_due` (robots,), and those that are old or of another map.
 
-        terrains: as in `terrain`; goals_m: (robots, 2) places to which robots drive, each in its own map; NaN: none.
+        terrains: as in `terrain`; goals_m: (robots, 2) places to which robots drive, each in its own map; NaN: none;
+        whole: a robot's belief with what it knows of other maps, if `beliefs` lack that.
         """
         step, known = beliefs[0].step, {} if terrains is None else terrains
         for robot, belief in enumerate(beliefs):
@@ -89,6 +94,11 @@ class CandidateSearch:
                     if not len(found.frontiers_m):  # shut in, by a map in which noise may have narrowed a gap
                         terrain = self.terrain(known, belief, NARROW_FACTOR)
                         found = find_views(belief, terrain, self._finder, slots, range_m, *of_team)
+                if self._others is not None:
+                    told = belief if whole is None else whole(robot)
+                    been_m = told.radio_trails[0].places_m if told.radio_trails else np.zeros((0, 2))
+                    away_m = self._others.away_m(told, found.frontiers_m, been_m)
+                    found = replace(found, other_maps_m=away_m)
                 self.candidates[robot] = found
 
     def terrain(
@@ -169,8 +179,9 @@ class MacroActions:
             mask[slots + TEAMMATE] = candidates.teammate_m is not None
         return mask
 
-    def look(self, beliefs: Sequence[Belief]) -> None:
-        """Update the candidates of the robots that decide now, unless nothing shows or chooses them."""
+    def look(self, beliefs: Sequence[Belief], whole: Callable[[int], Belief] | None = None) -> None:
+        """Update the candidates of the robots that decide now, unless nothing shows or chooses them; `whole` as in
+        `CandidateSearch.look`."""
         self._forget_terrains(beliefs)
         if not self._are_candidates_used:
             return
@@ -181,7 +192,7 @@ class MacroActions:
         claimed_m = np.full(goals_m.shape, np.nan)
         for robot in np.flatnonzero(self._is_view & is_driving).tolist():
             claimed_m[robot] = self._drivers.goal_in(robot, beliefs[robot])
-        self._search.look(beliefs, self.is_deciding, self._terrains, claimed_m)
+        self._search.look(beliefs, self.is_deciding, self._terrains, claimed_m, whole)
 
     def assign(self, actions: Mapping[str, object], agents: Sequence[str], beliefs: Sequence[Belief]) -> None:
         """Set the goals of the robots that decide; actions of the others are only checked.

@@ -10,6 +10,7 @@ from twc_env.planning.floor_views import FloorViews, place_graph
 from twc_env.planning.follow import Follower, as_action, can_reverse, drive_to, room_around_m
 from twc_env.planning.latency_tours import LatencyTours, TeamState
 from twc_env.planning.moving_obstacles import MovingObstacles, has_glass
+from twc_env.planning.other_maps import OtherMaps
 from twc_env.planning.path_finder import Disc, PathFinder, Plan
 from twc_env.planning.radio_whereabouts import Whereabouts, whereabouts
 from twc_env.planning.terrain import FREE, UNKNOWN, WALL, Terrain, is_frontier
@@ -27,6 +28,7 @@ __all__ = [
     "Follower",
     "LatencyTours",
     "MovingObstacles",
+    "OtherMaps",
     "PathFinder",
     "Plan",
     "RandomTree",

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray as Array
@@ -20,8 +20,8 @@ CELLS_MIN = 3
 """Minimum frontier size [cells]; smaller ones are noise."""
 SIGN_AWAY_M = 2.0
 """Minimum distance of a sign that is a goal."""
-HALF_GAIN_M2 = 10.0
-"""Areas a are shown as a / (a + this)."""
+HALF_GAIN_M2, HALF_AWAY_M = 10.0, 10.0
+"""Areas a are shown as a / (a + this), and so are distances to other maps."""
 DECAY_PER_M = 0.15
 """Views are ranked by gain times exp(-this times the way) (Gonzalez-Banos and Latombe, IJRR 2002)."""
 SPACING_M, APART_M = 1.5, 2.0
@@ -52,6 +52,8 @@ class Candidates:
     """(k,) unknown area that a scan from there would show (`ViewGain`); 0 if it was not asked for."""
     are_views: bool = False
     """Whether they are views, which robots drive to, rather than frontiers, which are reached once they are gone."""
+    other_maps_m: Array = field(default_factory=lambda: np.zeros(0))
+    """(k,) expected distance to what robots of other maps have seen (`OtherMaps`); empty if it was not asked for."""
 
 
 NOTHING = Candidates(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, bool), None, None, np.zeros(0))
@@ -161,8 +163,18 @@ def _nearest(places_m: list[Array], here: Array, away_m: float) -> Array | None:
 
 def gains_of(candidates: Candidates, count_max: int) -> Array:
     """(count_max,) float32 in [0, 1]: unknown area a that each frontier would show, as a / (a + 10 m2); then zeros."""
+    return _shares(candidates.gains_m2, HALF_GAIN_M2, count_max)
+
+
+def ways_to_others_of(candidates: Candidates, count_max: int) -> Array:
+    """(count_max,) float32 in [0, 1]: distance d of each frontier to other maps, as d / (d + 10 m); then zeros."""
+    return _shares(candidates.other_maps_m, HALF_AWAY_M, count_max)
+
+
+def _shares(values: Array, half: float, count_max: int) -> Array:
+    """(count_max,) float32: each value as value / (value + half), then zeros."""
     shares = np.zeros(count_max, np.float32)
-    shares[: len(candidates.gains_m2)] = candidates.gains_m2 / (candidates.gains_m2 + HALF_GAIN_M2)
+    shares[: len(values)] = values / (values + half)
     return shares
 
 

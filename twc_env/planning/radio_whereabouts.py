@@ -18,6 +18,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray as Array
 
+from twc_env.kernels.blas_threads import one_blas_thread
 from twc_env.records.messages import Fingerprint, RadioTrail
 
 PATH_LOSS_EXPONENT, POWER_AT_1M_DBM, POWER_STD_DB, SHADOWING_STD_DB = 3.85, -30.0, 4.0, 6.0
@@ -46,6 +47,7 @@ class Whereabouts:
         return _distances(places_m, self.cells_m) @ self.share
 
 
+@one_blas_thread()
 def whereabouts(own: RadioTrail, other: RadioTrail) -> Whereabouts | None:
     """Where the places of the other trail are, by what was heard along one's own; None if nothing was heard there, or
     nothing is known of the other yet."""

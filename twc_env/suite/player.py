@@ -21,7 +21,7 @@ DIGITS = 6
 """Decimal places of coverage in the curves."""
 UNSEEN = {
     f"observation.{block}": False
-    for block in ("lidar", "map", "overview", "wifi", "signs", "team", "frontiers", "gains")
+    for block in ("lidar", "map", "overview", "wifi", "signs", "team", "frontiers", "gains", "other_maps")
 }
 """Teams that act on beliefs need no observations; one block has to be there."""
 Acts = Callable[[dict[str, Any]], dict[str, Any] | None]

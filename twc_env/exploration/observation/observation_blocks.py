@@ -40,6 +40,7 @@ def block_spaces(config: EnvConfig, robot: int = 0) -> dict[str, spaces.Space]:
         "team": spaces.Box(-1.0, 1.0, (teammates, 5), np.float32),
         "frontiers": spaces.Box(-1.0, 1.0, (slots, 6), np.float32),
         "gains": spaces.Box(0.0, 1.0, (slots,), np.float32),
+        "other_maps": spaces.Box(0.0, 1.0, (slots,), np.float32),
         "time_left": spaces.Box(0.0, 1.0, (1,), np.float32),
     }
     wanted = {
@@ -47,6 +48,7 @@ def block_spaces(config: EnvConfig, robot: int = 0) -> dict[str, spaces.Space]:
     }
     if "frontiers" not in wanted:
         wanted.pop("gains", None)
+        wanted.pop("other_maps", None)
     if config.slam.k_visibility.enabled:
         wanted["radio"] = spaces.Box(0, 255, (2, shape.map_cells, shape.map_cells), np.uint8)
     if chooses:

@@ -14,7 +14,7 @@ from twc_env.exploration.observation import map_view
 from twc_env.exploration.observation.observation_blocks import block_spaces, joined
 from twc_env.exploration.observation.recent_signs import RecentSigns
 from twc_env.exploration.observation.small_blocks import SMALL, SmallBlocks
-from twc_env.planning.candidates import NOTHING, Candidates, features_of, gains_of
+from twc_env.planning.candidates import NOTHING, Candidates, features_of, gains_of, ways_to_others_of
 from twc_env.records.messages import Belief, GridMap, SensorFrame
 from twc_env.records.team_messages import TeamBeliefs, TeamFrames
 
@@ -77,6 +77,8 @@ class ObservationBuilder:
             blocks.append(("frontiers", [features_of(own, belief.pose_map_robot, slots) for own, belief in pairs]))
             if "gains" in names:
                 blocks.append(("gains", [gains_of(own, slots) for own in lists]))
+            if "other_maps" in names:
+                blocks.append(("other_maps", [ways_to_others_of(own, slots) for own in lists]))
         if "action_mask" in names:
             given = [np.zeros(0, np.int8)] * len(beliefs) if masks is None else [m.copy() for m in masks]
             blocks.append(("action_mask", given))
