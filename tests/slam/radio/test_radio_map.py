@@ -2,6 +2,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from twc_env.errors import ConfigError, DataError
 from twc_env.records.messages import Fingerprint
@@ -49,6 +50,15 @@ def test_the_gaussian_process_matches_a_manual_computation():
     away = tried - weight @ tried
     assert found == pytest.approx(weight @ tried)
     assert spread == pytest.approx(away.T @ (away * weight[:, None]))
+
+
+def test_places_do_not_depend_on_the_threads_of_matrix_libraries():
+    places = np.random.default_rng(0).uniform(0, 30, (300, 2))
+    radio_map, found = RadioMap(places, [heard_at(p, k) for k, p in enumerate(places)]), []
+    for count in (1, 2):
+        with threadpool_limits(count, user_api="blas"):
+            found.append(GaussianProcessMap(radio_map).locate(heard_at(places[0], 0))[1].tobytes())
+    assert found[0] == found[1]
 
 
 def test_memory_is_bounded_by_processing_places_in_batches():

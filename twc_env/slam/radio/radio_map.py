@@ -12,6 +12,7 @@ from numpy.typing import NDArray as Array
 from scipy.linalg import cho_factor, cho_solve
 
 from twc_env.errors import DataError
+from twc_env.kernels.blas_threads import one_blas_thread
 from twc_env.records.array_validation import validated_points
 from twc_env.records.fingerprint_validation import validated_fingerprint, validated_fingerprints
 from twc_env.records.messages import Fingerprint
@@ -61,6 +62,7 @@ class GaussianProcessMap:
     candidate places: those of the map and around them.
     """
 
+    @one_blas_thread()
     def __init__(
         self, radio_map: RadioMap, length_m: float = 6.0, signal_std_db: float = 8.0, noise_std_db: float = 4.0
     ):
@@ -94,6 +96,7 @@ class GaussianProcessMap:
             explained = np.einsum("cp,pc->c", cross, cho_solve(factor, cross.T))
             self._variance[part] = np.maximum(signal_std_db**2 - explained, 0.0)
 
+    @one_blas_thread()
     def locate(self, fingerprint: Fingerprint) -> tuple[Array, Array]:
         """Place (2,) and its covariance (2, 2); those of all candidates if it heard no transmitter of the map.
 
