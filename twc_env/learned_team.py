@@ -73,7 +73,7 @@ class LearnedTeam:
         if self._ticks:
             self._is_due = self._actions.is_decision_due(np.ones(len(beliefs), bool))
         if self._is_due:
-            self._actions.look(team, list(beliefs.values()).__getitem__)
+            self._actions.look(team)
             masks = [self._actions.mask(robot) for robot in range(len(beliefs))]
             seen = self._builder.build(self._actions.candidates, masks)
             choices = self._choose(dict(zip(self._agents, seen, strict=True)), self._ticks)

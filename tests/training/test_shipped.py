@@ -87,3 +87,36 @@ def test_a_run_folder_is_a_team_in_every_command(tmp_path, caplog, refusal):
     for name in (str(tmp_path), "x" * 300, "a\0b", 5):
         with pytest.raises(ConfigError, match=r"your own is FILE\.py:CLASS or a run folder of train"):
             make_policy(name, config)
+
+
+def test_a_policy_that_is_told_of_other_maps_is_told_by_every_command(tmp_path, monkeypatch):
+    """Teams with velocities get beliefs from their caller, and goals from an environment of their own."""
+    from dataclasses import replace
+
+    from twc_env.agents.compare import explore
+    from twc_env.training import shipped
+    from twc_env.training.checkpoint import save
+    from twc_env.training.encoder import Actor
+    from twc_env.training.run_folder import read_settings, task_of, write_settings
+    from twc_env.training.team_notes import TeamNotes
+    from twc_env.training.weights import arrays_of
+
+    from twc_env.config import EnvConfig, override
+    from twc_env.exploration.environment import ExplorationEnv
+    from twc_env.exploration.observation.observations import ObservationBuilder
+
+    record = read_settings(shipped.FOLDER / "ExploreQuick-v1")
+    task = replace(task_of(record), overrides={"observation.other_maps": True})
+    space = TeamNotes.space(ExplorationEnv(config=task.config).observation_space("robot_0"))
+    write_settings(tmp_path, "es", task, record["settings"])
+    save(tmp_path / shipped.FILE_NAME, arrays_of(Actor(space), "actor."), {"decisions": 0})
+    told, build = [], ObservationBuilder.build
+
+    def built(self, *given):
+        seen = build(self, *given)
+        told.extend(own["other_maps"].any() for own in seen if "other_maps" in own)
+        return seen
+
+    monkeypatch.setattr(ObservationBuilder, "build", built)
+    explore(override(EnvConfig(), {"max_cycles": 200, "map": "gen:office:800:1"}), str(tmp_path), 0)
+    assert any(told)
