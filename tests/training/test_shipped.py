@@ -8,15 +8,16 @@ from twc_env.suite.models import model_for, model_in_task
 pytestmark = pytest.mark.usefixtures("torch")
 
 
-def test_the_team_learned_plays_the_policy_of_the_task_which_is_small_and_has_a_card(caplog):
+@pytest.mark.parametrize("name", ["ExploreQuick-v1", "ExplorePeers-v1"])
+def test_the_team_learned_plays_the_policy_of_the_task_which_is_small_and_has_a_card(caplog, name):
     from twc_env.training.shipped import FOLDER
 
-    folder = FOLDER / "ExploreQuick-v1"
-    assert (folder / "model.safetensors").stat().st_size < 2_000_000 and "nearest-frontier" in (
-        folder / "card.md"
-    ).read_text()
+    assert (FOLDER / name / "model.safetensors").stat().st_size < 2_000_000
+    assert f"twc/{name}" in (FOLDER / name / "card.md").read_text().splitlines()[0]
+    entry = entries([f"twc/{name}"], ["learned"], "test", 1)[0]
     with caplog.at_level("INFO"):
-        env, act = model_in_task(entries(["twc/ExploreQuick-v1"], ["learned"], "test", 1)[0])
+        env, act = model_in_task(entry)
+    assert model_for(entry)[0].parent == FOLDER / name
     seen, _ = env.reset(seed=0)
     assert set(act(seen)) == set(env.agents) and "no policy of its own" not in caplog.text
 
