@@ -50,10 +50,10 @@ def test_models_are_evaluated_beside_scripted_teams_each_in_a_row_the_shipped_on
         assert f" {name} 0." in line
 
 
-def test_the_shipped_policy_is_evaluated_in_the_task_that_it_is_shipped_for(monkeypatch, tmp_path):
+def test_shipped_policies_are_evaluated_in_the_tasks_that_they_are_shipped_for(monkeypatch, tmp_path):
     planned = []
     monkeypatch.setattr("twc_env.suite.runs.play_all", lambda entries, *_: planned.extend(entries) or 1 / 0)
     with pytest.raises(ZeroDivisionError):
         main(["evaluate", "--suite", "v1", "--model", "learned", "--buildings", "1", "--out", str(tmp_path)])
-    assert {entry.task for entry in planned} == {"twc/ExploreQuick-v1"}
+    assert {entry.task for entry in planned} == {"twc/ExploreQuick-v1", "twc/ExplorePeers-v1"}
     assert "learned" in {entry.team for entry in planned}

@@ -179,5 +179,6 @@ def _tasks_of(model: str) -> set[str]:
         from twc_env.training.run_folder import model_in, read_settings, task_of
         from twc_env.training.shipped import shipped
 
-    folders = shipped() if model == LEARNED else [model_in(Path(model)).parent]
-    return {task_of(read_settings(folder)).id or "" for folder in folders}
+    if model == LEARNED:
+        return {f"twc/{folder.name}" for folder in shipped()}
+    return {task_of(read_settings(model_in(Path(model)).parent)).id or ""}
