@@ -8,12 +8,15 @@ from twc_env.suite.models import model_for, model_in_task
 pytestmark = pytest.mark.usefixtures("torch")
 
 
-@pytest.mark.parametrize("name", ["ExploreQuick-v1", "ExplorePeers-v1"])
-def test_the_team_learned_plays_the_policy_of_the_task_which_is_small_and_has_a_card(caplog, name):
+@pytest.mark.parametrize(
+    ("name", "rival"), [("ExploreQuick-v1", "nearest-frontier"), ("ExplorePeers-v1", "information-gain")]
+)
+def test_the_team_learned_plays_the_policy_of_the_task_which_is_small_and_has_a_card(caplog, name, rival):
     from twc_env.training.shipped import FOLDER
 
     assert (FOLDER / name / "model.safetensors").stat().st_size < 2_000_000
-    assert f"twc/{name}" in (FOLDER / name / "card.md").read_text().splitlines()[0]
+    card = (FOLDER / name / "card.md").read_text()
+    assert f"twc/{name}" in card.splitlines()[0] and rival in card
     entry = entries([f"twc/{name}"], ["learned"], "test", 1)[0]
     with caplog.at_level("INFO"):
         env, act = model_in_task(entry)
